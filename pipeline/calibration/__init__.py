@@ -1,0 +1,1 @@
+"""Readers of calibration files, one module a format, one registry."""

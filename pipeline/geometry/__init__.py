@@ -1,0 +1,1 @@
+"""Cameras, rigid transforms, triangulation and epipolar geometry: arrays in, arrays out."""

@@ -1,0 +1,26 @@
+"""Rigid transforms, named after what they map: ``x_in_b = b_from_a.apply(x_in_a)``."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigid3:
+    """Rotation and translation (metres): ``x_in_b = b_from_a.apply(x_in_a)``."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    translation_m: Float[np.ndarray, " 3"]
+
+    def apply(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Map points in a to b; NaN stays NaN."""
+        return points_m @ self.rotation.T + self.translation_m
+
+    def inverse(self) -> "Rigid3":
+        """``a_from_b``."""
+        return Rigid3(self.rotation.T.copy(), -self.rotation.T @ self.translation_m)
+
+    def __matmul__(self, other: "Rigid3") -> "Rigid3":
+        """``c_from_b @ b_from_a`` is ``c_from_a``."""
+        return Rigid3(self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m)

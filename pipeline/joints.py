@@ -1,0 +1,80 @@
+"""The joints that detectors find, by name, and the bones between them."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class JointSet:
+    """Names of joints in a detector's order, and the pairs that belong together.
+
+    Parameters
+    ----------
+    names
+        One a joint, in the order of the arrays' joint axis.
+    bones
+        Pairs of names, for drawing and for bone lengths.
+    """
+
+    names: tuple[str, ...]
+    bones: tuple[tuple[str, str], ...]
+
+    def index(self, name: str) -> int:
+        """Position of a joint on the joint axis; ``ValueError`` if the set has no such joint."""
+        return self.names.index(name)
+
+    def indices(self, names: tuple[str, ...]) -> list[int]:
+        """Positions of several joints."""
+        return [self.names.index(name) for name in names]
+
+
+COCO_17 = JointSet(
+    names=(
+        "nose",
+        "left_eye",
+        "right_eye",
+        "left_ear",
+        "right_ear",
+        "left_shoulder",
+        "right_shoulder",
+        "left_elbow",
+        "right_elbow",
+        "left_wrist",
+        "right_wrist",
+        "left_hip",
+        "right_hip",
+        "left_knee",
+        "right_knee",
+        "left_ankle",
+        "right_ankle",
+    ),
+    bones=(
+        ("nose", "left_eye"),
+        ("nose", "right_eye"),
+        ("left_eye", "left_ear"),
+        ("right_eye", "right_ear"),
+        ("left_shoulder", "right_shoulder"),
+        ("left_shoulder", "left_elbow"),
+        ("right_shoulder", "right_elbow"),
+        ("left_elbow", "left_wrist"),
+        ("right_elbow", "right_wrist"),
+        ("left_shoulder", "left_hip"),
+        ("right_shoulder", "right_hip"),
+        ("left_hip", "right_hip"),
+        ("left_hip", "left_knee"),
+        ("right_hip", "right_knee"),
+        ("left_knee", "left_ankle"),
+        ("right_knee", "right_ankle"),
+    ),
+)
+
+# Rigid enough to have one length a person: shoulders, arms, hips and legs.
+LIMBS: tuple[tuple[str, str], ...] = (
+    ("left_shoulder", "left_elbow"),
+    ("right_shoulder", "right_elbow"),
+    ("left_elbow", "left_wrist"),
+    ("right_elbow", "right_wrist"),
+    ("left_hip", "left_knee"),
+    ("right_hip", "right_knee"),
+    ("left_knee", "left_ankle"),
+    ("right_knee", "right_ankle"),
+)

@@ -1,0 +1,1 @@
+"""Quality without ground truth, and accuracy against it."""

@@ -1,0 +1,1 @@
+"""People, rigs and detector noise with exact truth."""

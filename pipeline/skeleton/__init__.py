@@ -1,0 +1,1 @@
+"""The articulated skeleton: joints, bones, rest pose, and motion made of rotations."""

@@ -1,0 +1,1 @@
+"""Probing and decoding of video files, and the clock that the cameras share."""
