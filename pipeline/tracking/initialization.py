@@ -1,0 +1,65 @@
+"""New targets from detections that no target explains (Chen et al. 2020, supplement, eq. 12-16)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.tracking.affinity import epipolar_affinity
+from pipeline.tracking.assignment import partition
+from pipeline.tracking.parameters import TrackingParameters
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unmatched:
+    """A detection of one camera's most recent frame that belongs to no target."""
+
+    camera: int
+    row: int
+    time_s: float
+    points_px: Float[np.ndarray, "joints 2"]
+    score: Float[np.ndarray, " joints"]
+
+
+def group_unmatched(
+    unmatched: Sequence[Unmatched], fundamentals: Float[np.ndarray, "cameras cameras 3 3"], alpha_px: float
+) -> list[list[Unmatched]]:
+    """Group detections of several cameras into people; each group has at least two views.
+
+    Parameters
+    ----------
+    unmatched
+        Undistorted detections.
+    fundamentals
+        ``fundamentals[left, right]`` as of ``geometry.epipolar.fundamental_matrix``.
+    alpha_px
+        Threshold of the epipolar distance.
+    """
+    cameras = np.array([one.camera for one in unmatched])
+    affinities = np.full((len(unmatched), len(unmatched)), -np.inf)
+    for left in np.unique(cameras):
+        for right in np.unique(cameras[cameras > left]):
+            rows, columns = np.flatnonzero(cameras == left), np.flatnonzero(cameras == right)
+            block = epipolar_affinity(
+                fundamentals[left, right],
+                np.array([unmatched[int(i)].points_px for i in rows]),
+                np.array([unmatched[int(j)].points_px for j in columns]),
+                alpha_px,
+            )
+            affinities[np.ix_(rows, columns)] = block
+            affinities[np.ix_(columns, rows)] = block.T
+    return [[unmatched[i] for i in part] for part in partition(affinities, cameras)]
+
+
+def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: TrackingParameters) -> bool:
+    """Whether a triangulated group can be a person: enough joints, rays that meet, and the size of a body.
+
+    Epipolar lines alone let two people pass for one when they stand in one epipolar plane; where their rays meet lies
+    outside of the scene, or makes a body of absurd size, most of the time.
+    """
+    known = np.isfinite(xyz_m[:, 0])
+    if known.sum() < xyz_m.shape[0] // 3 or not spread_m < parameters.alpha_3d_m:
+        return False
+    extent_m = np.ptp(xyz_m[known], axis=0).max()
+    return bool(0.25 < extent_m < 2.6)
