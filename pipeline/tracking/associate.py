@@ -14,10 +14,11 @@ from pipeline.tracking.tracker import NOBODY, Tracker
 
 def _frames_in_time_order(times: Sequence[FrameTimes]) -> Iterator[tuple[float, int, int]]:
     """(time, camera, frame) of all cameras in time order; cameras at the same instant in their order."""
-    streams = (
-        ((float(time_s), camera, frame) for frame, time_s in enumerate(one.time_s)) for camera, one in enumerate(times)
-    )
-    return heapq.merge(*(list(stream) for stream in streams))
+
+    def of_camera(camera: int, one: FrameTimes) -> Iterator[tuple[float, int, int]]:
+        return ((float(time_s), camera, frame) for frame, time_s in enumerate(one.time_s))
+
+    return heapq.merge(*(of_camera(camera, one) for camera, one in enumerate(times)))
 
 
 def associate(

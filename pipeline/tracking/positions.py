@@ -17,6 +17,7 @@ _MAX_GAP_S = 0.2
 _MIN_LIFE_S = 0.15
 # Frames on each side whose median says where a joint should be.
 _NEIGHBOURS = 2
+_BLOCK_FRAMES = 256
 
 
 def locate(
@@ -40,10 +41,8 @@ def locate(
         that is too short a life to be a person.
     """
     used = np.where(score >= parameters.min_score, score, 0.0)
-    ideal_px = np.stack([undistort_px(camera, points_px[:, c]) for c, camera in enumerate(cameras)], axis=1)
-    projections = np.array([image_from_world(camera) for camera in cameras])
-    alone_m = triangulate_robust(projections, ideal_px, used)
-    xyz_m = triangulate_robust(projections, ideal_px, used, guess_m=_running_median(alone_m))
+    alone_m = _triangulate(cameras, points_px, used, None)
+    xyz_m = _triangulate(cameras, points_px, used, _running_median(alone_m))
 
     alive = np.flatnonzero(np.isfinite(xyz_m[..., 0]).any(-1))
     if len(alive) < max(2, _MIN_LIFE_S * timebase.frame_rate_hz):
@@ -68,6 +67,23 @@ def locate(
         views=read_only(np.where(present, views, 0)),
     )
     return track, Observations(0, read_only(points_px), read_only(score))
+
+
+def _triangulate(
+    cameras: Sequence[Camera],
+    points_px: Float[np.ndarray, "frames cameras joints 2"],
+    used: Float[np.ndarray, "frames cameras joints"],
+    guess_m: Float[np.ndarray, "frames joints 3"] | None,
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Triangulate block by block: a frame needs some 20 kB on the way."""
+    projections = np.array([image_from_world(camera) for camera in cameras])
+    xyz_m = np.empty((*points_px.shape[:1], points_px.shape[2], 3))
+    for start in range(0, len(points_px), _BLOCK_FRAMES):
+        block = slice(start, start + _BLOCK_FRAMES)
+        ideal_px = np.stack([undistort_px(camera, points_px[block, c]) for c, camera in enumerate(cameras)], axis=1)
+        guess = None if guess_m is None else guess_m[block]
+        xyz_m[block] = triangulate_robust(projections, ideal_px, used[block], guess)
+    return xyz_m
 
 
 def _running_median(xyz_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:

@@ -1,0 +1,24 @@
+"""`multicap`, the command line."""
+
+import typer
+
+from api.commands import benchmark, demo, evaluate, models, reconstruct, samples
+
+app = typer.Typer(
+    name="multicap",
+    help="Markerless motion capture of several people from calibrated cameras.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+)
+app.command("demo")(demo.command)
+app.command("reconstruct")(reconstruct.command)
+app.add_typer(evaluate.app, name="evaluate")
+app.add_typer(benchmark.app, name="benchmark")
+app.add_typer(models.app, name="models")
+app.add_typer(samples.app, name="samples")
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,112 @@
+"""`multicap benchmark`: speed and memory, as ratios within one run."""
+
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated
+
+import av
+import typer
+from rich.table import Table
+
+from api.console import StageBars, console, emit, reporting
+from pipeline import samples
+from pipeline.config import ReconstructionConfig
+from pipeline.detect import models
+from pipeline.detect.detector import open_detector
+from pipeline.export.results import result_files
+from pipeline.run import reconstruct
+from pipeline.session import CaptureSession, open_session
+from pipeline.video.decode import decode
+
+app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Speed and memory."""
+
+
+def network_seconds(session: CaptureSession, detector_name: str) -> float:
+    """Seconds that the network alone takes for all frames of a session, on one thread."""
+    detector = open_detector(detector_name)
+    total_s = 0.0
+    for video in session.videos:
+        for _, image_rgb in decode(video, 0, video.num_frames):
+            tensor, _ = detector.prepare(image_rgb)
+            started_s = time.perf_counter()
+            detector.run_network(tensor)
+            total_s += time.perf_counter() - started_s
+    return total_s
+
+
+def loop_video(source: Path, target: Path, loops: int) -> None:
+    """Write a video that plays ``loops`` times over, without encoding anything anew."""
+    with av.open(str(source)) as head, av.open(str(target), "w") as out:
+        stream_in = head.streams.video[0]
+        stream_out = out.add_stream_from_template(stream_in)
+        step = round(1 / (stream_in.average_rate * stream_in.time_base))
+        length = step * stream_in.frames
+        for loop in range(loops):
+            with av.open(str(source)) as again:
+                for packet in again.demux(video=0):
+                    if packet.dts is None or packet.pts is None:
+                        continue
+                    packet.pts += loop * length
+                    packet.dts += loop * length
+                    packet.stream = stream_out
+                    out.mux(packet)
+
+
+def peak_rss_mib() -> float:
+    """Largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@app.command()
+def pipeline(
+    loops: Annotated[int, typer.Option(min=1, max=100, help="Play the sample so many times over.")] = 1,
+    detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time the sample capture from videos to result files in one process, beside the network alone."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
+        models.install(detector)
+        sample = samples.install()
+        videos = list(sample.videos.values())
+        if loops > 1:
+            for path in videos:
+                loop_video(path, Path(folder) / path.name, loops)
+            videos = [Path(folder) / path.name for path in videos]
+        started_s = time.perf_counter()
+        session = open_session(videos, sample.calibration)
+        opened_s = time.perf_counter()
+        reconstruction = reconstruct(session, ReconstructionConfig(detector=detector), bars.update)
+        reconstructed_s = time.perf_counter()
+        num_bytes = sum(len(content) for _, content in result_files(reconstruction))
+        ended_s = time.perf_counter()
+        peak_mib = peak_rss_mib()
+        network_s = network_seconds(session, detector)
+    wall_s = ended_s - started_s
+    stages = {"open": opened_s - started_s, **bars.seconds, "export": ended_s - reconstructed_s}
+    result = {
+        "frames": sum(video.num_frames for video in session.videos),
+        "stages": stages,
+        "network_s": network_s,
+        "wall_s": wall_s,
+        "overhead": wall_s / network_s,
+        "peak_rss_mib": peak_mib,
+        "result_bytes": num_bytes,
+    }
+    if as_json:
+        emit(result)
+        return
+    table = Table("stage", "seconds")
+    for name, seconds in stages.items():
+        table.add_row(name, f"{seconds:.2f}")
+    console.print(table)
+    console.print(
+        f"{result['frames']} frames in {wall_s:.1f} s, the network alone {network_s:.1f} s: overhead {wall_s / network_s:.3f}, "
+        f"peak memory {peak_mib:.0f} MiB"
+    )

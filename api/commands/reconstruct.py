@@ -1,0 +1,99 @@
+"""`multicap reconstruct`: videos and a calibration to people in motion, no service needed."""
+
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from api.console import StageBars, console, emit, reporting
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Reconstruction
+from pipeline.errors import InputError, Problem
+from pipeline.export.results import result_files
+from pipeline.metrics.quality import quality_report
+from pipeline.run import reconstruct
+from pipeline.session import open_session
+
+
+def write_results(reconstruction: Reconstruction, folder: Path) -> list[Path]:
+    """Write all result files, each under a temporary name first, so that a half-written file never bears its name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, content in result_files(reconstruction):
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}.", delete=False) as file:
+            file.write(content)
+        Path(file.name).chmod(0o666 & ~_umask())
+        paths.append(Path(file.name).replace(folder / name))
+    return paths
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def summary_table(reconstruction: Reconstruction, metrics: dict[str, Any]) -> Table:
+    """People, frames, reprojection error, coverage and bone length deviation."""
+    table = Table(title="People")
+    for column in ("person", "frames", "reprojection error", "coverage", "stature"):
+        table.add_column(column, justify="left" if column == "person" else "right")
+    for person, motion in zip(metrics["people"], reconstruction.motions, strict=True):
+        error_px, stature_m = person["reprojection_error_px"], person["stature_m"]
+        table.add_row(
+            motion.name,
+            f"{person['start_frame']} - {person['start_frame'] + person['num_frames'] - 1}",
+            "-" if error_px is None else f"{error_px:.1f} px",
+            f"{100 * person['coverage']:.1f} %",
+            "-" if stature_m is None else f"{stature_m:.2f} m",
+        )
+    return table
+
+
+def command(
+    calibration: Annotated[Path, typer.Option(help="Cameras: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
+    videos: Annotated[list[Path], typer.Option(help="A folder with one video a camera, or the videos.")],
+    more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
+    method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
+    detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
+    chunk_frames: Annotated[int, typer.Option(min=1, help="Frames that are decoded and detected as one piece.")] = 50,
+    processes: Annotated[int, typer.Option(min=1, max=64, help="Pieces worked on at once.")] = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Reconstruct everybody in synchronised videos of calibrated cameras."""
+    started_s = time.monotonic()
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        if method != "tracking":
+            raise InputError([Problem("unknown_method", f"There is no method '{method}'.", hint="Use 'tracking'.")])
+        config = ReconstructionConfig(
+            method="tracking", detector=detector, chunk_frames=chunk_frames, processes=processes
+        )
+        named = [*videos, *(more_videos or [])]
+        session = open_session(named[0] if len(named) == 1 else named, calibration)
+        for warning in session.warnings:
+            console.print(f"[yellow]warning[/] {warning}")
+        reconstruction = reconstruct(session, config, bars.update)
+        paths = write_results(reconstruction, out)
+    metrics = quality_report(reconstruction)
+    if as_json:
+        emit(
+            {
+                "tracks": [
+                    {"id": track.track_id, "start_frame": track.start_frame, "num_frames": track.num_frames}
+                    for track in reconstruction.tracks
+                ],
+                "metrics": metrics,
+                "files": [str(path) for path in paths],
+                "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
+                "warnings": list(reconstruction.warnings),
+            }
+        )
+        return
+    console.print(summary_table(reconstruction, metrics))
+    for path in paths:
+        console.print(f"  {path}")

@@ -1,0 +1,28 @@
+"""What a reconstruction may be asked for."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Method = Literal["tracking"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReconstructionConfig:
+    """Choices of one reconstruction; the result depends on the first two only.
+
+    Parameters
+    ----------
+    method
+        How detections become tracks.
+    detector
+        A network of ``pipeline.detect.models``.
+    chunk_frames
+        Output frames that one call of the map decodes and detects, in all cameras.
+    processes
+        How many of these run at once, each with a single-threaded network of its own.
+    """
+
+    method: Method = "tracking"
+    detector: str = "movenet-multipose"
+    chunk_frames: int = 50
+    processes: int = 1

@@ -1,0 +1,148 @@
+"""The whole way on one machine: a capture session to people in motion.
+
+The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, ``assemble`` the
+reduce. The result does not depend on how the frames are cut or how many processes work on them.
+"""
+
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Detections, Reconstruction
+from pipeline.detect.chunk import concatenate, detect_chunk
+from pipeline.detect.detector import Detector, open_detector
+from pipeline.errors import PipelineError
+from pipeline.joints import JointSet
+from pipeline.progress import OnProgress, Progress, silent
+from pipeline.session import CaptureSession
+from pipeline.skeleton.solve import motion_from_track
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+from pipeline.video.timeline import chunk_ranges, session_timebase
+
+Span = tuple[float, float]
+ChunkDetections = dict[str, Detections]
+
+
+def reconstruct(
+    session: CaptureSession, config: ReconstructionConfig, on_progress: OnProgress = silent
+) -> Reconstruction:
+    """Reconstruct everybody in a capture session.
+
+    Parameters
+    ----------
+    session
+        Calibrated cameras and their videos, as of ``pipeline.session.open_session``.
+    config
+        What to do.
+    on_progress
+        Called after every step, from the calling thread.
+
+    Raises
+    ------
+    InputError
+        If a video can't be decoded.
+    ModelError
+        If the detector is not installed.
+    """
+    detector = open_detector(config.detector)
+    spans = chunk_ranges(session_timebase(session.times), config.chunk_frames)
+    chunks = (
+        _map_here(session, spans, detector, on_progress)
+        if config.processes == 1
+        else _map_in_processes(session, spans, config, on_progress)
+    )
+    detections = concatenate(chunks, [camera.name for camera in session.cameras], len(detector.joints.names))
+    return assemble(session, detections, detector.joints, on_progress)
+
+
+def assemble(
+    session: CaptureSession, detections: ChunkDetections, joints: JointSet, on_progress: OnProgress = silent
+) -> Reconstruction:
+    """Turn all cameras' detections into tracks and motions (the sequential reduce)."""
+    timebase = session_timebase(session.times)
+    on_progress(Progress("associate", 0, timebase.num_frames))
+    tracks, observations = reconstruct_tracks(
+        session.cameras,
+        session.times,
+        detections,
+        timebase,
+        derive_parameters(session.cameras, timebase.frame_rate_hz),
+    )
+    on_progress(Progress("associate", timebase.num_frames, timebase.num_frames))
+    motions = []
+    for track in tracks:
+        on_progress(Progress("fit", len(motions), len(tracks)))
+        motions.append(motion_from_track(track, joints, timebase, f"person-{track.track_id}"))
+    on_progress(Progress("fit", len(tracks), len(tracks)))
+    return Reconstruction(
+        cameras=session.cameras,
+        joints=joints,
+        timebase=timebase,
+        tracks=tracks,
+        observations=observations,
+        motions=tuple(motions),
+        warnings=session.warnings,
+    )
+
+
+def _num_frames(session: CaptureSession) -> int:
+    return sum(len(times.time_s) for times in session.times.values())
+
+
+def _map_here(
+    session: CaptureSession, spans: Sequence[Span], detector: Detector, on_progress: OnProgress
+) -> Iterator[ChunkDetections]:
+    total, done = _num_frames(session), 0
+    on_progress(Progress("detect", 0, total))
+
+    def on_frame() -> None:
+        nonlocal done
+        done += 1
+        on_progress(Progress("detect", done, total))
+
+    for span in spans:
+        yield detect_chunk(session, span, detector, on_frame)
+
+
+class _Worker:
+    """What a process of the pool keeps from one chunk to the next: the session and the loaded network."""
+
+    session: CaptureSession
+    detector: Detector
+
+    @classmethod
+    def start(cls, session: CaptureSession, detector_name: str) -> None:
+        cls.session = session
+        cls.detector = open_detector(detector_name)
+
+    @classmethod
+    def run(cls, span: Span) -> ChunkDetections:
+        return detect_chunk(cls.session, span, cls.detector)
+
+
+def _map_in_processes(
+    session: CaptureSession, spans: Sequence[Span], config: ReconstructionConfig, on_progress: OnProgress
+) -> Iterator[ChunkDetections]:
+    done, total = 0, len(spans)
+    on_progress(Progress("detect", 0, _num_frames(session)))
+    pool = ProcessPoolExecutor(
+        config.processes,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_Worker.start,
+        initargs=(session, config.detector),
+    )
+    try:
+        for chunk in pool.map(_Worker.run, spans):
+            done += 1
+            on_progress(Progress("detect", _num_frames(session) * done // total, _num_frames(session)))
+            yield chunk
+    except BrokenProcessPool as error:
+        raise PipelineError(
+            "A detection process was ended from outside, most likely for lack of memory. Try fewer processes."
+        ) from error
+    finally:
+        # An error in one chunk must not wait for all the others.
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,67 @@
+from itertools import combinations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.tracking.assignment import assign, partition
+
+
+def test_assign_maximises_the_total_and_refuses_negative_pairs() -> None:
+    affinities = np.array([[0.9, 0.8], [0.85, 0.1], [-0.5, -0.2]])
+    assert sorted(assign(affinities)) == [(0, 1), (1, 0)]
+
+
+def test_assign_without_detections() -> None:
+    assert assign(np.empty((2, 0))) == []
+
+
+def test_partition_drops_the_weakest_edge_of_an_inconsistent_triangle() -> None:
+    # 0 and 1 are one person in two cameras; 2 fits both a little, but a camera can't show a person twice.
+    affinities = np.array(
+        [
+            [-np.inf, 0.9, 0.3, -np.inf],
+            [0.9, -np.inf, 0.2, 0.1],
+            [0.3, 0.2, -np.inf, 0.8],
+            [-np.inf, 0.1, 0.8, -np.inf],
+        ]
+    )
+    # 0.9 + 0.8 beats 0.9 + 0.3 + 0.2.
+    assert partition(affinities, np.array([0, 1, 2, 0])) == ((0, 1), (2, 3))
+
+
+def _best_by_enumeration(affinities: np.ndarray, groups: np.ndarray) -> float:
+    """Total affinity of the best partition, tried one by one."""
+
+    def partitions(nodes: list[int]) -> list[list[list[int]]]:
+        if not nodes:
+            return [[]]
+        head, *rest = nodes
+        found = []
+        for size in range(len(rest) + 1):
+            for others in combinations(rest, size):
+                left = [node for node in rest if node not in others]
+                found += [[[head, *others], *parts] for parts in partitions(left)]
+        return found
+
+    def total(parts: list[list[int]]) -> float:
+        gain = 0.0
+        for part in parts:
+            if len({int(groups[i]) for i in part}) < len(part):
+                return -np.inf
+            gain += sum(affinities[i, j] for i, j in combinations(part, 2))
+        return gain
+
+    return max(total(parts) for parts in partitions(list(range(len(groups)))))
+
+
+@given(
+    groups=st.lists(st.integers(0, 2), min_size=2, max_size=6),
+    seed=st.integers(0, 10_000),
+)
+def test_partition_is_exact(groups: list[int], seed: int) -> None:
+    cameras = np.array(groups)
+    half = np.triu(np.random.default_rng(seed).uniform(-1, 1, (len(groups), len(groups))), 1)
+    affinities = half + half.T
+    gain = sum(affinities[i, j] for part in partition(affinities, cameras) for i, j in combinations(part, 2))
+    np.testing.assert_allclose(gain, _best_by_enumeration(affinities, cameras), atol=1e-6)
