@@ -1,0 +1,81 @@
+"""What a track says about a body: landmarks by name, and the lengths of its bones."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Source, Track3D
+from pipeline.joints import JointSet
+from pipeline.skeleton.model import SKELETON, TRUNK
+
+# Stature of a person of whom no bone was measured.
+_ADULT_STATURE_M = 1.70
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """Positions of a track's joints by name; NaN throughout for joints that the detector doesn't know."""
+
+    track: Track3D
+    joints: JointSet
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "frames 3"]:
+        if name not in self.joints.names:
+            return np.full((self.track.num_frames, 3), np.nan)
+        return self.track.xyz_m[:, self.joints.index(name)]
+
+    def middle(self, kind: str) -> Float[np.ndarray, "frames 3"]:
+        """Centre between the left and the right joint of a kind; NaN unless both are known."""
+        return (self[f"left_{kind}"] + self[f"right_{kind}"]) / 2
+
+    def is_measured(self, name: str) -> np.ndarray:
+        """Frames in which a joint was measured: not absent, not interpolated, not predicted."""
+        if name not in self.joints.names:
+            return np.zeros(self.track.num_frames, dtype=bool)
+        return self.track.source[:, self.joints.index(name)] == Source.MEASURED
+
+
+def _median_m(*distances_m: Float[np.ndarray, " frames"]) -> float:
+    """Median of all that is not NaN; NaN if nothing is."""
+    pooled = np.concatenate(distances_m)
+    known = pooled[np.isfinite(pooled)]
+    return float(np.median(known)) if len(known) else np.nan
+
+
+def bone_lengths_m(landmarks: Landmarks) -> Float[np.ndarray, " joints"]:
+    """Length of every bone of ``SKELETON``, constant in time.
+
+    Medians over the frames in which both ends were measured, left and right pooled. Bones that never were get adult
+    proportions at the scale of those that were.
+    """
+
+    def distance_m(start: tuple[str, ...], end: tuple[str, ...]) -> Float[np.ndarray, " frames"]:
+        measured = np.all([landmarks.is_measured(name) for name in (*start, *end)], axis=0)
+        ends = [np.mean([landmarks[name] for name in names], axis=0) for names in (start, end)]
+        return np.where(measured, np.linalg.norm(ends[1] - ends[0], axis=-1), np.nan)
+
+    def both_sides_m(start: str, end: str) -> float:
+        return _median_m(*(distance_m((f"{side}_{start}",), (f"{side}_{end}",)) for side in ("left", "right")))
+
+    shoulders = ("left_shoulder", "right_shoulder")
+    hips = ("left_hip", "right_hip")
+    measured_m = {
+        "Arm": _median_m(distance_m(shoulders[:1], shoulders[1:])) / 2,
+        "ForeArm": both_sides_m("shoulder", "elbow"),
+        "Hand": both_sides_m("elbow", "wrist"),
+        "UpLeg": _median_m(distance_m(hips[:1], hips[1:])) / 2,
+        "Leg": both_sides_m("hip", "knee"),
+        "Foot": both_sides_m("knee", "ankle"),
+        "Head": _median_m(distance_m(shoulders, ("left_ear", "right_ear"))),
+    }
+    trunk_m = _median_m(distance_m(hips, shoulders))
+    shares = {joint.kind: joint.stature_share for joint in SKELETON}
+    trunk_share = sum(shares[kind] for kind in TRUNK)
+    measured_m |= {kind: trunk_m * shares[kind] / trunk_share for kind in (*TRUNK, "Shoulder")}
+
+    statures_m = np.array([length_m / shares[kind] for kind, length_m in measured_m.items()])
+    stature_m = _median_m(statures_m) if np.isfinite(statures_m).any() else _ADULT_STATURE_M
+    lengths_m = np.array([measured_m.get(joint.kind, np.nan) for joint in SKELETON])
+    default_m = np.array([joint.stature_share * stature_m for joint in SKELETON])
+    return np.where(np.isfinite(lengths_m), lengths_m, default_m)

@@ -1,0 +1,140 @@
+"""Rotations over time: from directions, from points, across gaps. Everything is vectorised over frames."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import solveh_banded
+from scipy.spatial.transform import Rotation, Slerp
+
+# Shorter than this (metres, or the sine of an angle), a vector has no direction worth using.
+_NO_DIRECTION = 1e-6
+# Two axes of a frame must differ by more than this sine (3 degrees), else the frame's third axis is noise.
+_MIN_AXES_SINE = 0.05
+
+# A bend below about 12 degrees says nothing about the plane in which a limb bends: two centimetres of noise make as much.
+_STRAIGHT_SINE = 0.2
+# Time over which the plane of a limb bent at a right angle is averaged; straighter limbs are averaged over longer.
+_TWIST_TIME_S = 0.02
+# Weight of the natural hinge axis, against 1 for a limb bent at a right angle.
+_NATURAL_WEIGHT = 0.01
+
+
+def unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Vectors of length 1; NaN where a vector is too short to have a direction, or NaN."""
+    norm = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(norm > _NO_DIRECTION, norm, np.nan)
+
+
+def swing(
+    start: Float[np.ndarray, " 3"], end: Float[np.ndarray, "frames 3"]
+) -> tuple[Rotation, Bool[np.ndarray, " frames"]]:
+    """Turn a unit vector into the directions of others by the smallest rotations, without twist.
+
+    Parameters
+    ----------
+    end
+        Vectors of any length, NaN where unknown.
+
+    Returns
+    -------
+        Rotations, and where they are known; the identity elsewhere. A half turn has no smallest rotation: it goes about
+        an arbitrary but fixed axis.
+    """
+    direction = unit(end)
+    valid = np.isfinite(direction).all(-1)
+    direction = np.where(valid[:, None], direction, start)
+    quat = np.column_stack([np.cross(start, direction), 1.0 + direction @ start])
+    aside = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+    opposite = np.linalg.norm(quat, axis=-1) < _NO_DIRECTION
+    quat[opposite] = (*aside, 0.0)
+    return Rotation.from_quat(quat), valid
+
+
+def from_axes(
+    left: Float[np.ndarray, "frames 3"], up: Float[np.ndarray, "frames 3"]
+) -> tuple[Rotation, Bool[np.ndarray, " frames"]]:
+    """Orientation whose X axis is ``left`` exactly, and whose Z axis is as close to ``up`` as that allows.
+
+    Returns
+    -------
+        Rotations from rest to world, and where they are known: not where a vector is NaN, short, or both are parallel.
+    """
+    x = unit(left)
+    behind = np.cross(unit(up), x)
+    valid = np.linalg.norm(np.where(np.isfinite(behind), behind, 0.0), axis=-1) > _MIN_AXES_SINE
+    y = unit(behind)
+    matrices = np.stack([x, y, np.cross(x, y)], axis=-1)
+    return Rotation.from_matrix(np.where(valid[:, None, None], matrices, np.eye(3))), valid
+
+
+def align(start: Float[np.ndarray, "frames vectors 3"], end: Float[np.ndarray, "frames vectors 3"]) -> Rotation:
+    """Turn vectors onto others, in the least-squares sense, by one rotation a frame (Kabsch 1976).
+
+    Parameters
+    ----------
+    start, end
+        NaN where unknown; such pairs don't count. Fewer than two independent pairs leave a frame's rotation arbitrary.
+    """
+    known = (np.isfinite(start) & np.isfinite(end)).all(-1, keepdims=True)
+    covariance = np.einsum("fvi,fvj->fij", np.where(known, end, 0.0), np.where(known, start, 0.0))
+    left, _, right = np.linalg.svd(covariance)
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return Rotation.from_matrix(left @ right)
+
+
+def filled(rotation: Rotation, valid: Bool[np.ndarray, " frames"]) -> Rotation:
+    """Replace unknown rotations: slerp inside, held at the ends, the identity where none is known."""
+    frames = np.flatnonzero(valid)
+    if len(frames) == 0:
+        return Rotation.identity(len(valid))
+    if len(frames) == 1:
+        return rotation[np.full(len(valid), frames[0])]
+    return Slerp(frames, rotation[frames])(np.clip(np.arange(len(valid)), frames[0], frames[-1]))
+
+
+def continuous_quat_xyzw(rotation: Rotation) -> Float[np.ndarray, "frames 4"]:
+    """Quaternions (x, y, z, w), each on the hemisphere of the one before; the first has w >= 0."""
+    quat = rotation.as_quat()
+    turned = np.einsum("fi,fi->f", quat[1:], quat[:-1]) < 0
+    signs = np.cumprod(np.concatenate([[1.0 if quat[0, 3] >= 0 else -1.0], np.where(turned, -1.0, 1.0)]))
+    return quat * signs[:, None]
+
+
+def hinge_twist_rad(
+    bone: Float[np.ndarray, " 3"],
+    hinge: Float[np.ndarray, " 3"],
+    lower: Float[np.ndarray, "frames 3"],
+    frame_rate_hz: float,
+) -> Float[np.ndarray, " frames"]:
+    """Twist of an upper limb about its own axis that lays the lower limb into the plane of its hinge.
+
+    A weighted least-squares fit over time of the unit complex number exp(i twist), smooth (Whittaker's smoother) and
+    slightly drawn to no twist. A straight limb has next to no weight: there the twist passes evenly from one bend to
+    the next. A bend against the joint counts little: it is noise, elbows and knees don't bend backwards.
+
+    Parameters
+    ----------
+    bone
+        Rest direction of the upper limb.
+    hinge
+        Axis at a right angle to it about which a positive rotation bends the joint.
+    lower
+        Direction of the lower limb in the upper limb's frame before twist, any length, NaN where unknown.
+    """
+    normal = np.cross(bone, unit(lower))
+    known = np.isfinite(normal).all(-1)
+    normal = np.where(known[:, None], normal, 0.0)
+    bend = normal @ hinge + 1j * (np.cross(hinge, normal) @ bone)
+    sine = np.abs(bend)
+    direction = bend / np.maximum(sine, _NO_DIRECTION)
+    weight = sine**4 / (sine**2 + _STRAIGHT_SINE**2) * (1.0 + direction.real) / 2.0
+
+    stiffness = (_TWIST_TIME_S * frame_rate_hz) ** 2
+    num_neighbours = np.full(len(lower), 2.0)
+    num_neighbours[0] -= 1.0
+    num_neighbours[-1] -= 1.0
+    bands = np.zeros((2, len(lower)))
+    bands[0, 1:] = -stiffness
+    bands[1] = weight + _NATURAL_WEIGHT + stiffness * num_neighbours
+    target = weight * direction + _NATURAL_WEIGHT
+    real, imag = solveh_banded(bands, np.column_stack([target.real, target.imag])).T
+    return np.arctan2(imag, real)

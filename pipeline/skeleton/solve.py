@@ -1,0 +1,164 @@
+"""Joint rotations from a track's positions: bones of constant length, aimed at the joints.
+
+From the hips outwards every bone is turned, by the smallest rotation, towards the measured position of its end, seen
+from where the bones before it really end; so differences in length don't add up along a limb. Upper arms and thighs
+are twisted so that elbows and knees work as hinges. What was not seen moves evenly from one known rotation to the next,
+relative to its parent; what was never seen keeps its rest rotation. So do wrists, ankles and collar bones, of which
+positions of joints say nothing.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.data import SkeletonMotion, Timebase, Track3D, read_only
+from pipeline.joints import JointSet
+from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
+from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
+from pipeline.skeleton.rotations import continuous_quat_xyzw, filled, hinge_twist_rad, swing
+from pipeline.skeleton.trunk import solve_head, solve_torso
+
+# Axes about which a positive rotation bends a limb in the rest pose: forearms to the front, shins to the back.
+_ARM_HINGES = {"Left": np.array([0.0, 0.0, -1.0]), "Right": np.array([0.0, 0.0, 1.0])}
+_KNEE_HINGE = np.array([1.0, 0.0, 0.0])
+
+
+class _Pose:
+    """A skeleton that is posed joint by joint, parents before children, in all frames at once."""
+
+    def __init__(
+        self,
+        bone_length_m: Float[np.ndarray, " joints"],
+        root_m: Float[np.ndarray, "frames 3"],
+        world_from_root: Rotation,
+    ) -> None:
+        self._directions = [np.array(joint.rest_direction) for joint in SKELETON]
+        self._offsets_m = rest_offsets_m(bone_length_m)
+        self._position_m = {"Hips": root_m}
+        self._world_from_joint = {"Hips": world_from_root}
+        self._parent_from_joint = {"Hips": world_from_root}
+
+    def world_from_parent(self, name: str) -> Rotation:
+        """Orientation of a joint's parent."""
+        return self._world_from_joint[str(SKELETON[INDEX[name]].parent)]
+
+    def position_m(self, name: str) -> Float[np.ndarray, "frames 3"]:
+        """Where a joint is, as soon as its parent is posed."""
+        parent = str(SKELETON[INDEX[name]].parent)
+        return self._position_m[parent] + self._world_from_joint[parent].apply(self._offsets_m[INDEX[name]])
+
+    def turn(self, name: str, parent_from_joint: Rotation) -> None:
+        """Pose one joint."""
+        self._position_m[name] = self.position_m(name)
+        self._world_from_joint[name] = self.world_from_parent(name) * parent_from_joint
+        self._parent_from_joint[name] = parent_from_joint
+
+    def aim(self, name: str, child: str, target_m: Float[np.ndarray, "frames 3"], before: Rotation) -> None:
+        """Pose a joint so that its child comes closest to a target, NaN where unknown.
+
+        Parameters
+        ----------
+        before
+            A rotation from the joint to its parent that the smallest rotation to the target follows.
+        """
+        toward = (self.world_from_parent(name) * before).inv().apply(target_m - self.position_m(name))
+        turned, valid = swing(self._directions[INDEX[child]], toward)
+        self.turn(name, filled(before * turned, valid))
+
+    def aim_limb(
+        self,
+        names: tuple[str, str, str],
+        joint_m: Float[np.ndarray, "frames 3"],
+        end_m: Float[np.ndarray, "frames 3"],
+        hinge: Float[np.ndarray, " 3"],
+        frame_rate_hz: float,
+    ) -> None:
+        """Pose an arm or a leg: upper bone, hinge joint and lower bone.
+
+        Parameters
+        ----------
+        names
+            Joints at the upper bone's start, at the hinge, and at the lower bone's end.
+        joint_m, end_m
+            Targets of the hinge (elbow, knee) and of the end (wrist, ankle), NaN where unknown.
+        hinge
+            Axis in the rest pose about which a positive rotation bends the limb.
+        """
+        upper, lower, end = names
+        bone = self._directions[INDEX[lower]]
+        world_from_parent = self.world_from_parent(upper)
+        turned, valid = swing(bone, world_from_parent.inv().apply(joint_m - self.position_m(upper)))
+        lower_direction = (world_from_parent * turned).inv().apply(end_m - joint_m)
+        twist_rad = hinge_twist_rad(bone, hinge, lower_direction, frame_rate_hz)
+        self.turn(upper, filled(turned * Rotation.from_rotvec(twist_rad[:, None] * bone), valid))
+        self.aim(lower, end, end_m, Rotation.identity(len(end_m)))
+
+    def parent_from_joint_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
+        """Quaternions of all joints, continuous in time; the rest rotation for joints that nobody posed."""
+        rest = Rotation.identity(len(self._position_m["Hips"]))
+        return np.stack(
+            [continuous_quat_xyzw(self._parent_from_joint.get(joint.name, rest)) for joint in SKELETON], axis=1
+        )
+
+
+def motion_from_track(track: Track3D, joints: JointSet, timebase: Timebase, name: str) -> SkeletonMotion:
+    """Animate the skeleton of ``pipeline.skeleton.model`` by a track.
+
+    Parameters
+    ----------
+    track
+        Positions with any gaps, at least one frame. Landmarks are looked up by COCO's names; the detector may know
+        others, and need not know all.
+    joints
+        The track's joint axis.
+    timebase
+        Gives the frame rate.
+    name
+        The motion's name.
+
+    Returns
+    -------
+        A motion on the track's frames without any NaN. Joints that were not measured are filled in.
+    """
+    landmarks = Landmarks(track, joints)
+    lengths_m = bone_lengths_m(landmarks)
+    offsets_m = rest_offsets_m(lengths_m)
+    torso = solve_torso(landmarks, lengths_m)
+    head = solve_head(landmarks, torso.shoulders_m)
+    rest = Rotation.identity(track.num_frames)
+
+    pose = _Pose(lengths_m, torso.hips_m, torso.world_from_pelvis)
+    # The spine takes half of the twist between pelvis and chest, and ends where the chest has to begin.
+    half_twist = (torso.world_from_pelvis.inv() * torso.world_from_chest) ** 0.5
+    chest_m = torso.shoulders_m - torso.world_from_chest.apply(offsets_m[INDEX["Neck"]])
+    pose.aim("Spine", "Chest", chest_m, half_twist)
+    pose.turn("Chest", pose.world_from_parent("Chest").inv() * torso.world_from_chest)
+    pose.aim("Neck", "Head", head.center_m, rest)
+    pose.turn("Head", filled(pose.world_from_parent("Head").inv() * head.world_from_head, head.valid))
+    for side, arm_hinge in _ARM_HINGES.items():
+        limb = side.lower()
+        pose.turn(f"{side}Shoulder", rest)
+        pose.aim_limb(
+            (f"{side}Arm", f"{side}ForeArm", f"{side}Hand"),
+            landmarks[f"{limb}_elbow"],
+            landmarks[f"{limb}_wrist"],
+            arm_hinge,
+            timebase.frame_rate_hz,
+        )
+        pose.aim_limb(
+            (f"{side}UpLeg", f"{side}Leg", f"{side}Foot"),
+            landmarks[f"{limb}_knee"],
+            landmarks[f"{limb}_ankle"],
+            _KNEE_HINGE,
+            timebase.frame_rate_hz,
+        )
+    return SkeletonMotion(
+        track_id=track.track_id,
+        name=name,
+        start_frame=track.start_frame,
+        frame_rate_hz=timebase.frame_rate_hz,
+        bone_length_m=read_only(lengths_m),
+        root_m=read_only(torso.hips_m),
+        parent_from_joint=read_only(pose.parent_from_joint_xyzw()),
+        contacts=read_only(np.zeros((track.num_frames, 2), dtype=bool)),
+    )
