@@ -1,0 +1,154 @@
+"""Whole tracks from perfect and from hostile detections."""
+
+from dataclasses import replace
+
+import numpy as np
+from tests.pipeline.tracking.conftest import body, detections_of
+
+from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
+from pipeline.geometry.camera import project
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+RATE_HZ = 25.0
+NUM_FRAMES = 50
+
+
+def two_walkers() -> np.ndarray:
+    """Two people who pass each other at 0.7 m (people, frames, joints, 3)."""
+    along_m = np.linspace(-1.2, 1.2, NUM_FRAMES)
+    paths = np.zeros((2, NUM_FRAMES, 1, 3))
+    paths[0, :, 0, 0], paths[0, :, 0, 1] = along_m, 0.35
+    paths[1, :, 0, 0], paths[1, :, 0, 1] = -along_m, -0.35
+    return body() + paths
+
+
+def same_times(cameras: tuple[Camera, ...]) -> dict[str, FrameTimes]:
+    return {camera.name: FrameTimes(np.arange(NUM_FRAMES) / RATE_HZ) for camera in cameras}
+
+
+def run(
+    cameras: tuple[Camera, ...], detections: dict[str, Detections], times: dict[str, FrameTimes] | None = None
+) -> tuple[Track3D, ...]:
+    tracks, _ = reconstruct_tracks(
+        cameras,
+        times or same_times(cameras),
+        detections,
+        Timebase(0.0, RATE_HZ, NUM_FRAMES),
+        derive_parameters(cameras, RATE_HZ),
+    )
+    return tracks
+
+
+def assert_same_people(tracks: tuple[Track3D, ...], people_m: np.ndarray, atol_m: float) -> None:
+    """Each person has one track that lives through all frames at the right place."""
+    assert [(track.start_frame, track.num_frames) for track in tracks] == [(0, NUM_FRAMES)] * len(people_m)
+    errors_m = np.array(
+        [[np.nanmax(np.linalg.norm(track.xyz_m - person, axis=-1)) for person in people_m] for track in tracks]
+    )
+    assert sorted(errors_m.argmin(1)) == list(range(len(people_m)))
+    assert errors_m.min(1).max() < atol_m
+
+
+def test_two_people_pass_each_other(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()
+    # Each camera lists the people in an order of its own.
+    detections = {c.name: detections_of(c, people_m, np.array([k % 2, 1 - k % 2])) for k, c in enumerate(ring)}
+    tracks = run(ring, detections)
+    assert_same_people(tracks, people_m, atol_m=1e-4)
+    assert all((track.source == Source.MEASURED).all() and (track.views == 4).all() for track in tracks)
+
+
+def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera, ...]) -> None:
+    """Straight motion at constant speed, each camera at a phase of its own: interpolation is nearly exact."""
+    times, detections = {}, {}
+    base_m, speed_m_s = body() + [-0.8, 0.0, 0.0], np.array([0.8, 0.3, 0.0])
+    for k, camera in enumerate(ring):
+        time_s = np.arange(NUM_FRAMES + 1) / RATE_HZ - k * 0.011
+        times[camera.name] = FrameTimes(time_s)
+        detections[camera.name] = detections_of(camera, (base_m + time_s[:, None, None] * speed_m_s)[None])
+    (track,) = run(ring, detections, times)
+    instants_s = np.arange(NUM_FRAMES) / RATE_HZ
+    truth_m = base_m + instants_s[:, None, None] * speed_m_s
+    inner = slice(1, NUM_FRAMES - 1)
+    np.testing.assert_allclose(track.xyz_m[inner], truth_m[inner], atol=2e-3)
+
+
+def test_a_wrong_wrist_in_one_view_does_not_pull_the_joint(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()[:1]
+    detections = {camera.name: detections_of(camera, people_m) for camera in ring}
+    spoiled = detections["cam1"].keypoints_px.copy()
+    spoiled[:, 5] += [0.0, 120.0]
+    detections["cam1"] = replace(detections["cam1"], keypoints_px=spoiled)
+    (track,) = run(ring, detections)
+    # Plain least squares would be off by some 15 cm.
+    assert np.linalg.norm(track.xyz_m[:, 5] - people_m[0][:, 5], axis=-1).max() < 0.02
+
+
+def test_identity_survives_an_occlusion_in_all_views(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()
+    detections = {}
+    for camera in ring:
+        seen = detections_of(camera, people_m)
+        hidden = (np.tile([0, 1], NUM_FRAMES) == 1) & (seen.frame >= 20) & (seen.frame < 32)
+        detections[camera.name] = Detections(
+            camera.name, seen.frame[~hidden], seen.keypoints_px[~hidden], seen.score[~hidden], seen.box_px[~hidden]
+        )
+    tracks = run(ring, detections)
+    assert len(tracks) == 2
+    second = tracks[1] if np.isnan(tracks[1].xyz_m[25]).all() else tracks[0]
+    assert second.num_frames == NUM_FRAMES
+    assert (second.source[20:32] == Source.ABSENT).all()
+    np.testing.assert_allclose(second.xyz_m[40:], people_m[1, 40:], atol=1e-3)
+
+
+def test_short_gaps_of_a_joint_are_interpolated_and_marked(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()[:1]
+    detections = {}
+    for camera in ring:
+        seen = detections_of(camera, people_m)
+        points_px, score = seen.keypoints_px.copy(), seen.score.copy()
+        points_px[10:13, 4], score[10:13, 4] = np.nan, 0.0
+        points_px[30:45, 4], score[30:45, 4] = np.nan, 0.0
+        detections[camera.name] = replace(seen, keypoints_px=points_px, score=score)
+    (track,) = run(ring, detections)
+    assert (track.source[10:13, 4] == Source.INTERPOLATED).all()
+    np.testing.assert_allclose(track.xyz_m[10:13, 4], people_m[0, 10:13, 4], atol=1e-3)
+    assert (track.source[30:45, 4] == Source.ABSENT).all()
+    assert np.isnan(track.xyz_m[30:45, 4]).all()
+
+
+def test_a_doubled_detection_makes_no_second_person(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()[:1]
+    rng = np.random.default_rng(3)
+    detections = {}
+    for camera in ring:
+        one = detections_of(camera, people_m)
+        twice = np.repeat(np.arange(NUM_FRAMES), 2)
+        points_px = one.keypoints_px[twice] + rng.normal(0, 2.0, (2 * NUM_FRAMES, 17, 2))
+        detections[camera.name] = Detections(camera.name, twice, points_px, one.score[twice], one.box_px[twice])
+    (track,) = run(ring, detections)
+    assert track.num_frames == NUM_FRAMES
+
+
+def test_false_positives_without_a_second_view_make_nobody(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()[:1]
+    detections = {camera.name: detections_of(camera, people_m) for camera in ring}
+    lamp_px = project(ring[0], body() + [1.5, 1.5, 0.0])
+    one = detections["cam0"]
+    detections["cam0"] = Detections(
+        "cam0",
+        np.repeat(np.arange(NUM_FRAMES), 2),
+        np.stack([one.keypoints_px, np.broadcast_to(lamp_px, one.keypoints_px.shape)], axis=1).reshape(-1, 17, 2),
+        np.repeat(one.score, 2, axis=0),
+        np.repeat(one.box_px, 2, axis=0),
+    )
+    assert_same_people(run(ring, detections), people_m, atol_m=1e-3)
+
+
+def test_nobody_anywhere(ring: tuple[Camera, ...]) -> None:
+    empty = {
+        c.name: Detections(c.name, np.empty(0, int), np.empty((0, 17, 2)), np.empty((0, 17)), np.empty((0, 4)))
+        for c in ring
+    }
+    assert run(ring, empty) == ()
