@@ -1,0 +1,176 @@
+"""Sessions, jobs, stages and chunks: their states, and which transitions are legal.
+
+::
+
+    job     queued -> running -> succeeded | failed
+            queued | running -> canceling -> canceled
+            failed | canceled -> queued          (retry: attempt + 1)
+            succeeded | failed | canceled -> expired
+
+    chunk   waiting -> ready -> running -> done
+            running -> ready                     (lease lost, or a failure worth another try)
+            running -> failed
+            waiting | ready | running -> canceled
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Any
+
+from worker.jobs.spec import JobSpec
+
+
+class JobState(StrEnum):
+    """Where a job is in its life."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELING = "canceling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELED = "canceled"
+    EXPIRED = "expired"
+
+
+class ChunkState(StrEnum):
+    """Where a chunk is in its life."""
+
+    WAITING = "waiting"
+    READY = "ready"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELED = "canceled"
+
+
+JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.FAILED}),
+    JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING}),
+    JobState.CANCELING: frozenset({JobState.CANCELED}),
+    JobState.SUCCEEDED: frozenset({JobState.EXPIRED}),
+    JobState.FAILED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
+    JobState.CANCELED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
+    JobState.EXPIRED: frozenset(),
+}
+
+FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file of a session, in the artifact store under ``key``."""
+
+    name: str
+    kind: str  # "video" or "calibration"
+    key: str
+    num_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A capture session: its files, and what the preflight found in them.
+
+    ``preflight`` is the JSON object that ``python -m pipeline.preflight`` printed (see there): cameras, timebase,
+    warnings.
+    """
+
+    id: str
+    name: str
+    created_at: datetime
+    files: tuple[InputFile, ...]
+    preflight: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlan:
+    """One unit of work. ``unit_count`` is what its progress counts: frames of all cameras, or 1."""
+
+    index: int
+    payload: Mapping[str, Any]  # JSON: {"start_frame", "stop_frame"} for a map; {} for a reduce
+    unit_count: int
+    output_key: str  # content-addressed key of what it will leave, without a tenant's or session's prefix
+
+
+@dataclass(frozen=True, slots=True)
+class StagePlan:
+    """A stage: its chunks may run at once; it becomes ready when the stage before it is done."""
+
+    name: str  # "detect", "associate", "fit", "export"
+    chunks: tuple[ChunkPlan, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What went wrong with a job, in the words of problem+json: never an exception's text or a path."""
+
+    code: str
+    detail: str
+    stage: str | None = None
+    camera: str | None = None
+    hint: str | None = None
+    retryable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A stage of a job as a client sees it; ``done`` and ``total`` in the units of its chunks."""
+
+    name: str
+    state: ChunkState
+    done: int
+    total: int
+    started_at: datetime | None
+    finished_at: datetime | None
+    reused: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A result file of a job, in the artifact store under ``key``."""
+
+    name: str
+    kind: str  # "bvh", "skeletons", "metrics"
+    person: str | None
+    media_type: str
+    key: str
+    num_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A reconstruction of a session. ``progress`` never goes back within an attempt."""
+
+    id: str
+    session_id: str
+    state: JobState
+    spec: JobSpec
+    attempt: int
+    stages: tuple[Stage, ...]
+    progress: float
+    queue_position: int | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    problem: Problem | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A chunk that a worker holds by a lease; only the holder of ``lease_token`` may report on it."""
+
+    chunk_id: int
+    job_id: str
+    session_id: str
+    stage: str
+    index: int
+    payload: Mapping[str, Any]
+    unit_count: int
+    output_key: str
+    spec: JobSpec
+    lease_token: str
+    attempt: int  # of the chunk: 1 at first

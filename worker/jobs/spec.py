@@ -1,0 +1,14 @@
+"""What a client may ask for."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class JobSpec(BaseModel):
+    """A reconstruction's choices. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: Literal["tracking"] = Field(default="tracking", description="How detections become tracks.")
+    detector: Literal["movenet-multipose"] = Field(default="movenet-multipose", description="The 2D joint detector.")
