@@ -1,0 +1,118 @@
+"""Laws of planning."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worker import plan as planning
+from worker.jobs.model import InputFile, Session
+from worker.jobs.spec import JobSpec
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
+
+FILES = tuple(
+    InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
+    for k, (name, kind, digit) in enumerate(
+        [("left.mp4", "video", "a"), ("right.mp4", "video", "b"), ("rig.toml", "calibration", "c")]
+    )
+)
+
+
+def make_session(num_frames: int = 100, rates_hz: tuple[float, ...] = (25.0, 25.0), **changes: Any) -> Session:
+    """Session of as many output frames, at the rate of the fastest camera."""
+    preflight = {
+        "cameras": [{"name": str(k), "frame_rate_hz": rate_hz} for k, rate_hz in enumerate(rates_hz)],
+        "timebase": {"start_time_s": 0.0, "frame_rate_hz": max(rates_hz), "num_frames": num_frames},
+        "warnings": [],
+    }
+    return Session(
+        **{
+            "id": "s",
+            "name": "take",
+            "created_at": datetime.now(UTC),
+            "files": FILES,
+            "preflight": preflight,
+            **changes,
+        }
+    )
+
+
+def keys(session: Session, spec: JobSpec | None = None, chunk_frames: int = 25) -> dict[str, list[str]]:
+    return {
+        stage.name: [chunk.output_key for chunk in stage.chunks]
+        for stage in plan(session, spec or JobSpec(), chunk_frames)
+    }
+
+
+@given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
+def test_chunks_cover_each_frame_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
+    chunks = plan(make_session(num_frames), JobSpec(), chunk_frames)[0].chunks
+    frames = [k for chunk in chunks for k in range(chunk.payload["start_frame"], chunk.payload["stop_frame"])]
+    assert frames == list(range(num_frames))
+    assert all(chunk.payload["start_frame"] == chunk.index * chunk_frames for chunk in chunks)
+    assert all(chunk.unit_count >= 1 for chunk in chunks)
+
+
+def test_the_stages_and_their_sizes() -> None:
+    stages = plan(make_session(60), JobSpec(), 25)
+    assert [(stage.name, len(stage.chunks)) for stage in stages] == [(DETECT, 3), (ASSOCIATE, 1), (FIT, 1), (EXPORT, 1)]
+    assert [chunk.unit_count for chunk in stages[0].chunks] == [50, 50, 20]
+
+
+def test_units_are_the_frames_of_all_cameras_at_their_own_rates() -> None:
+    (chunk,) = plan(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
+    assert chunk.unit_count == 50 + 25 + 30
+
+
+@given(chunk_frames=st.integers(1, 300))
+def test_keys_of_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
+    one, other = keys(make_session(), chunk_frames=chunk_frames), keys(make_session())
+    assert {name: one[name] for name in (ASSOCIATE, FIT, EXPORT)} == {
+        name: other[name] for name in (ASSOCIATE, FIT, EXPORT)
+    }
+
+
+def test_equal_work_has_equal_keys_whatever_it_is_called() -> None:
+    again = make_session(id="t", name="other", created_at=datetime(2020, 1, 1, tzinfo=UTC), files=FILES[::-1])
+    assert keys(again) == keys(make_session())
+
+
+@pytest.mark.parametrize("changed", [{"sha256": "d" * 64}, {"name": "centre.mp4"}])
+def test_another_input_changes_all_keys(changed: dict[str, str]) -> None:
+    other = keys(make_session(files=(replace(FILES[0], **changed), *FILES[1:])))
+    ours = keys(make_session())
+    assert not {key for found in other.values() for key in found} & {key for found in ours.values() for key in found}
+
+
+@pytest.mark.parametrize(
+    ("field", "changed"),
+    [("detector", {DETECT, ASSOCIATE, FIT, EXPORT}), ("method", {ASSOCIATE, FIT, EXPORT})],
+)
+def test_a_choice_changes_the_keys_of_its_stage_and_those_after(field: str, changed: set[str]) -> None:
+    ours, other = (
+        keys(make_session()),
+        keys(make_session(), JobSpec.model_construct(**{**JobSpec().model_dump(), field: "x"})),
+    )
+    assert {name for name in ours if ours[name] != other[name]} == changed
+
+
+@pytest.mark.parametrize(
+    ("stage", "changed"),
+    [(DETECT, {DETECT, ASSOCIATE, FIT, EXPORT}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
+)
+def test_new_code_changes_the_keys_of_its_stage_and_those_after(
+    monkeypatch: pytest.MonkeyPatch, stage: str, changed: set[str]
+) -> None:
+    before = keys(make_session())
+    monkeypatch.setattr(planning, "CODE_VERSIONS", {**planning.CODE_VERSIONS, stage: 99})
+    after = keys(make_session())
+    assert {name for name in before if before[name] != after[name]} == changed
+
+
+def test_keys_are_unique_and_safe_as_names() -> None:
+    found = [key for stage in keys(make_session(1000)).values() for key in stage]
+    assert len(set(found)) == len(found)
+    assert all(len(key) == 64 and key.isalnum() for key in found)

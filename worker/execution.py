@@ -1,0 +1,58 @@
+"""What a stage function is given and what it gives back."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.model import Claim, Session
+
+
+class StoppedError(Exception):
+    """The work is no longer wanted here: the lease is lost, the job is canceled, or the worker shuts down."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """One chunk to run.
+
+    Parameters
+    ----------
+    claim, session
+        What to do, on what.
+    artifacts
+        Where the session's files are.
+    outputs
+        Reads what each chunk of an earlier stage left, in the chunks' order.
+    on_unit
+        To be called after each unit of work (a frame, a person); raises ``StoppedError`` when the work is no longer
+        wanted.
+    """
+
+    claim: Claim
+    session: Session
+    artifacts: ArtifactStore
+    outputs: Callable[[str], list[bytes]]
+    on_unit: Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFile:
+    """A file for the client."""
+
+    name: str
+    kind: str
+    person: str | None
+    media_type: str
+    content: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a chunk leaves: its artifact, and result files for the client if it is the last stage's."""
+
+    content: bytes
+    files: tuple[ResultFile, ...] = ()
+
+
+StageFunction = Callable[[Work], Outcome]
+Stages = Mapping[str, StageFunction]

@@ -1,0 +1,96 @@
+"""Hold a chunk while it is worked on: beat, count, and say when to stop."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import structlog
+
+from worker.execution import StoppedError
+from worker.jobs.model import Claim
+from worker.jobs.store import JobStore
+
+log = structlog.get_logger()
+
+# Time that a pass has to notice that it must stop, before its process is ended.
+STOP_GRACE_S = 2.0
+
+_LOOK_S = 0.25
+
+
+class Lease:
+    """A claimed chunk's lease, renewed by a thread of its own.
+
+    Parameters
+    ----------
+    stopping
+        Says whether the worker shuts down.
+    on_stuck
+        Called from the thread when the pass has not noticed for ``STOP_GRACE_S`` that it must stop: it sits in one long
+        call. A worker process ends itself here.
+    """
+
+    def __init__(
+        self,
+        store: JobStore,
+        claim: Claim,
+        lease_s: float,
+        heartbeat_s: float,
+        stopping: Callable[[], bool],
+        on_stuck: Callable[[], None],
+    ) -> None:
+        self._store, self._claim = store, claim
+        self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
+        self._stopping, self._on_stuck = stopping, on_stuck
+        self._done_units = 0
+        self._lost = False
+        self._ended = threading.Event()
+
+    def on_unit(self) -> None:
+        """Count a unit of work; ``StoppedError`` if no more is wanted."""
+        self._done_units += 1
+        self.check()
+
+    def check(self) -> None:
+        """``StoppedError`` if the work is no longer wanted."""
+        if self._unwanted():
+            raise StoppedError
+
+    def _unwanted(self) -> bool:
+        return self._lost or self._stopping()
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Beat from here to the end of the block."""
+        thread = threading.Thread(target=self._beat_until_ended, name="lease", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._ended.set()
+            thread.join()
+
+    def _beat_until_ended(self) -> None:
+        renewed_s = beat_s = time.monotonic()
+        while not self._ended.wait(_LOOK_S):
+            if self._unwanted():
+                break
+            now_s = time.monotonic()
+            if now_s - beat_s < self._heartbeat_s:
+                continue
+            beat_s = now_s
+            try:
+                self._lost |= not self._beat()
+                renewed_s = now_s
+            except Exception:
+                # The database may be away for a moment; if it stays away, the lease runs out.
+                log.exception("heartbeat_failed", chunk=self._claim.chunk_id)
+                self._lost |= now_s - renewed_s > self._lease_s
+        if not self._ended.wait(STOP_GRACE_S):
+            self._on_stuck()
+
+    def _beat(self) -> bool:
+        claim = self._claim
+        done_units = min(self._done_units, claim.unit_count)
+        return self._store.heartbeat(claim.chunk_id, claim.lease_token, done_units, self._lease_s)

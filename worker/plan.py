@@ -1,0 +1,89 @@
+"""What there is to do for a session and a spec: stages, their chunks, and the keys of what these leave.
+
+Pure: equal inputs give equal plans, on every machine. A key is a hash of the stage, the version of its code, its part
+of the spec and the stages before it down to the digests of the files. So whoever plans the same work again, after a
+crash or for another job, asks for the same keys and finds what is there.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from worker.jobs.model import ChunkPlan, Session, StagePlan
+from worker.jobs.spec import JobSpec
+
+DETECT, ASSOCIATE, FIT, EXPORT = "detect", "associate", "fit", "export"
+
+# A stage's number goes up with every change of its code that changes what it leaves.
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, ASSOCIATE: 1, FIT: 1, EXPORT: 1}
+
+DEFAULT_CHUNK_FRAMES = 25
+
+
+def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
+    """Cut a reconstruction into stages and chunks.
+
+    Parameters
+    ----------
+    session
+        Its ``preflight`` says how many output frames there are.
+    spec
+        What was asked for.
+    chunk_frames
+        Output frames of one chunk of the map. Chunks begin at its multiples, so two jobs of a session cut alike. No key
+        of a reduce depends on it.
+
+    Returns
+    -------
+        The stages in their order: detect (map), associate, fit and export (one chunk each).
+    """
+    detect = _key(DETECT, {"detector": spec.detector}, _inputs(session))
+    associate = _key(ASSOCIATE, {"method": spec.method}, [detect])
+    fit = _key(FIT, {}, [associate])
+    export = _key(EXPORT, {}, [associate, fit])
+    return (
+        StagePlan(DETECT, _map_chunks(session, detect, chunk_frames)),
+        StagePlan(ASSOCIATE, _reduce(associate)),
+        StagePlan(FIT, _reduce(fit)),
+        StagePlan(EXPORT, _reduce(export)),
+    )
+
+
+def _map_chunks(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
+    num_frames = int(session.preflight["timebase"]["num_frames"])
+    starts = range(0, num_frames, chunk_frames)
+    return tuple(
+        ChunkPlan(
+            index=index,
+            payload={"start_frame": start, "stop_frame": stop},
+            unit_count=_units(session, start, stop),
+            output_key=_hash([stage_key, start, stop]),
+        )
+        for index, start in enumerate(starts)
+        for stop in [min(start + chunk_frames, num_frames)]
+    )
+
+
+def _units(session: Session, start_frame: int, stop_frame: int) -> int:
+    """About how many frames all cameras took during some output frames; at least 1."""
+    duration_s = (stop_frame - start_frame) / session.preflight["timebase"]["frame_rate_hz"]
+    return max(1, round(sum(duration_s * camera["frame_rate_hz"] for camera in session.preflight["cameras"])))
+
+
+def _reduce(stage_key: str) -> tuple[ChunkPlan, ...]:
+    return (ChunkPlan(index=0, payload={}, unit_count=1, output_key=stage_key),)
+
+
+def _inputs(session: Session) -> list[str]:
+    """What the files are; names count, because videos and cameras find each other by name."""
+    return sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
+
+
+def _key(stage: str, choices: Mapping[str, Any], inputs: Sequence[str]) -> str:
+    return _hash([stage, CODE_VERSIONS[stage], choices, inputs])
+
+
+def _hash(value: Sequence[Any]) -> str:
+    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(canonical.encode()).hexdigest()

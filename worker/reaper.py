@@ -1,0 +1,43 @@
+"""``python -m worker.reaper``: make good what was lost.
+
+Frees the leases of workers that fell silent, ends what keeps failing, and publishes when work is ready that no message
+may stand for any more. So a lost message, or a broker that lost all of them, costs a few seconds.
+"""
+
+import contextlib
+import signal
+import time
+
+import structlog
+
+from worker.jobs.queue import WorkQueue
+from worker.jobs.store import JobStore
+from worker.logs import configure_logs
+from worker.settings import WorkerSettings
+
+log = structlog.get_logger()
+
+
+def reap(store: JobStore, queue: WorkQueue) -> None:
+    """Look once; a database that is away is tried again the next time."""
+    try:
+        if store.reap() > 0:
+            queue.publish()
+    except Exception:
+        log.exception("reap_failed")
+
+
+def main() -> None:
+    """Reap until SIGTERM or SIGINT."""
+    configure_logs()
+    settings = WorkerSettings()
+    store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(settings.reap_interval_s)
+            reap(store, queue)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Claim chunks, run them, record what came of it: the one loop of every worker."""
+
+import hashlib
+import os
+import socket
+import time
+from collections.abc import Callable
+
+import structlog
+
+from worker.execution import ResultFile, Stages, StoppedError, Work
+from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.model import Claim, Result
+from worker.jobs.queue import WorkQueue
+from worker.jobs.store import JobStore
+from worker.lease import Lease
+from worker.plan import EXPORT
+from worker.problems import problem_of
+
+log = structlog.get_logger()
+
+# What it leaves belongs to one job, under the job's name: there is nothing that another job could reuse.
+_NEVER_REUSED = frozenset({EXPORT})
+
+
+def artifact_key(session_id: str, output_key: str) -> str:
+    """Where a chunk's output is in the artifact store."""
+    return f"sessions/{session_id}/stages/{output_key}"
+
+
+def result_key(job_id: str, name: str) -> str:
+    """Where a job's result file is in the artifact store."""
+    return f"jobs/{job_id}/results/{name}"
+
+
+class Runner:
+    """Works on whatever is ready.
+
+    Parameters
+    ----------
+    store, artifacts, queue
+        Where the work is and where it goes.
+    stages
+        What to run, by name of the stage.
+    lease_s, heartbeat_s
+        See ``WorkerSettings``.
+    stopping
+        Says whether the worker shuts down: the chunk at hand is given back, and no more is claimed.
+    on_stuck
+        See ``Lease``; called after the chunk was released.
+    """
+
+    def __init__(
+        self,
+        store: JobStore,
+        artifacts: ArtifactStore,
+        queue: WorkQueue,
+        stages: Stages,
+        lease_s: float,
+        heartbeat_s: float,
+        stopping: Callable[[], bool],
+        on_stuck: Callable[[], None],
+    ) -> None:
+        self._store, self._artifacts, self._queue, self._stages = store, artifacts, queue, stages
+        self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
+        self._stopping, self._on_stuck = stopping, on_stuck
+        self._name = f"{socket.gethostname()}:{os.getpid()}"
+
+    def work(self, claim_for_s: float) -> int:
+        """Run ready chunks until there are none, or for about ``claim_for_s`` seconds; returns how many were run.
+
+        One message may stand for many chunks: a worker that finds work wakes the next one before it begins.
+        """
+        deadline_s = time.monotonic() + claim_for_s
+        num_run = 0
+        while not self._stopping():
+            if time.monotonic() > deadline_s:
+                self._queue.publish()
+                break
+            claim = self._store.claim(self._name, self._lease_s)
+            if claim is None:
+                break
+            if num_run == 0:
+                self._queue.publish()
+            self._run(claim)
+            num_run += 1
+        return num_run
+
+    def _run(self, claim: Claim) -> None:
+        with structlog.contextvars.bound_contextvars(job=claim.job_id, stage=claim.stage, chunk=claim.index):
+            try:
+                lease = self._lease(claim)
+                with lease.held():
+                    more = self._finish(claim, lease)
+            except StoppedError:
+                log.info("chunk_stopped")
+                self._store.release(claim.chunk_id, claim.lease_token)
+                return
+            except Exception as error:
+                log.exception("chunk_failed", attempt=claim.attempt)
+                more = self._store.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
+            if more:
+                self._queue.publish()
+
+    def _lease(self, claim: Claim) -> Lease:
+        def on_stuck() -> None:
+            log.warning("chunk_stuck", job=claim.job_id, stage=claim.stage, chunk=claim.index)
+            self._store.release(claim.chunk_id, claim.lease_token)
+            self._on_stuck()
+
+        return Lease(self._store, claim, self._lease_s, self._heartbeat_s, self._stopping, on_stuck)
+
+    def _finish(self, claim: Claim, lease: Lease) -> bool:
+        """Run a chunk, or find its output, and record it; returns whether more work became ready."""
+        if (found := self._reusable(claim)) is not None:
+            log.info("chunk_reused")
+            return self._store.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
+        started_s = time.monotonic()
+        outcome = self._stages[claim.stage](
+            Work(
+                claim=claim,
+                session=self._store.session(claim.session_id),
+                artifacts=self._artifacts,
+                outputs=lambda stage: self._outputs(claim, stage),
+                on_unit=lease.on_unit,
+            )
+        )
+        lease.check()
+        results = [self._keep(claim, file) for file in outcome.files]
+        self._artifacts.put_bytes(artifact_key(claim.session_id, claim.output_key), outcome.content)
+        log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
+        return self._store.finish(
+            claim.chunk_id, claim.lease_token, _sha256(outcome.content), len(outcome.content), results=results
+        )
+
+    def _reusable(self, claim: Claim) -> tuple[str, int] | None:
+        """Digest and size of this chunk's output if it was finished before and is still whole."""
+        if claim.stage in _NEVER_REUSED:
+            return None
+        recorded = self._store.artifact(claim.session_id, claim.output_key)
+        key = artifact_key(claim.session_id, claim.output_key)
+        if recorded is None or not self._artifacts.exists(key):
+            return None
+        return recorded if _sha256(self._read(key)) == recorded[0] else None
+
+    def _outputs(self, claim: Claim, stage: str) -> list[bytes]:
+        keys = self._store.outputs(claim.job_id, stage)
+        return [self._read(artifact_key(claim.session_id, key)) for key in keys]
+
+    def _read(self, key: str) -> bytes:
+        with self._artifacts.open(key) as file:
+            return file.read()
+
+    def _keep(self, claim: Claim, file: ResultFile) -> Result:
+        key = result_key(claim.job_id, file.name)
+        self._artifacts.put_bytes(key, file.content)
+        return Result(
+            name=file.name,
+            kind=file.kind,
+            person=file.person,
+            media_type=file.media_type,
+            key=key,
+            num_bytes=len(file.content),
+            sha256=_sha256(file.content),
+        )
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,31 @@
+"""What a worker process is told by its environment; every variable begins with ``MULTICAP_``."""
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class WorkerSettings(BaseSettings):
+    """Where the jobs are, and how a worker holds on to its piece of one."""
+
+    model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
+
+    data_dir: Path = Field(description="Folder of the artifacts, and of the database unless database_url says else.")
+    database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
+    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
+    lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
+    heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
+    chunk_frames: int = Field(default=25, gt=0, description="Output frames of one chunk of a map.")
+    reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for what was lost.")
+    claim_for_s: float = Field(default=300.0, gt=0, description="How long one message keeps a worker claiming.")
+
+    @property
+    def resolved_database_url(self) -> str:
+        """``database_url``, or SQLite in the data folder."""
+        return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
+
+    @property
+    def artifacts_dir(self) -> Path:
+        """Root of the local artifact store."""
+        return self.data_dir / "artifacts"

@@ -1,0 +1,140 @@
+"""The four stages on the pipeline: what a claimed chunk runs.
+
+A worker process keeps the session it worked on last and the loaded networks, for the next chunk is mostly of the same.
+"""
+
+import contextlib
+import functools
+import json
+import tempfile
+from pathlib import Path
+
+from pipeline.data import Reconstruction, Timebase
+from pipeline.detect.chunk import concatenate, detect_chunk
+from pipeline.detect.detector import Detector, open_detector
+from pipeline.export.results import result_files
+from pipeline.records_npz import (
+    decode_detections,
+    decode_motions,
+    decode_tracks,
+    encode_detections,
+    encode_motions,
+    encode_tracks,
+)
+from pipeline.run import associate, fit
+from pipeline.session import CaptureSession, open_session
+from pipeline.video.timeline import session_timebase
+from worker.execution import Outcome, ResultFile, Stages, Work
+from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.model import Session
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
+
+_detector = functools.cache(open_detector)
+
+_MEDIA_TYPES = {".json": "application/json", ".bvh": "text/plain; charset=utf-8"}
+
+
+class _OpenSession:
+    """The session at hand, its files under their own names in a folder for as long as it is."""
+
+    def __init__(self) -> None:
+        self._files = contextlib.ExitStack()
+        self._id: str | None = None
+        self._capture: CaptureSession
+
+    def capture(self, session: Session, artifacts: ArtifactStore) -> CaptureSession:
+        """Open a session, unless it is open."""
+        if self._id == session.id:
+            return self._capture
+        self._files.close()
+        self._id = None
+        folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
+        named: dict[str, list[Path]] = {"video": [], "calibration": []}
+        for file in session.files:
+            path = folder / file.name
+            path.symlink_to(self._files.enter_context(artifacts.local_path(file.key)).absolute())
+            named[file.kind].append(path)
+        (calibration,) = named["calibration"]
+        self._capture = open_session(named["video"], calibration)
+        self._id = session.id
+        return self._capture
+
+
+_open = _OpenSession()
+
+
+def _capture_of(work: Work) -> tuple[CaptureSession, Detector]:
+    return _open.capture(work.session, work.artifacts), _detector(work.claim.spec.detector)
+
+
+def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float, float]:
+    """Range ``[t0, t1)`` of some output frames; borders half-way between two of them, the outer ones at infinity.
+
+    Frames between two output frames belong to one of them, so consecutive ranges miss none and double none.
+    """
+
+    def border_s(frame: int) -> float:
+        return timebase.start_time_s + (frame - 0.5) / timebase.frame_rate_hz
+
+    return (
+        border_s(start_frame) if start_frame > 0 else float("-inf"),
+        border_s(stop_frame) if stop_frame < timebase.num_frames else float("inf"),
+    )
+
+
+def detect(work: Work) -> Outcome:
+    """Find all bodies in a range of frames of all cameras."""
+    session, detector = _capture_of(work)
+    start, stop = work.claim.payload["start_frame"], work.claim.payload["stop_frame"]
+    span = span_s(session_timebase(session.times), start, stop)
+    return Outcome(encode_detections(detect_chunk(session, span, detector, work.on_unit)))
+
+
+def associate_people(work: Work) -> Outcome:
+    """Turn the detections of all chunks into tracks: one pass in time order."""
+    session, detector = _capture_of(work)
+    chunks = (decode_detections(content) for content in work.outputs(DETECT))
+    cameras = [camera.name for camera in session.cameras]
+    return Outcome(encode_tracks(*associate(session, concatenate(chunks, cameras, len(detector.joints.names)))))
+
+
+def fit_skeletons(work: Work) -> Outcome:
+    """Animate one skeleton a person."""
+    session, detector = _capture_of(work)
+    (tracks, _) = decode_tracks(*work.outputs(ASSOCIATE))
+    motions = []
+    for track in tracks:
+        motions.extend(fit(session, [track], detector.joints))
+        work.on_unit()
+    return Outcome(encode_motions(motions))
+
+
+def export(work: Work) -> Outcome:
+    """Write the client's files, and an index of them."""
+    session, detector = _capture_of(work)
+    tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
+    reconstruction = Reconstruction(
+        cameras=session.cameras,
+        joints=detector.joints,
+        timebase=session_timebase(session.times),
+        tracks=tracks,
+        observations=observations,
+        motions=decode_motions(*work.outputs(FIT)),
+        warnings=session.warnings,
+    )
+    files = []
+    for name, content in result_files(reconstruction):
+        files.append(_result_file(name, content))
+        work.on_unit()
+    index = json.dumps({"files": [file.name for file in files]}).encode()
+    return Outcome(index, tuple(files))
+
+
+def _result_file(name: str, content: bytes) -> ResultFile:
+    path = Path(name)
+    kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
+    person = None if path.suffix == ".json" else path.stem
+    return ResultFile(name, kind, person, _MEDIA_TYPES[path.suffix], content)
+
+
+STAGES: Stages = {DETECT: detect, ASSOCIATE: associate_people, FIT: fit_skeletons, EXPORT: export}

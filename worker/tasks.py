@@ -1,0 +1,61 @@
+"""The one task: work on whatever is ready."""
+
+import functools
+import mmap
+import os
+import signal
+
+from worker.jobs.artifacts import LocalArtifacts
+from worker.jobs.queue import WorkQueue
+from worker.jobs.store import JobStore
+from worker.runner import Runner
+from worker.settings import WorkerSettings
+
+
+class ForkedFlag:
+    """A flag that the main process sets and its forked children see.
+
+    It has no lock, so a child that was killed can't hold it, and a signal handler may set it.
+    """
+
+    def __init__(self) -> None:
+        self._byte = mmap.mmap(-1, 1)
+
+    def set(self) -> None:
+        """Set it for good."""
+        self._byte[0] = 1
+
+    def is_set(self) -> bool:
+        """Whether anybody set it."""
+        return self._byte[0] == 1
+
+
+shutting_down = ForkedFlag()
+
+
+@functools.cache
+def process_runner() -> Runner:
+    """Connect this process to the store and load the science, once."""
+    # The main process never loads it: its children are forked, and libraries with threads don't survive that.
+    from worker.stages import STAGES  # noqa: PLC0415
+
+    settings = WorkerSettings()
+    return Runner(
+        store=JobStore(settings.resolved_database_url),
+        artifacts=LocalArtifacts(settings.artifacts_dir),
+        queue=WorkQueue(settings.broker_url),
+        stages=STAGES,
+        lease_s=settings.lease_s,
+        heartbeat_s=settings.heartbeat_s,
+        stopping=shutting_down.is_set,
+        on_stuck=_end_process,
+    )
+
+
+def work() -> None:
+    """Run ready chunks until there are none."""
+    process_runner().work(WorkerSettings().claim_for_s)
+
+
+def _end_process() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
