@@ -43,26 +43,26 @@ def create_celery(settings: WorkerSettings) -> Celery:
         },
     )
     celery.task(name=TASK_NAME)(tasks.work)
+    setup_logging.connect(_log)
+    celeryd_init.connect(_one_thread_a_process)
+    worker_process_init.connect(_load)
+    worker_shutting_down.connect(_give_back)
     return celery
 
 
-@setup_logging.connect
 def _log(**_: object) -> None:
     configure_logs()
 
 
-@celeryd_init.connect
 def _one_thread_a_process(**_: object) -> None:
     """Before any child loads NumPy: several processes use a processor better than several threads of each."""
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
 
 
-@worker_process_init.connect
 def _load(**_: object) -> None:
     tasks.process_runner()
 
 
-@worker_shutting_down.connect
 def _give_back(**_: object) -> None:
     """A shutdown waits for the tasks at hand, and these may run for long: have them give back their chunks."""
     tasks.shutting_down.set()

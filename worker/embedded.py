@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,12 +41,17 @@ class Place:
         """Folder of the parts' output."""
         return self.data_dir / "logs"
 
+    @property
+    def broker_url(self) -> str:
+        """Where the broker answers."""
+        return f"redis+socket://{self.socket}"
+
     def environment(self) -> dict[str, str]:
         """Environment of all parts: this process's own, and where things are."""
         return {
             **os.environ,
             "MULTICAP_DATA_DIR": str(self.data_dir),
-            "MULTICAP_BROKER_URL": f"redis+socket://{self.socket}",
+            "MULTICAP_BROKER_URL": self.broker_url,
         }
 
 
@@ -96,9 +101,9 @@ def worker(place: Place, workers: int) -> Program:
 
 
 def reaper(place: Place) -> Program:
-    """What makes good what was lost."""
+    """The process that makes good what was lost."""
     return Program("reaper", _python("worker.reaper"), place.environment())
 
 
 def _python(module: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-m", module, *arguments]
+    return [sys.executable, "-P", "-m", module, *arguments]

@@ -1,7 +1,7 @@
 """Children that don't outlive their parent, not even when it is killed.
 
-As a program, ``python -m worker.lifeline PARENT -- COMMAND...`` becomes the command, tied to the process ``PARENT`` that
-started it.
+As a program, ``python -m worker.lifeline PARENT -- COMMAND...`` becomes the command, tied to the process ``PARENT``
+that started it.
 """
 
 import ctypes
@@ -29,7 +29,7 @@ def die_with_parent(parent: int) -> None:
 
 def tied(command: Sequence[str]) -> list[str]:
     """Command that runs ``command`` tied to the process that calls this."""
-    return [sys.executable, "-m", "worker.lifeline", str(os.getpid()), "--", *command]
+    return [sys.executable, "-P", "-m", "worker.lifeline", str(os.getpid()), "--", *command]
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ may stand for any more. So a lost message, or a broker that lost all of them, co
 import contextlib
 import signal
 import time
+from collections.abc import Callable
 
 import structlog
 
@@ -18,11 +19,11 @@ from worker.settings import WorkerSettings
 log = structlog.get_logger()
 
 
-def reap(store: JobStore, queue: WorkQueue) -> None:
+def reap(store: JobStore, publish: Callable[[], object]) -> None:
     """Look once; a database that is away is tried again the next time."""
     try:
         if store.reap() > 0:
-            queue.publish()
+            publish()
     except Exception:
         log.exception("reap_failed")
 
@@ -36,7 +37,7 @@ def main() -> None:
     with contextlib.suppress(KeyboardInterrupt):
         while True:
             time.sleep(settings.reap_interval_s)
-            reap(store, queue)
+            reap(store, queue.publish)
 
 
 if __name__ == "__main__":

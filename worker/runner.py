@@ -11,7 +11,6 @@ import structlog
 from worker.execution import ResultFile, Stages, StoppedError, Work
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.model import Claim, Result
-from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.plan import EXPORT
@@ -38,8 +37,10 @@ class Runner:
 
     Parameters
     ----------
-    store, artifacts, queue
+    store, artifacts
         Where the work is and where it goes.
+    publish
+        Wakes a worker.
     stages
         What to run, by name of the stage.
     lease_s, heartbeat_s
@@ -54,14 +55,14 @@ class Runner:
         self,
         store: JobStore,
         artifacts: ArtifactStore,
-        queue: WorkQueue,
+        publish: Callable[[], object],
         stages: Stages,
         lease_s: float,
         heartbeat_s: float,
         stopping: Callable[[], bool],
         on_stuck: Callable[[], None],
     ) -> None:
-        self._store, self._artifacts, self._queue, self._stages = store, artifacts, queue, stages
+        self._store, self._artifacts, self._publish, self._stages = store, artifacts, publish, stages
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
         self._stopping, self._on_stuck = stopping, on_stuck
         self._name = f"{socket.gethostname()}:{os.getpid()}"
@@ -75,13 +76,13 @@ class Runner:
         num_run = 0
         while not self._stopping():
             if time.monotonic() > deadline_s:
-                self._queue.publish()
+                self._publish()
                 break
             claim = self._store.claim(self._name, self._lease_s)
             if claim is None:
                 break
             if num_run == 0:
-                self._queue.publish()
+                self._publish()
             self._run(claim)
             num_run += 1
         return num_run
@@ -100,7 +101,7 @@ class Runner:
                 log.exception("chunk_failed", attempt=claim.attempt)
                 more = self._store.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
             if more:
-                self._queue.publish()
+                self._publish()
 
     def _lease(self, claim: Claim) -> Lease:
         def on_stuck() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import platformdirs
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
@@ -11,7 +12,10 @@ class WorkerSettings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
 
-    data_dir: Path = Field(description="Folder of the artifacts, and of the database unless database_url says else.")
+    data_dir: Path = Field(
+        default_factory=lambda: platformdirs.user_data_path("multicap", appauthor=False) / "service",
+        description="Folder of the artifacts, and of the database unless database_url says else.",
+    )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
     lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")

@@ -75,14 +75,13 @@ class Supervisor:
         self._logs_dir, self._say = logs_dir, say
         self._stop = False
 
-    def run(self, on_look: Callable[[], None]) -> None:
-        """Keep the programs running until SIGINT or SIGTERM; ``on_look`` is called a few times a second."""
+    def run(self) -> None:
+        """Keep the programs running until SIGINT or SIGTERM; for the main thread, which gets the signals."""
         with self._stopped_by(signal.SIGINT, signal.SIGTERM):
             try:
                 while not self._stop:
                     for child in self._children:
                         self._look_after(child)
-                    on_look()
                     time.sleep(_LOOK_S)
             finally:
                 for child in reversed(self._children):
@@ -114,7 +113,8 @@ class Supervisor:
         child.crashes = 1 if now_s - child.started_s > _HEALTHY_S else child.crashes + 1
         delay_s = min(_FIRST_DELAY_S * 2 ** (child.crashes - 1), _LONGEST_DELAY_S)
         child.start_at_s = now_s + delay_s
-        self._say(f"The {child.program.name} {_ending(status)}; it starts again in {delay_s:g} s.")
+        name = child.program.name
+        self._say(f"The {name} {_ending(status)}; it starts again in {delay_s:g} s. See {name}.log.")
 
     def _start(self, program: Program) -> subprocess.Popen[bytes]:
         self._logs_dir.mkdir(parents=True, exist_ok=True)

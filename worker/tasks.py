@@ -43,7 +43,7 @@ def process_runner() -> Runner:
     return Runner(
         store=JobStore(settings.resolved_database_url),
         artifacts=LocalArtifacts(settings.artifacts_dir),
-        queue=WorkQueue(settings.broker_url),
+        publish=WorkQueue(settings.broker_url).publish,
         stages=STAGES,
         lease_s=settings.lease_s,
         heartbeat_s=settings.heartbeat_s,

@@ -80,9 +80,9 @@ def test_equal_work_has_equal_keys_whatever_it_is_called() -> None:
     assert keys(again) == keys(make_session())
 
 
-@pytest.mark.parametrize("changed", [{"sha256": "d" * 64}, {"name": "centre.mp4"}])
-def test_another_input_changes_all_keys(changed: dict[str, str]) -> None:
-    other = keys(make_session(files=(replace(FILES[0], **changed), *FILES[1:])))
+@pytest.mark.parametrize("changed", [replace(FILES[0], sha256="d" * 64), replace(FILES[0], name="centre.mp4")])
+def test_another_input_changes_all_keys(changed: InputFile) -> None:
+    other = keys(make_session(files=(changed, *FILES[1:])))
     ours = keys(make_session())
     assert not {key for found in other.values() for key in found} & {key for found in ours.values() for key in found}
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,27 +27,33 @@ def wait_for(condition: Callable[[], bool], timeout_s: float = 15.0) -> None:
         time.sleep(0.05)
 
 
-class Stopper:
-    """Looks on until a condition holds, then stops the supervisor as Ctrl-C does."""
+def run_until(condition: Callable[[], bool], supervisor: Supervisor, timeout_s: float = 15.0) -> None:
+    """Run until a condition holds, then press Ctrl-C."""
+    held = []
 
-    def __init__(self, condition: Callable[[], bool], timeout_s: float = 15.0) -> None:
-        self._condition, self._deadline_s = condition, time.monotonic() + timeout_s
-        self.in_time = False
+    def watch() -> None:
+        deadline_s = time.monotonic() + timeout_s
+        while not (condition() or time.monotonic() > deadline_s):
+            time.sleep(0.05)
+        held.append(condition())
+        os.kill(os.getpid(), signal.SIGINT)
 
-    def __call__(self) -> None:
-        self.in_time = self.in_time or self._condition()
-        if self.in_time or time.monotonic() > self._deadline_s:
-            signal.raise_signal(signal.SIGINT)
+    watching = threading.Thread(target=watch)
+    watching.start()
+    supervisor.run()
+    watching.join()
+    assert held == [True], "nothing happened in time"
 
 
 def test_a_crashed_program_starts_again_later_each_time_and_it_is_said(tmp_path: Path) -> None:
     starts = tmp_path / "starts"
     crashing = program("worker", f"open({str(starts)!r}, 'a').write('x'); import os; os.kill(os.getpid(), 9)")
     said: list[str] = []
-    stopper = Stopper(lambda: len(said) == 3)
-    Supervisor([crashing], tmp_path, said.append).run(stopper)
-    assert stopper.in_time
-    assert said == [f"The worker was killed by SIGKILL; it starts again in {delay} s." for delay in ("0.5", "1", "2")]
+    run_until(lambda: len(said) == 3, Supervisor([crashing], tmp_path, said.append))
+    assert said == [
+        f"The worker was killed by SIGKILL; it starts again in {delay} s. See worker.log."
+        for delay in ("0.5", "1", "2")
+    ]
     assert starts.read_text() == "xxx"
 
 
@@ -64,9 +71,8 @@ def test_programs_stop_in_reverse_order(tmp_path: Path) -> None:
     names = ["broker", "worker", "api"]
     programs = [program(name, textwrap.dedent(code).format(folder=str(tmp_path), name=name)) for name in names]
     said: list[str] = []
-    stopper = Stopper(lambda: all((tmp_path / name).exists() for name in names))
-    Supervisor(programs, tmp_path / "logs", said.append).run(stopper)
-    assert stopper.in_time
+    supervisor = Supervisor(programs, tmp_path / "logs", said.append)
+    run_until(lambda: all((tmp_path / name).exists() for name in names), supervisor)
     assert (tmp_path / "order").read_text().split() == ["api", "worker", "broker"]
     assert said == []
 
@@ -85,8 +91,8 @@ def test_what_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
     )
     said: list[str] = []
     pids = tmp_path / "pids"
-    stopper = Stopper(lambda: pids.exists() and len(pids.read_text().split()) == 2)
-    Supervisor([stubborn], tmp_path / "logs", said.append).run(stopper)
+    supervisor = Supervisor([stubborn], tmp_path / "logs", said.append)
+    run_until(lambda: pids.exists() and len(pids.read_text().split()) == 2, supervisor)
     assert said == ["The worker did not end in 0.3 s and is killed."]
     wait_for(lambda: not any(is_alive(int(pid)) for pid in pids.read_text().split()))
 
@@ -94,8 +100,8 @@ def test_what_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
 def test_output_goes_to_the_log(tmp_path: Path) -> None:
     said: list[str] = []
     speaking = program("api", "import sys; print('hello', flush=True); print('trouble', file=sys.stderr); sys.exit(3)")
-    Supervisor([speaking], tmp_path, said.append).run(Stopper(lambda: bool(said)))
-    assert said == ["The api ended with exit code 3; it starts again in 0.5 s."]
+    run_until(lambda: bool(said), Supervisor([speaking], tmp_path, said.append))
+    assert said == ["The api ended with exit code 3; it starts again in 0.5 s. See api.log."]
     assert (tmp_path / "api.log").read_text().split() == ["hello", "trouble"]
 
 
@@ -106,7 +112,7 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
         from worker.supervisor import Program, Supervisor
         sleeping = "import pathlib, os, sys, time; pathlib.Path(sys.argv[1], str(os.getpid())).touch(); time.sleep(600)"
         programs = [Program(n, [sys.executable, "-c", sleeping, {str(tmp_path)!r}], dict(os.environ)) for n in "ab"]
-        Supervisor(programs, pathlib.Path({str(tmp_path)!r}, "logs"), print).run(lambda: None)
+        Supervisor(programs, pathlib.Path({str(tmp_path)!r}, "logs"), print).run()
     """
     supervisor = subprocess.Popen([sys.executable, "-c", textwrap.dedent(code)])
     try:

@@ -1,0 +1,107 @@
+"""A session in a real store, and small stages whose right results are known."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+import uuid_utils
+from worker.jobs.artifacts import LocalArtifacts
+from worker.jobs.store import JobStore
+
+from worker.execution import Outcome, ResultFile, Work
+from worker.jobs.model import InputFile, Job, Session
+from worker.jobs.spec import JobSpec
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
+from worker.runner import Runner
+
+NUM_FRAMES, CHUNK_FRAMES = 40, 10
+
+RESULT = b"squares: " + b",".join(str(k * k).encode() for k in range(NUM_FRAMES))
+
+
+def detect(work: Work) -> Outcome:
+    frames = range(work.claim.payload["start_frame"], work.claim.payload["stop_frame"])
+    squares = []
+    for frame in frames:
+        squares.append(str(frame * frame))
+        work.on_unit()
+    return Outcome(",".join(squares).encode())
+
+
+def associate(work: Work) -> Outcome:
+    return Outcome(b",".join(work.outputs(DETECT)))
+
+
+def fit(work: Work) -> Outcome:
+    return Outcome(b"squares: " + work.outputs(ASSOCIATE)[0])
+
+
+def export(work: Work) -> Outcome:
+    return Outcome(b"{}", (ResultFile("person-1.bvh", "bvh", "person-1", "text/plain", work.outputs(FIT)[0]),))
+
+
+@dataclass
+class Bench:
+    """A store with a session, and runners on it."""
+
+    store: JobStore
+    artifacts: LocalArtifacts
+    session: Session
+    stages: dict[str, Callable[[Work], Outcome]] = field(
+        default_factory=lambda: {DETECT: detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}
+    )
+    published: int = 0
+    stopping: bool = False
+    stuck: list[str] = field(default_factory=list)
+
+    def runner(self, lease_s: float = 20.0, heartbeat_s: float = 0.25) -> Runner:
+        return Runner(
+            store=self.store,
+            artifacts=self.artifacts,
+            publish=self._publish,
+            stages=self.stages,
+            lease_s=lease_s,
+            heartbeat_s=heartbeat_s,
+            stopping=lambda: self.stopping,
+            on_stuck=lambda: self.stuck.append("stuck"),
+        )
+
+    def _publish(self) -> None:
+        self.published += 1
+
+    def create_job(self) -> Job:
+        return self.store.create_job(self.session.id, JobSpec(), plan(self.session, JobSpec(), CHUNK_FRAMES))
+
+    def result(self, job_id: str) -> bytes:
+        (result,) = self.store.results(job_id)
+        with self.artifacts.open(result.key) as file:
+            content = file.read()
+        assert (result.num_bytes, result.sha256) == (len(content), hashlib.sha256(content).hexdigest())
+        return content
+
+
+def open_bench(data_dir: Path) -> Bench:
+    """Bench with a new session in a data folder."""
+    store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
+    store.migrate()
+    session_id = str(uuid_utils.uuid7())
+    names = [("left.mp4", "video", "a"), ("right.mp4", "video", "b"), ("rig.toml", "calibration", "c")]
+    files = [
+        InputFile(name, kind, f"sessions/{session_id}/inputs/{name}", 1, digit * 64) for name, kind, digit in names
+    ]
+    preflight = {
+        "cameras": [{"name": name, "frame_rate_hz": 25.0} for name in ("left", "right")],
+        "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": NUM_FRAMES},
+        "warnings": [],
+    }
+    session = store.create_session("take", files, preflight, session_id)
+    return Bench(store, LocalArtifacts(data_dir / "artifacts"), session)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = open_bench(tmp_path)
+    yield bench
+    bench.store.close()

@@ -1,0 +1,59 @@
+"""Program for tests: broker, worker and reaper under the supervisor, with light stages instead of the pipeline's.
+
+``python tests/worker/light_service.py DATA`` runs all; with ``--worker`` it is the worker. Frames take
+``LIGHT_FRAME_S`` seconds.
+"""
+
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+from worker.jobs.store import JobStore
+
+from tests.worker.conftest import associate, detect, export, fit
+from worker import __main__ as worker_main
+from worker import embedded
+from worker.execution import Outcome, Work
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.settings import WorkerSettings
+from worker.supervisor import Supervisor
+
+
+def slow_detect(work: Work) -> Outcome:
+    def on_unit() -> None:
+        time.sleep(float(os.environ["LIGHT_FRAME_S"]))
+        work.on_unit()
+
+    return detect(replace(work, on_unit=on_unit))
+
+
+def run_worker() -> None:
+    stages = ModuleType("worker.stages")
+    stages.STAGES = {DETECT: slow_detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}  # type: ignore[attr-defined]
+    sys.modules["worker.stages"] = stages
+    worker_main.main()
+
+
+def run_all(data_dir: Path) -> None:
+    with embedded.occupy(data_dir) as place:
+        JobStore(WorkerSettings(data_dir=place.data_dir).resolved_database_url).migrate()
+        worker = embedded.worker(place, workers=2)
+        here = [sys.executable, __file__, "--worker", "--workers", "2"]
+        Supervisor(
+            [embedded.broker(place), replace(worker, command=here), embedded.reaper(place)], place.logs_dir, say
+        ).run()
+
+
+def say(sentence: str) -> None:
+    sys.stderr.write(f"{sentence}\n")
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "--worker":
+        del sys.argv[1]
+        run_worker()
+    else:
+        run_all(Path(sys.argv[1]))

@@ -1,0 +1,210 @@
+"""Kill each part of a running service in the middle of a job: it ends with the same bytes, and leaves no process."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+import pytest
+from worker.jobs.queue import WorkQueue
+
+from tests.worker.conftest import RESULT, Bench, open_bench
+from worker import embedded
+from worker.jobs.model import FINISHED, Job, JobState
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents, and looks into /proc")
+
+ROOT = Path(__file__).parents[2]
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "nothing happened in time"
+        time.sleep(0.05)
+
+
+def is_alive(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+@dataclass
+class Service:
+    """A running light service and the store that it works on."""
+
+    process: subprocess.Popen[bytes]
+    data_dir: Path
+    bench: Bench
+
+    def tree(self) -> list[psutil.Process]:
+        supervisor = psutil.Process(self.process.pid)
+        return [supervisor, *supervisor.children(recursive=True)]
+
+    def part(self, word: str) -> psutil.Process:
+        """The child of the supervisor whose command line has a word."""
+        found = [one for one in psutil.Process(self.process.pid).children() if word in " ".join(one.cmdline())]
+        assert len(found) == 1, f"{len(found)} children with {word}"
+        return found[0]
+
+    def worker_children(self) -> list[psutil.Process]:
+        return self.part("--worker").children()
+
+    def start_job(self) -> Job:
+        job = self.bench.create_job()
+        self.publish()
+        return job
+
+    def publish(self) -> bool:
+        place = embedded.Place(self.data_dir, self.data_dir / "broker" / "socket")
+        return WorkQueue(place.broker_url).publish()
+
+    def wait_until_detecting(self, job: Job) -> None:
+        wait_for(lambda: self.bench.store.job(job.id).stages[0].done > 0)
+
+    def wait_for_end(self, job: Job, timeout_s: float = 60.0) -> Job:
+        wait_for(lambda: self.bench.store.job(job.id).state in FINISHED, timeout_s)
+        return self.bench.store.job(job.id)
+
+
+@pytest.fixture
+def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
+
+
+def start(data_dir: Path) -> subprocess.Popen[bytes]:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "LIGHT_FRAME_S": "0.15",
+        "MULTICAP_LEASE_S": "3",
+        "MULTICAP_HEARTBEAT_S": "0.3",
+        "MULTICAP_REAP_INTERVAL_S": "1",
+    }
+    return subprocess.Popen(
+        [sys.executable, str(ROOT / "tests" / "worker" / "light_service.py"), str(data_dir)],
+        env=environment,
+        stderr=subprocess.PIPE,
+    )
+
+
+@pytest.fixture
+def service(data_dir: Path) -> Iterator[Service]:
+    bench = open_bench(data_dir)
+    with start(data_dir) as process:
+        try:
+            running = Service(process, data_dir, bench)
+            wait_for(lambda: len(psutil.Process(process.pid).children()) == 3 and len(running.worker_children()) == 2)
+            yield running
+        finally:
+            left = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+            process.terminate()
+            process.wait(30)
+            wait_for(lambda: not any(is_alive(one) for one in left), timeout_s=5)
+            bench.store.close()
+
+
+def test_a_job_runs_on_both_children(service: Service) -> None:
+    job = service.wait_for_end(service.start_job())
+    assert job.state is JobState.SUCCEEDED
+    assert service.bench.result(job.id) == RESULT
+    log = (service.data_dir / "logs" / "worker.log").read_text()
+    assert log.count("chunk_done") == 7
+
+
+def test_a_lost_message_is_made_good(service: Service) -> None:
+    job = service.bench.create_job()  # and nobody publishes
+    assert service.wait_for_end(job).state is JobState.SUCCEEDED
+
+
+def test_a_killed_child_costs_nothing_but_time(service: Service) -> None:
+    job = service.start_job()
+    service.wait_until_detecting(job)
+    before = service.worker_children()
+    before[0].kill()
+    assert service.wait_for_end(job).state is JobState.SUCCEEDED
+    assert service.bench.result(job.id) == RESULT
+    wait_for(lambda: len(service.worker_children()) == 2)
+
+
+def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: Service) -> None:
+    job = service.start_job()
+    service.wait_until_detecting(job)
+    worker = service.part("--worker")
+    children = worker.children()
+    worker.kill()
+    wait_for(lambda: not any(is_alive(child) for child in children), timeout_s=5)
+    assert service.wait_for_end(job).state is JobState.SUCCEEDED
+    assert service.bench.result(job.id) == RESULT
+
+
+def test_a_killed_broker_is_replaced(service: Service) -> None:
+    job = service.start_job()
+    service.wait_until_detecting(job)
+    service.part("valkey-server").kill()
+    assert service.wait_for_end(job).state is JobState.SUCCEEDED
+    assert service.bench.result(job.id) == RESULT
+    # The worker listens to the new one.
+    assert service.wait_for_end(service.start_job()).state is JobState.SUCCEEDED
+
+
+def test_cancel_ends_within_seconds(service: Service) -> None:
+    job = service.start_job()
+    service.wait_until_detecting(job)
+    service.bench.store.cancel(job.id)
+    assert service.wait_for_end(job, timeout_s=5).state is JobState.CANCELED
+
+
+def test_a_stop_gives_chunks_back_and_the_next_start_goes_on(data_dir: Path) -> None:
+    bench = open_bench(data_dir)
+    with start(data_dir) as process:
+        running = Service(process, data_dir, bench)
+        wait_for(lambda: len(psutil.Process(process.pid).children()) == 3)
+        job = running.start_job()
+        running.wait_until_detecting(job)
+        tree = running.tree()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(15) == 0
+    assert not any(is_alive(one) for one in tree)
+    with start(data_dir) as process:
+        assert Service(process, data_dir, bench).wait_for_end(job).state is JobState.SUCCEEDED
+        process.terminate()
+        assert process.wait(15) == 0
+    assert bench.result(job.id) == RESULT
+    bench.store.close()
+
+
+def test_a_killed_supervisor_leaves_no_orphan(data_dir: Path) -> None:
+    bench = open_bench(data_dir)
+    with start(data_dir) as process:
+        running = Service(process, data_dir, bench)
+        wait_for(lambda: len(psutil.Process(process.pid).children()) == 3)
+        running.wait_until_detecting(running.start_job())
+        tree = running.tree()
+        assert len(tree) == 1 + 3 + 2
+        process.kill()
+    wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=10)
+    bench.store.close()
+
+
+def test_a_folder_is_taken_once(tmp_path: Path) -> None:
+    refused = pytest.raises(embedded.DataFolderBusyError, match="Another service runs")
+    with embedded.occupy(tmp_path), refused, embedded.occupy(tmp_path):
+        pass
+    with embedded.occupy(tmp_path):
+        pass
+
+
+def test_a_socket_fits_whatever_the_folder(tmp_path: Path) -> None:
+    deep = tmp_path / ("x" * 100)
+    with embedded.occupy(deep) as place:
+        assert len(str(place.socket)) <= 100
+        assert place.socket.parent.stat().st_mode & 0o077 == 0
+    assert not place.socket.parent.exists()

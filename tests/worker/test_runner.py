@@ -1,0 +1,297 @@
+"""The claim loop on a real store, with small stages."""
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.errors import InputError, ModelError
+from pipeline.errors import Problem as InputProblem
+from tests.worker.conftest import NUM_FRAMES, RESULT, Bench, detect
+from worker.execution import Outcome, Work
+from worker.jobs.model import ChunkState, JobState
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
+
+
+def fail_with(error: Exception) -> Any:
+    def stage(work: Work) -> Outcome:
+        raise error
+
+    return stage
+
+
+class Endless:
+    """A pass that goes on until it is stopped; ``begun`` is set when it runs."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+
+    def __call__(self, work: Work) -> Outcome:
+        self.begun.set()
+        while True:
+            time.sleep(0.01)
+            work.on_unit()
+
+
+def slow_detect(work: Work) -> Outcome:
+    time.sleep(0.05)
+    return detect(work)
+
+
+def in_thread(bench: Bench, **choices: Any) -> threading.Thread:
+    thread = threading.Thread(target=bench.runner(**choices).work, args=[60.0])
+    thread.start()
+    return thread
+
+
+def test_a_job_runs_to_its_results(bench: Bench) -> None:
+    job = bench.create_job()
+    assert bench.runner().work(60.0) == 4 + 3
+    job = bench.store.job(job.id)
+    assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
+    assert [(stage.name, stage.state) for stage in job.stages] == [
+        (name, ChunkState.DONE) for name in (DETECT, ASSOCIATE, FIT, EXPORT)
+    ]
+    assert not any(stage.reused for stage in job.stages)
+    (result,) = bench.store.results(job.id)
+    assert (result.name, result.kind, result.person) == ("person-1.bvh", "bvh", "person-1")
+    assert bench.result(job.id) == RESULT
+
+
+def test_without_work_nothing_is_published(bench: Bench) -> None:
+    assert bench.runner().work(60.0) == 0
+    assert bench.published == 0
+
+
+def test_a_worker_that_finds_work_wakes_the_next(bench: Bench) -> None:
+    published_before_the_first = []
+
+    def first(work: Work) -> Outcome:
+        published_before_the_first.append(bench.published)
+        return detect(work)
+
+    bench.create_job()
+    bench.stages[DETECT] = first
+    bench.runner().work(60.0)
+    assert published_before_the_first[0] == 1
+
+
+def test_after_its_time_a_worker_hands_over(bench: Bench) -> None:
+    bench.create_job()
+    bench.stages[DETECT] = slow_detect
+    assert bench.runner().work(0.01) == 1
+    assert bench.published >= 2
+
+
+def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
+    job = bench.create_job()
+    bench.stages[DETECT] = slow_detect
+    threads = [in_thread(bench) for _ in range(3)]
+    for thread in threads:
+        thread.join()
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+
+
+def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None:
+    bench.create_job()
+    bench.runner().work(60.0)
+    for name in (DETECT, ASSOCIATE, FIT):
+        bench.stages[name] = fail_with(AssertionError("must not run"))
+    again = bench.create_job()
+    bench.runner().work(60.0)
+    job = bench.store.job(again.id)
+    assert job.state is JobState.SUCCEEDED
+    assert {stage.name: stage.reused for stage in job.stages} == {
+        DETECT: True,
+        ASSOCIATE: True,
+        FIT: True,
+        EXPORT: False,
+    }
+    assert bench.result(again.id) == RESULT
+
+
+def test_a_damaged_output_is_made_again(bench: Bench) -> None:
+    bench.create_job()
+    bench.runner().work(60.0)
+    key = bench.store.outputs(bench.store.jobs()[0].id, ASSOCIATE)[0]
+    bench.artifacts.put_bytes(f"sessions/{bench.session.id}/stages/{key}", b"damaged")
+    again = bench.create_job()
+    bench.runner().work(60.0)
+    assert bench.result(again.id) == RESULT
+    assert {stage.name: stage.reused for stage in bench.store.job(again.id).stages}[ASSOCIATE] is False
+
+
+def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
+    problem = InputProblem(
+        "video_truncated", "Frame 7 can't be decoded.", file="left.mp4", camera="left", hint="Copy it."
+    )
+    bench.stages[DETECT] = fail_with(InputError([problem]))
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    job = bench.store.job(job.id)
+    assert job.state is JobState.FAILED
+    assert job.problem is not None
+    assert (job.problem.code, job.problem.detail) == ("video_truncated", "left.mp4: Frame 7 can't be decoded.")
+    assert (job.problem.stage, job.problem.camera, job.problem.hint) == (DETECT, "left", "Copy it.")
+    assert not job.problem.retryable
+
+
+def test_several_problems_are_all_told(bench: Bench) -> None:
+    problems = [InputProblem("video_empty", "The file is empty.", file=name) for name in ("left.mp4", "right.mp4")]
+    bench.stages[DETECT] = fail_with(InputError(problems))
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    found = bench.store.job(job.id).problem
+    assert found is not None
+    assert found.code == "input_error"
+    assert "left.mp4" in found.detail
+    assert "right.mp4" in found.detail
+
+
+def test_a_missing_model_says_what_to_do(bench: Bench) -> None:
+    bench.stages[DETECT] = fail_with(ModelError("The network x is not installed. Run: multicap models install x"))
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    found = bench.store.job(job.id).problem
+    assert found is not None
+    assert (found.code, found.retryable) == ("model_error", False)
+    assert "multicap models install x" in found.detail
+
+
+def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+    tries = []
+
+    def broken(work: Work) -> Outcome:
+        tries.append(work.claim.attempt)
+        raise OSError(28, "No space left on device", "/secret/path")
+
+    bench.stages[ASSOCIATE] = broken
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    found = bench.store.job(job.id)
+    assert tries == [1, 2, 3, 4, 5]
+    assert found.state is JobState.FAILED
+    assert found.problem is not None
+    assert found.problem.retryable
+    assert found.problem.stage == ASSOCIATE
+    assert "secret" not in str(found.problem)
+    assert "/secret/path" in "".join(capfd.readouterr())
+
+
+def test_one_bad_moment_costs_nothing(bench: Bench) -> None:
+    failures = iter([RuntimeError("once")])
+
+    def flaky(work: Work) -> Outcome:
+        for error in failures:
+            raise error
+        return detect(work)
+
+    bench.stages[DETECT] = flaky
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+
+
+def test_cancel_stops_the_running_pass(bench: Bench) -> None:
+    endless = bench.stages[DETECT] = Endless()
+    job = bench.create_job()
+    thread = in_thread(bench)
+    assert endless.begun.wait(5)
+    bench.store.cancel(job.id)
+    asked_s = time.monotonic()
+    thread.join(5)
+    assert not thread.is_alive()
+    assert time.monotonic() - asked_s < 2
+    assert bench.store.job(job.id).state is JobState.CANCELED
+    assert bench.stuck == []
+
+
+def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
+    halfway, go_on = threading.Event(), threading.Event()
+
+    def slow(work: Work) -> Outcome:
+        for _ in range(work.claim.unit_count // 2):
+            work.on_unit()
+        halfway.set()
+        go_on.wait(10)
+        return detect(work)
+
+    bench.stages[DETECT] = slow
+    job = bench.create_job()
+    thread = in_thread(bench)
+    assert halfway.wait(5)
+    deadline_s = time.monotonic() + 5
+    while (done := bench.store.job(job.id).stages[0].done) == 0 and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    go_on.set()
+    thread.join()
+    assert done == 10  # half of the 20 frames that two cameras have in a chunk of ten
+    assert bench.store.job(job.id).stages[0].total == 2 * NUM_FRAMES
+
+
+def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -> None:
+    endless = bench.stages[DETECT] = Endless()
+    job = bench.create_job()
+    thread = in_thread(bench, lease_s=0.3, heartbeat_s=1.5)
+    assert endless.begun.wait(5)
+    bench.stages[DETECT] = detect
+    time.sleep(0.5)
+    assert bench.store.reap() >= 1
+    bench.runner().work(60.0)
+    thread.join(5)
+    assert not thread.is_alive()
+    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+    assert bench.result(job.id) == RESULT
+
+
+def test_shutdown_gives_the_chunk_back(bench: Bench) -> None:
+    endless = bench.stages[DETECT] = Endless()
+    job = bench.create_job()
+    thread = in_thread(bench)
+    assert endless.begun.wait(5)
+    bench.stopping = True
+    thread.join(5)
+    assert not thread.is_alive()
+    bench.stopping = False
+    bench.stages[DETECT] = detect
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+
+
+def test_a_pass_that_does_not_notice_is_given_up(bench: Bench) -> None:
+    begun, hang = threading.Event(), threading.Event()
+
+    def hanging(work: Work) -> Outcome:
+        begun.set()
+        hang.wait(20)
+        return detect(work)
+
+    bench.stages[DETECT] = hanging
+    job = bench.create_job()
+    thread = in_thread(bench)
+    assert begun.wait(5)
+    bench.store.cancel(job.id)
+    asked_s = time.monotonic()
+    while not bench.stuck and time.monotonic() < asked_s + 10:
+        time.sleep(0.02)
+    took_s = time.monotonic() - asked_s
+    state = bench.store.job(job.id).state
+    hang.set()
+    thread.join()
+    assert took_s < 5
+    assert state is JobState.CANCELED
+
+
+def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: Path) -> None:
+    job = bench.create_job()
+    claim = bench.store.claim("a", 0.1)
+    assert claim is not None
+    time.sleep(0.3)
+    bench.store.reap()
+    bench.runner().work(60.0)
+    bench.store.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1)
+    assert bench.store.artifact(bench.session.id, claim.output_key) != ("0" * 64, 1)
+    assert bench.result(job.id) == RESULT
