@@ -1,0 +1,179 @@
+"""Files of sessions and jobs: inputs, outputs of chunks, results.
+
+::
+
+    sessions/<session>/inputs/<number>-<name>
+    sessions/<session>/stages/<output key>
+    jobs/<job>/results/<name>
+"""
+
+import contextlib
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from worker.jobs.errors import NotFound
+
+_KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
+_MAX_NAME = 100
+
+
+def input_key(session_id: str, number: int, name: str) -> str:
+    """Where a session's file is; what a client calls it is kept as far as keys allow."""
+    return f"sessions/{session_id}/inputs/{number}-{_UNSAFE.sub('_', name)[-_MAX_NAME:]}"
+
+
+def stage_key(session_id: str, output_key: str) -> str:
+    """Where a chunk's output is."""
+    return f"sessions/{session_id}/stages/{output_key}"
+
+
+def result_key(job_id: str, name: str) -> str:
+    """Where a job's result file is."""
+    return f"jobs/{job_id}/results/{name}"
+
+
+class ArtifactStore(Protocol):
+    """Immutable files under keys.
+
+    A key consists of names of ASCII letters, digits, ``.``, ``_`` and ``-``, with slashes between them; a name begins
+    with a letter, a digit or ``_``. Every method raises ``ValueError`` for another key. A file is there whole or not at
+    all, and is replaced whole. Where a file is asked for that is not there, ``NotFound`` is raised.
+    """
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Take a file over: afterwards ``path`` is gone."""
+
+    def put_bytes(self, key: str, data: bytes) -> None:
+        """Keep bytes."""
+
+    def open(self, key: str) -> BinaryIO:
+        """Open a file for reading, with seeking."""
+
+    def local_path(self, key: str) -> AbstractContextManager[Path]:
+        """A path to read the file at, inside the block only."""
+
+    def size(self, key: str) -> int:
+        """Bytes of a file."""
+
+    def exists(self, key: str) -> bool:
+        """Whether a file is there."""
+
+    def delete(self, key: str) -> None:
+        """Remove a file, if it is there."""
+
+    def delete_prefix(self, prefix: str) -> None:
+        """Remove every file whose key begins with ``prefix`` and a slash."""
+
+    def ping(self) -> None:
+        """Raise ``OSError`` unless files can be kept now."""
+
+
+class LocalArtifacts:
+    """Artifacts as files in a folder, on one file system.
+
+    Parameters
+    ----------
+    root
+        The folder; made if missing.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._incoming = root / ".incoming"  # no key begins with a dot
+        self._incoming.mkdir(parents=True, exist_ok=True)
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Take a file over: renamed where the file system allows, else copied."""
+        target = self._path(key)
+        with self._temporary() as temporary:
+            try:
+                path.replace(temporary)
+            except OSError:
+                shutil.copyfile(path, temporary)
+            _sync(temporary)
+            self._publish(temporary, target)
+        path.unlink(missing_ok=True)
+
+    def put_bytes(self, key: str, data: bytes) -> None:
+        """Keep bytes."""
+        target = self._path(key)
+        with self._temporary() as temporary:
+            temporary.write_bytes(data)
+            _sync(temporary)
+            self._publish(temporary, target)
+
+    def open(self, key: str) -> BinaryIO:
+        """Open a file for reading."""
+        try:
+            return self._path(key).open("rb")
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
+            raise NotFound(f"There is no artifact {key}.") from error
+
+    @contextlib.contextmanager
+    def local_path(self, key: str) -> Iterator[Path]:
+        """The file itself."""
+        self.size(key)
+        yield self._path(key)
+
+    def size(self, key: str) -> int:
+        """Bytes of a file."""
+        path = self._path(key)
+        if not path.is_file():
+            raise NotFound(f"There is no artifact {key}.")
+        return path.stat().st_size
+
+    def exists(self, key: str) -> bool:
+        """Whether a file is there."""
+        return self._path(key).is_file()
+
+    def delete(self, key: str) -> None:
+        """Remove a file, if it is there."""
+        if self.exists(key):
+            self._path(key).unlink(missing_ok=True)
+
+    def delete_prefix(self, prefix: str) -> None:
+        """Remove a folder with all that is in it."""
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            shutil.rmtree(self._path(prefix))
+
+    def ping(self) -> None:
+        """Raise ``OSError`` unless files can be kept now."""
+        with self._temporary() as temporary:
+            temporary.write_bytes(b"ping")
+
+    def _path(self, key: str) -> Path:
+        if _KEY.fullmatch(key) is None:
+            raise ValueError(f"{key!r} is no key of an artifact")
+        return self._root / key
+
+    @contextlib.contextmanager
+    def _temporary(self) -> Iterator[Path]:
+        handle, name = tempfile.mkstemp(dir=self._incoming)
+        os.close(handle)
+        try:
+            yield Path(name)
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+    def _publish(self, temporary: Path, target: Path) -> None:
+        """Give a complete file its name, so that it survives a loss of power."""
+        missing = [folder for folder in target.parents if not folder.exists()]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary.replace(target)
+        for folder in [target.parent, *(made.parent for made in missing)]:
+            _sync(folder)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

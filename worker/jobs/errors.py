@@ -1,0 +1,25 @@
+"""Errors of the job store, in the store's words; what they mean over HTTP is the web API's business.
+
+::
+
+    JobStoreError            a sentence for a person
+    ├── NotFound             there is no such session, job, result or artifact
+    └── Conflict             not in this state
+        └── NotFinished      results were asked of a job that is still at work
+"""
+
+
+class JobStoreError(Exception):
+    """Base of what the store refuses."""
+
+
+class NotFound(JobStoreError):  # noqa: N818 - a state of things, not a mishap
+    """There is no such session, job, result or artifact."""
+
+
+class Conflict(JobStoreError):  # noqa: N818
+    """The job's or session's state does not allow it."""
+
+
+class NotFinished(Conflict):
+    """The job is still at work."""

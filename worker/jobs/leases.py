@@ -1,0 +1,227 @@
+"""Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Connection, Row, case, func, insert, select, update
+from uuid_utils import uuid7
+
+from worker.jobs.database import Database, now, upsert
+from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result
+from worker.jobs.spec import JobSpec
+from worker.jobs.tables import artifacts, chunks, jobs, results
+from worker.jobs.transitions import advance, fail_job, move_chunk, move_job, settle_canceling
+
+# Tries that a chunk has: lost leases and failures worth another try count alike.
+MAX_ATTEMPTS = 5
+
+_AT_WORK = (JobState.QUEUED, JobState.RUNNING)
+
+
+class Leases:
+    """The workers' side of the store.
+
+    A claim carries a token; reports with another token, or after the lease was taken back, change nothing and are
+    answered by ``False``. Times come from the database's clock.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def claim(self, worker: str, lease_s: float) -> Claim | None:
+        """Take the next ready chunk of the oldest job that has one; ``None`` if no job has."""
+        oldest = (
+            select(jobs.c.id)
+            .join(chunks, chunks.c.job_id == jobs.c.id)
+            .where(chunks.c.state == ChunkState.READY, jobs.c.state.in_(_AT_WORK))
+            .order_by(jobs.c.queued_at, jobs.c.id)
+            .limit(1)
+        )
+        while True:
+            with self._database.reading() as connection:
+                job_id = connection.scalar(oldest)
+            if job_id is None:
+                return None
+            if (claim := self._claim_of(job_id, worker, lease_s)) is not None:
+                return claim
+
+    def _claim_of(self, job_id: str, worker: str, lease_s: float) -> Claim | None:
+        """Take a job's next ready chunk, unless others took its last one in the meantime."""
+        first = (
+            select(chunks.c.id)
+            .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY)
+            .where(select(jobs.c.id).where(jobs.c.id == job_id, jobs.c.state.in_(_AT_WORK)).exists())
+            .order_by(chunks.c.stage_index, chunks.c.chunk_index)
+            .limit(1)
+            .with_for_update(skip_locked=True)
+        )
+        take = (
+            update(chunks)
+            .where(chunks.c.id == first.scalar_subquery(), chunks.c.state == ChunkState.READY)
+            .values(
+                state=ChunkState.RUNNING,
+                worker=worker,
+                lease_token=str(uuid7()),
+                lease_until=now() + lease_s,
+                started_at=func.coalesce(chunks.c.started_at, now()),
+            )
+            .returning(chunks)
+        )
+        with self._database.writing() as connection:
+            job = connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
+            chunk = connection.execute(take).one_or_none()
+            if job is None or chunk is None:
+                return None
+            move_job(connection, job_id, JobState.RUNNING, started_at=now())
+        return Claim(
+            chunk_id=chunk.id,
+            job_id=job_id,
+            session_id=job.session_id,
+            stage=chunk.stage,
+            index=chunk.chunk_index,
+            payload=chunk.payload,
+            unit_count=chunk.unit_count,
+            output_key=chunk.output_key,
+            spec=JobSpec.model_validate(job.spec),
+            lease_token=chunk.lease_token,
+            attempt=chunk.attempt,
+        )
+
+    def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
+        """Renew a lease and say how far its chunk is. ``False``: the work is no longer wanted, stop now."""
+        at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
+        further = case((chunks.c.done_units < done_units, done_units), else_=chunks.c.done_units)
+        with self._database.writing() as connection:
+            renewed = connection.execute(
+                update(chunks)
+                .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
+                .values(lease_until=now() + lease_s, done_units=further)
+            )
+        return renewed.rowcount == 1
+
+    def finish(
+        self,
+        chunk_id: int,
+        lease_token: str,
+        sha256: str,
+        num_bytes: int,
+        reused: bool = False,
+        results: Sequence[Result] = (),
+    ) -> bool:
+        """Record a chunk's output, and its job's result files if it left any; whether the next stage became ready."""
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            upsert(
+                connection,
+                artifacts,
+                {
+                    "session_id": job.session_id,
+                    "output_key": chunk.output_key,
+                    "sha256": sha256,
+                    "num_bytes": num_bytes,
+                },
+            )
+            _record_results(connection, job.id, results)
+            move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
+            if job.state == JobState.CANCELING:
+                settle_canceling(connection, job.id)
+                return False
+            return advance(connection, job.id, chunk.stage_index)
+
+    def fail(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
+        """Give a chunk back after a problem: for another try, or as the end of its job. Whether it became ready."""
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            return held is not None and _try_again(connection, *held, problem)
+
+    def release(self, chunk_id: int, lease_token: str) -> bool:
+        """Give a chunk back unfinished, because its job is canceled or its worker stops. Whether it became ready."""
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, chunk)
+                return False
+            move_chunk(connection, chunk.id, ChunkState.READY)
+            return True
+
+    def reap(self) -> int:
+        """Take back chunks whose workers have fallen silent; how many chunks are ready for a worker now.
+
+        Such a chunk is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled
+        ends when its last running chunk is taken back.
+        """
+        expired = select(chunks.c.id, chunks.c.lease_token).where(
+            chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
+        )
+        with self._database.reading() as connection:
+            found = connection.execute(expired).all()
+        for chunk_id, lease_token in found:
+            with self._database.writing() as connection:
+                held = _lock_held(connection, chunk_id, lease_token, expired=True)
+                if held is not None:
+                    _try_again(connection, *held, _worker_lost(held[1].stage))
+        ready = (
+            select(func.count())
+            .select_from(chunks.join(jobs))
+            .where(chunks.c.state == ChunkState.READY, jobs.c.state.in_(_AT_WORK))
+        )
+        with self._database.reading() as connection:
+            return connection.scalar(ready) or 0
+
+
+def _is_held(lease_token: str) -> Any:
+    return (chunks.c.lease_token == lease_token) & (chunks.c.state == ChunkState.RUNNING)
+
+
+def _lock_held(
+    connection: Connection, chunk_id: int, lease_token: str, expired: bool = False
+) -> tuple[Row[Any], Row[Any]] | None:
+    """Lock the job of a chunk that is held by a token; job and chunk, or ``None`` if it is not (or not expired)."""
+    held = select(chunks).where(chunks.c.id == chunk_id, _is_held(lease_token))
+    if expired:
+        held = held.where(chunks.c.lease_until < now())
+    seen = connection.execute(held).one_or_none()
+    if seen is None:
+        return None
+    job = connection.execute(select(jobs).where(jobs.c.id == seen.job_id).with_for_update()).one_or_none()
+    chunk = connection.execute(held).one_or_none()  # again: it may have been taken back while we waited for the lock
+    return None if job is None or chunk is None else (job, chunk)
+
+
+def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem) -> bool:
+    """Make a chunk ready for its next try, or end its job; whether it became ready."""
+    if job.state == JobState.CANCELING:
+        _cancel(connection, job, chunk)
+        return False
+    if problem.retryable and chunk.attempt < MAX_ATTEMPTS:
+        move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1)
+        return True
+    fail_job(connection, job.id, chunk.id, problem)
+    return False
+
+
+def _cancel(connection: Connection, job: Row[Any], chunk: Row[Any]) -> None:
+    move_chunk(connection, chunk.id, ChunkState.CANCELED)
+    settle_canceling(connection, job.id)
+
+
+def _worker_lost(stage: str) -> Problem:
+    return Problem(
+        "worker_lost",
+        f"The workers of the stage {stage} ended without a word, {MAX_ATTEMPTS} times.",
+        stage=stage,
+        hint="They may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
+        retryable=True,
+    )
+
+
+def _record_results(connection: Connection, job_id: str, found: Sequence[Result]) -> None:
+    if found:
+        connection.execute(insert(results), [{"job_id": job_id, **asdict(result)} for result in found])

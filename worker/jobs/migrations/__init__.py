@@ -1,0 +1,1 @@
+"""The schema's history, by alembic; applied by ``JobStore.migrate``."""

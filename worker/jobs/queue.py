@@ -1,0 +1,51 @@
+"""Tell the workers that there is work; what work, the database says."""
+
+from celery import Celery
+from kombu.exceptions import OperationalError
+
+QUEUE_NAME = "multicap"
+TASK_NAME = "multicap.work"
+
+_TIMEOUT_S = 2.0
+
+
+class WorkQueue:
+    """The broker, as the publishers see it.
+
+    Parameters
+    ----------
+    broker_url
+        Celery's broker URL.
+    """
+
+    def __init__(self, broker_url: str) -> None:
+        self._celery = Celery(broker=broker_url, set_as_current=False)
+        self._celery.conf.update(
+            task_ignore_result=True,
+            broker_connection_timeout=_TIMEOUT_S,
+            broker_transport_options={
+                "socket_timeout": _TIMEOUT_S,
+                "socket_connect_timeout": _TIMEOUT_S,
+                "max_retries": 0,
+            },
+        )
+
+    def publish(self) -> bool:
+        """Wake a worker. ``False`` if the broker is away: the reaper wakes one later."""
+        try:
+            self._celery.send_task(TASK_NAME, queue=QUEUE_NAME, retry=False)
+        except (OperationalError, OSError):
+            return False
+        return True
+
+    def ping(self) -> None:
+        """Raise ``ConnectionError`` if the broker does not answer."""
+        try:
+            with self._celery.connection_for_write() as connection:
+                connection.ensure_connection(max_retries=0, timeout=_TIMEOUT_S)
+        except (OperationalError, OSError) as error:
+            raise ConnectionError("The broker does not answer.") from error
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._celery.close()

@@ -1,0 +1,119 @@
+"""The tables. A change here needs a migration beside it (a test compares the two).
+
+Times are seconds since 1970 in UTC, taken from the database's clock only: the machines' clocks need not agree.
+"""
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    Dialect,
+    Double,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    TypeDecorator,
+    UniqueConstraint,
+)
+
+
+class Moment(TypeDecorator[datetime]):
+    """A time that is a number for the database, which adds to it, and a ``datetime`` in UTC for who reads it."""
+
+    impl = Double
+    cache_ok = True
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:
+        """Read a time."""
+        return None if value is None else datetime.fromtimestamp(value, UTC)
+
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+sessions = Table(
+    "sessions",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("name", String, nullable=False),
+    Column("created_at", Moment, nullable=False),
+    Column("files", JSON, nullable=False),
+    Column("preflight", JSON, nullable=False),
+)
+
+jobs = Table(
+    "jobs",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("session_id", ForeignKey("sessions.id", ondelete="CASCADE"), nullable=False, index=True),
+    Column("state", String(16), nullable=False),
+    Column("spec", JSON, nullable=False),
+    Column("attempt", Integer, nullable=False),
+    Column("problem", JSON(none_as_null=True)),
+    Column("created_at", Moment, nullable=False),
+    Column("queued_at", Moment, nullable=False),  # of this attempt: a retry goes to the end of the queue
+    Column("started_at", Moment),
+    Column("finished_at", Moment),
+    Index(None, "state", "queued_at"),
+)
+
+chunks = Table(
+    "chunks",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
+    Column("stage_index", Integer, nullable=False),
+    Column("stage", String(32), nullable=False),
+    Column("chunk_index", Integer, nullable=False),
+    Column("payload", JSON, nullable=False),
+    Column("output_key", String(128), nullable=False),
+    Column("unit_count", Integer, nullable=False),
+    Column("done_units", Integer, nullable=False, default=0),  # the most that any try got to: progress never goes back
+    Column("state", String(16), nullable=False),
+    Column("attempt", Integer, nullable=False, default=1),
+    Column("reused", Boolean(create_constraint=False), nullable=False, default=False),
+    Column("worker", String),
+    Column("lease_token", String(36)),
+    Column("lease_until", Moment),
+    Column("started_at", Moment),
+    Column("finished_at", Moment),
+    UniqueConstraint("job_id", "stage_index", "chunk_index"),
+    Index(None, "state"),
+    sqlite_autoincrement=True,  # a retry replaces a job's chunks: an old number must not come to mean a new chunk
+)
+
+results = Table(
+    "results",
+    metadata,
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("name", String(255), primary_key=True),
+    Column("kind", String(32), nullable=False),
+    Column("person", String),
+    Column("media_type", String, nullable=False),
+    Column("key", String, nullable=False),
+    Column("num_bytes", BigInteger, nullable=False),
+    Column("sha256", String(64), nullable=False),
+)
+
+# Outputs of chunks that were finished. They outlive the jobs that made them, until their session is deleted.
+artifacts = Table(
+    "artifacts",
+    metadata,
+    Column("session_id", ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True),
+    Column("output_key", String(128), primary_key=True),
+    Column("num_bytes", BigInteger, nullable=False),
+    Column("sha256", String(64), nullable=False),
+)

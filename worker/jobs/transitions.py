@@ -1,0 +1,97 @@
+"""Moves of jobs and chunks from state to state, inside a transaction of the caller's.
+
+Whoever changes a job or its chunks locks the job first, so two changes of one job never overlap and never wait for each
+other in a circle. (A heartbeat touches one row and locks nothing else.)
+"""
+
+from collections.abc import Collection
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Connection, Row, select, update
+
+from worker.jobs.database import now
+from worker.jobs.errors import NotFound
+from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
+from worker.jobs.tables import chunks, jobs
+
+_NO_LEASE = {"lease_token": None, "lease_until": None}
+_ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
+
+
+def lock_job(connection: Connection, job_id: str) -> Row[Any]:
+    """Keep a job from being changed by others until the transaction ends.
+
+    Raises
+    ------
+    NotFound
+    """
+    row = connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
+    if row is None:
+        raise NotFound("There is no such job.")
+    return row
+
+
+def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
+    """Move a job if that is legal from where it is; whether it was moved."""
+    sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
+    if to in FINISHED:
+        values["finished_at"] = now()
+    moved = connection.execute(
+        update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
+    )
+    return moved.rowcount == 1
+
+
+def move_chunk(connection: Connection, chunk_id: int, to: ChunkState, **values: Any) -> None:
+    """End the lease of a chunk whose job is locked, and say what it is now."""
+    if to in _ENDED:
+        values["finished_at"] = now()
+    connection.execute(update(chunks).where(chunks.c.id == chunk_id).values(state=to, **_NO_LEASE, **values))
+
+
+def cancel_chunks(connection: Connection, job_id: str, states: Collection[ChunkState]) -> None:
+    """Cancel a locked job's chunks that are in some states."""
+    connection.execute(
+        update(chunks)
+        .where(chunks.c.job_id == job_id, chunks.c.state.in_(states))
+        .values(state=ChunkState.CANCELED, finished_at=now(), **_NO_LEASE)
+    )
+
+
+def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
+    """Go on after a chunk of a stage was done: to the next stage, or to the job's end. Whether a stage became ready."""
+    unfinished = select(chunks.c.id).where(
+        chunks.c.job_id == job_id, chunks.c.stage_index == stage_index, chunks.c.state != ChunkState.DONE
+    )
+    if connection.execute(unfinished.limit(1)).first() is not None:
+        return False
+    waiting = (
+        select(chunks.c.stage_index)
+        .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.WAITING)
+        .order_by(chunks.c.stage_index)
+    )
+    next_stage = connection.scalar(waiting.limit(1))
+    if next_stage is None:
+        move_job(connection, job_id, JobState.SUCCEEDED)
+        return False
+    connection.execute(
+        update(chunks)
+        .where(chunks.c.job_id == job_id, chunks.c.stage_index == next_stage)
+        .values(state=ChunkState.READY)
+    )
+    return True
+
+
+def fail_job(connection: Connection, job_id: str, chunk_id: int, problem: Problem) -> None:
+    """End a locked job by one chunk's problem; its other chunks are canceled, and their workers lose their leases."""
+    move_chunk(connection, chunk_id, ChunkState.FAILED)
+    cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING))
+    move_job(connection, job_id, JobState.FAILED, problem=asdict(problem))
+
+
+def settle_canceling(connection: Connection, job_id: str) -> None:
+    """End a locked job that is being canceled, unless one of its chunks still runs."""
+    running = select(chunks.c.id).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.RUNNING)
+    if connection.execute(running.limit(1)).first() is None:
+        move_job(connection, job_id, JobState.CANCELED)
