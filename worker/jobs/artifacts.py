@@ -69,10 +69,10 @@ class ArtifactStore(Protocol):
         """Remove a file, if it is there."""
 
     def delete_prefix(self, prefix: str) -> None:
-        """Remove every file whose key begins with ``prefix`` and a slash."""
+        """Remove every file whose key begins with ``prefix``, which ends with a slash."""
 
-    def ping(self) -> None:
-        """Raise ``OSError`` unless files can be kept now."""
+    def ping(self) -> bool:
+        """Whether files can be kept now."""
 
 
 class LocalArtifacts:
@@ -140,13 +140,19 @@ class LocalArtifacts:
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove a folder with all that is in it."""
+        if not prefix.endswith("/"):
+            raise ValueError(f"{prefix!r} does not end with a slash")
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            shutil.rmtree(self._path(prefix))
+            shutil.rmtree(self._path(prefix.removesuffix("/")))
 
-    def ping(self) -> None:
-        """Raise ``OSError`` unless files can be kept now."""
-        with self._temporary() as temporary:
-            temporary.write_bytes(b"ping")
+    def ping(self) -> bool:
+        """Whether files can be kept now."""
+        try:
+            with self._temporary() as temporary:
+                temporary.write_bytes(b"ping")
+        except OSError:
+            return False
+        return True
 
     def _path(self, key: str) -> Path:
         if _KEY.fullmatch(key) is None:

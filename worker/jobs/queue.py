@@ -38,13 +38,14 @@ class WorkQueue:
             return False
         return True
 
-    def ping(self) -> None:
-        """Raise ``ConnectionError`` if the broker does not answer."""
+    def ping(self) -> bool:
+        """Whether the broker answers."""
         try:
             with self._celery.connection_for_write() as connection:
                 connection.ensure_connection(max_retries=0, timeout=_TIMEOUT_S)
-        except (OperationalError, OSError) as error:
-            raise ConnectionError("The broker does not answer.") from error
+        except (OperationalError, OSError):
+            return False
+        return True
 
     def close(self) -> None:
         """Close the connections."""

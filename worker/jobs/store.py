@@ -1,6 +1,7 @@
 """The job store: what is to be done, who does it, and what came of it."""
 
 from sqlalchemy import select
+from sqlalchemy.exc import DBAPIError
 
 from worker.jobs.database import Database
 from worker.jobs.leases import MAX_ATTEMPTS, Leases
@@ -28,10 +29,14 @@ class JobStore(Records, Leases):
         """Bring the schema up to date; several processes may try at once."""
         self._database.migrate()
 
-    def ping(self) -> None:
-        """Ask the database for a word; raises SQLAlchemy's error if it does not answer or has no schema."""
-        with self._database.reading() as connection:
-            connection.execute(select(sessions.c.id).limit(1))
+    def ping(self) -> bool:
+        """Whether the database answers, and has the schema."""
+        try:
+            with self._database.reading() as connection:
+                connection.execute(select(sessions.c.id).limit(1))
+        except DBAPIError:
+            return False
+        return True
 
     def close(self) -> None:
         """Close the connections that are not in use."""
