@@ -9,7 +9,7 @@ from collections.abc import Callable
 import structlog
 
 from worker.execution import ResultFile, Stages, StoppedError, Work
-from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.artifacts import ArtifactStore, result_key, stage_key
 from worker.jobs.model import Claim, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
@@ -20,16 +20,6 @@ log = structlog.get_logger()
 
 # What it leaves belongs to one job, under the job's name: there is nothing that another job could reuse.
 _NEVER_REUSED = frozenset({EXPORT})
-
-
-def artifact_key(session_id: str, output_key: str) -> str:
-    """Where a chunk's output is in the artifact store."""
-    return f"sessions/{session_id}/stages/{output_key}"
-
-
-def result_key(job_id: str, name: str) -> str:
-    """Where a job's result file is in the artifact store."""
-    return f"jobs/{job_id}/results/{name}"
 
 
 class Runner:
@@ -95,8 +85,7 @@ class Runner:
                     more = self._finish(claim, lease)
             except StoppedError:
                 log.info("chunk_stopped")
-                self._store.release(claim.chunk_id, claim.lease_token)
-                return
+                more = self._store.release(claim.chunk_id, claim.lease_token)
             except Exception as error:
                 log.exception("chunk_failed", attempt=claim.attempt)
                 more = self._store.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
@@ -106,8 +95,10 @@ class Runner:
     def _lease(self, claim: Claim) -> Lease:
         def on_stuck() -> None:
             log.warning("chunk_stuck", job=claim.job_id, stage=claim.stage, chunk=claim.index)
-            self._store.release(claim.chunk_id, claim.lease_token)
-            self._on_stuck()
+            try:
+                self._store.release(claim.chunk_id, claim.lease_token)
+            finally:
+                self._on_stuck()
 
         return Lease(self._store, claim, self._lease_s, self._heartbeat_s, self._stopping, on_stuck)
 
@@ -128,7 +119,7 @@ class Runner:
         )
         lease.check()
         results = [self._keep(claim, file) for file in outcome.files]
-        self._artifacts.put_bytes(artifact_key(claim.session_id, claim.output_key), outcome.content)
+        self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), outcome.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return self._store.finish(
             claim.chunk_id, claim.lease_token, _sha256(outcome.content), len(outcome.content), results=results
@@ -139,14 +130,14 @@ class Runner:
         if claim.stage in _NEVER_REUSED:
             return None
         recorded = self._store.artifact(claim.session_id, claim.output_key)
-        key = artifact_key(claim.session_id, claim.output_key)
+        key = stage_key(claim.session_id, claim.output_key)
         if recorded is None or not self._artifacts.exists(key):
             return None
         return recorded if _sha256(self._read(key)) == recorded[0] else None
 
     def _outputs(self, claim: Claim, stage: str) -> list[bytes]:
         keys = self._store.outputs(claim.job_id, stage)
-        return [self._read(artifact_key(claim.session_id, key)) for key in keys]
+        return [self._read(stage_key(claim.session_id, key)) for key in keys]
 
     def _read(self, key: str) -> bytes:
         with self._artifacts.open(key) as file:

@@ -11,6 +11,7 @@ from pipeline.errors import InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from tests.worker.conftest import NUM_FRAMES, RESULT, Bench, detect
 from worker.execution import Outcome, Work
+from worker.jobs.artifacts import stage_key
 from worker.jobs.model import ChunkState, JobState
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
 
@@ -117,7 +118,7 @@ def test_a_damaged_output_is_made_again(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     key = bench.store.outputs(bench.store.jobs()[0].id, ASSOCIATE)[0]
-    bench.artifacts.put_bytes(f"sessions/{bench.session.id}/stages/{key}", b"damaged")
+    bench.artifacts.put_bytes(stage_key(bench.session.id, key), b"damaged")
     again = bench.create_job()
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
