@@ -11,7 +11,7 @@ from worker.jobs.database import Database, now, upsert
 from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, jobs, results
-from worker.jobs.transitions import advance, fail_job, move_chunk, move_job, settle_canceling
+from worker.jobs.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
 
 # Tries that a chunk has: lost leases and failures worth another try count alike.
 MAX_ATTEMPTS = 5
@@ -51,14 +51,12 @@ class Leases:
         first = (
             select(chunks.c.id)
             .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY)
-            .where(select(jobs.c.id).where(jobs.c.id == job_id, jobs.c.state.in_(_AT_WORK)).exists())
             .order_by(chunks.c.stage_index, chunks.c.chunk_index)
             .limit(1)
-            .with_for_update(skip_locked=True)
         )
         take = (
             update(chunks)
-            .where(chunks.c.id == first.scalar_subquery(), chunks.c.state == ChunkState.READY)
+            .where(chunks.c.id == first.scalar_subquery())
             .values(
                 state=ChunkState.RUNNING,
                 worker=worker,
@@ -69,9 +67,11 @@ class Leases:
             .returning(chunks)
         )
         with self._database.writing() as connection:
-            job = connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
+            job = lock_job(connection, job_id)
+            if job is None or job.state not in _AT_WORK:
+                return None
             chunk = connection.execute(take).one_or_none()
-            if job is None or chunk is None:
+            if chunk is None:
                 return None
             move_job(connection, job_id, JobState.RUNNING, started_at=now())
         return Claim(
@@ -89,9 +89,16 @@ class Leases:
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
-        """Renew a lease and say how far its chunk is. ``False``: the work is no longer wanted, stop now."""
+        """Renew a lease and say how far its chunk is. ``False``: the work is no longer wanted, stop now.
+
+        A chunk's progress stays between what any try of it got to and ``unit_count``.
+        """
         at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
-        further = case((chunks.c.done_units < done_units, done_units), else_=chunks.c.done_units)
+        further = case(
+            (chunks.c.unit_count < done_units, chunks.c.unit_count),
+            (chunks.c.done_units < done_units, done_units),
+            else_=chunks.c.done_units,
+        )
         with self._database.writing() as connection:
             renewed = connection.execute(
                 update(chunks)
@@ -190,8 +197,9 @@ def _lock_held(
     seen = connection.execute(held).one_or_none()
     if seen is None:
         return None
-    job = connection.execute(select(jobs).where(jobs.c.id == seen.job_id).with_for_update()).one_or_none()
-    chunk = connection.execute(held).one_or_none()  # again: it may have been taken back while we waited for the lock
+    job = lock_job(connection, seen.job_id)
+    # Again: it may have been taken back while we waited for the lock; and a heartbeat has to wait now.
+    chunk = connection.execute(held.with_for_update()).one_or_none()
     return None if job is None or chunk is None else (job, chunk)
 
 

@@ -87,6 +87,8 @@ class Records:
         ------
         NotFound
             There is no such session.
+        ValueError
+            There is no stage, or one without chunks: such a job would never end.
         """
         job_id = str(uuid7())
         with self._database.writing() as connection:
@@ -134,7 +136,7 @@ class Records:
             It is unfinished.
         """
         with self._database.writing() as connection:
-            _require_finished(lock_job(connection, job_id), Conflict("The job is unfinished; cancel it first."))
+            _require_finished(_locked_job(connection, job_id), Conflict("The job is unfinished; cancel it first."))
             keys = connection.scalars(select(results.c.key).where(results.c.job_id == job_id)).all()
             connection.execute(delete(jobs).where(jobs.c.id == job_id))
         return list(keys)
@@ -149,7 +151,7 @@ class Records:
             It is finished.
         """
         with self._database.writing() as connection:
-            job = lock_job(connection, job_id)
+            job = _locked_job(connection, job_id)
             if job.state in FINISHED:
                 raise Conflict(f"The job is {job.state} already.")
             move_job(connection, job_id, JobState.CANCELING)
@@ -169,7 +171,7 @@ class Records:
             It has neither failed nor been canceled.
         """
         with self._database.writing() as connection:
-            job = lock_job(connection, job_id)
+            job = _locked_job(connection, job_id)
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None}
             if not move_job(connection, job_id, JobState.QUEUED, started_at=None, finished_at=None, **again):
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
@@ -242,12 +244,21 @@ def _job(connection: Connection, job_id: str) -> Job:
     return found[0]
 
 
+def _locked_job(connection: Connection, job_id: str) -> Row[Any]:
+    row = lock_job(connection, job_id)
+    if row is None:
+        raise NotFound("There is no such job.")
+    return row
+
+
 def _require_finished(job: Row[Any], error: Conflict) -> None:
     if job.state not in FINISHED:
         raise error
 
 
 def _insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
+    if not stages or not all(stage.chunks for stage in stages):
+        raise ValueError("a job needs a stage, and every stage a chunk")
     connection.execute(
         insert(chunks),
         [

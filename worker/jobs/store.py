@@ -1,7 +1,7 @@
 """The job store: what is to be done, who does it, and what came of it."""
 
 from sqlalchemy import select
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import SQLAlchemyError
 
 from worker.jobs.database import Database
 from worker.jobs.leases import MAX_ATTEMPTS, Leases
@@ -34,7 +34,7 @@ class JobStore(Records, Leases):
         try:
             with self._database.reading() as connection:
                 connection.execute(select(sessions.c.id).limit(1))
-        except DBAPIError:
+        except SQLAlchemyError:
             return False
         return True
 

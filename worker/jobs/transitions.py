@@ -11,7 +11,6 @@ from typing import Any
 from sqlalchemy import Connection, Row, select, update
 
 from worker.jobs.database import now
-from worker.jobs.errors import NotFound
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
 from worker.jobs.tables import chunks, jobs
 
@@ -19,17 +18,9 @@ _NO_LEASE = {"lease_token": None, "lease_until": None}
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
-def lock_job(connection: Connection, job_id: str) -> Row[Any]:
-    """Keep a job from being changed by others until the transaction ends.
-
-    Raises
-    ------
-    NotFound
-    """
-    row = connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
-    if row is None:
-        raise NotFound("There is no such job.")
-    return row
+def lock_job(connection: Connection, job_id: str) -> Row[Any] | None:
+    """Keep a job from being changed by others until the transaction ends; ``None`` if there is no such job."""
+    return connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
 
 
 def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
