@@ -1,0 +1,70 @@
+"""Put the web API together."""
+
+import contextlib
+import shutil
+from collections.abc import AsyncIterator
+
+from anyio import CapacityLimiter
+from fastapi import FastAPI
+from starlette.concurrency import run_in_threadpool
+
+from api import contract, errors
+from api.dependencies import Services
+from api.middleware import ForeignPageGuard, RequestContext
+from api.preflight import Preflight
+from api.routes import health, jobs, page, results, sessions
+from api.settings import Settings
+from worker.jobs.artifacts import LocalArtifacts
+from worker.jobs.queue import WorkQueue
+from worker.jobs.store import JobStore
+
+_LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Make the application; the only place where its parts are chosen.
+
+    Nothing is touched until it starts.
+    """
+    app = FastAPI(
+        title="Multicap",
+        version="1",
+        description="Markerless motion capture of several people from calibrated cameras.",
+        lifespan=_lifespan,
+        docs_url=None,
+        redoc_url=None,
+        responses=contract.problems(403, 500, 503),
+    )
+    app.state.settings = settings
+    app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
+    for router in (sessions.router, jobs.router, jobs.small, results.router, health.router, page.router):
+        app.include_router(router)
+    errors.install(app)
+    app.add_middleware(ForeignPageGuard, allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts)
+    app.add_middleware(RequestContext)
+    return app
+
+
+@contextlib.asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    services = await run_in_threadpool(_start, app.state.settings)
+    app.state.services = services
+    yield
+    services.queue.close()
+    services.store.close()
+
+
+def _start(settings: Settings) -> Services:
+    # What an earlier process was receiving when it was killed; the folder is this process's alone.
+    shutil.rmtree(settings.spool_dir, ignore_errors=True)
+    settings.spool_dir.mkdir(parents=True)
+    store = JobStore(settings.resolved_database_url)
+    store.migrate()
+    return Services(
+        settings=settings,
+        store=store,
+        artifacts=LocalArtifacts(settings.artifacts_dir),
+        queue=WorkQueue(settings.broker_url),
+        preflight=Preflight(settings.preflight_command, settings.preflight_timeout_s, settings.max_preflight_bytes),
+        preflight_limiter=CapacityLimiter(settings.max_parallel_preflights),
+    )

@@ -1,0 +1,121 @@
+"""What the routes declare of themselves in OpenAPI: their errors, their forms."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaMode
+
+from api import examples
+from api.errors import ErrorItem, ProblemDetails
+from api.form import CALIBRATION, VIDEOS
+from api.schemas import Manifest
+from worker.jobs.spec import JobSpec
+
+_SCHEMA_REF = "#/components/schemas/{model}"
+_DOCUMENTS: dict[str, type[BaseModel]] = {"manifest": Manifest, "spec": JobSpec}
+
+_MEANINGS = {
+    400: "The request can't be read.",
+    403: "The request comes by a name, or from a page, that may not use the service.",
+    404: "There is no such thing.",
+    409: "Its state does not allow it.",
+    410: "It was there, and was removed.",
+    413: "Larger than the service takes.",
+    415: "Not a type of content that is taken here.",
+    416: "The file has no such range.",
+    422: "All that is wrong with the request.",
+    500: "The service failed.",
+    503: "A part of the service is away.",
+    507: "The service's disk is full; nothing was kept.",
+}
+
+Responses = dict[int | str, dict[str, Any]]
+
+
+def answer(example: str) -> dict[str, Any]:
+    """Declare an answer's example, one of ``api.examples.ANSWERS``."""
+    return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
+
+
+def problems(*statuses: int) -> Responses:
+    """Declare errors."""
+    return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
+
+
+def form_body(*documents: str) -> dict[str, Any]:
+    """Declare a form of videos, a calibration and some JSON parts."""
+    file = {"type": "string", "contentMediaType": "application/octet-stream"}
+    parts = {part: {"$ref": _SCHEMA_REF.format(model=_DOCUMENTS[part].__name__)} for part in documents}
+    properties = {
+        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "One a camera."},
+        CALIBRATION: file | {"description": "Of all cameras."},
+        **parts,
+    }
+    return {
+        "requestBody": {
+            "required": True,
+            "content": {
+                "multipart/form-data": {
+                    "schema": {
+                        "type": "object",
+                        "properties": properties,
+                        "required": [VIDEOS, CALIBRATION],
+                        "additionalProperties": False,
+                    },
+                    "encoding": {part: {"contentType": "application/json"} for part in documents},
+                    "example": {
+                        VIDEOS: ["cam_0.mp4", "cam_1.mp4"],
+                        CALIBRATION: "calibration.toml",
+                        **{part: examples.DOCUMENTS[part] for part in documents},
+                    },
+                }
+            },
+        }
+    }
+
+
+def describe(app: FastAPI) -> dict[str, Any]:
+    """The app's OpenAPI, with what operations only refer to."""
+    if app.openapi_schema is None:
+        schema = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+        _drop_unused_errors(schema)
+        models = schema["components"]["schemas"]
+        for model in (ErrorItem, ProblemDetails):
+            models.setdefault(model.__name__, _described(model, "serialization"))
+        for part_model in _DOCUMENTS.values():
+            models.setdefault(part_model.__name__, _described(part_model, "validation"))
+        schema["components"] = {
+            "examples": {name: {"value": value} for name, value in examples.ANSWERS.items()},
+            "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
+            "schemas": dict(sorted(models.items())),
+        }
+        app.openapi_schema = schema
+    return app.openapi_schema
+
+
+def _drop_unused_errors(schema: dict[str, Any]) -> None:
+    """Take out the framework's own form of a 422: it stands where no parameter can be wrong."""
+    for path in schema["paths"].values():
+        for operation in path.values():
+            if "content" in operation["responses"].get("422", {}):
+                del operation["responses"]["422"]
+    for name in ("HTTPValidationError", "ValidationError"):
+        schema["components"]["schemas"].pop(name, None)
+
+
+def _described(model: type[BaseModel], mode: JsonSchemaMode) -> dict[str, Any]:
+    described = model.model_json_schema(ref_template=_SCHEMA_REF, mode=mode)
+    described.pop("$defs", None)
+    return described
+
+
+def _problem_name(status: int) -> str:
+    return f"Problem{status}"
+
+
+def _problem(status: int) -> dict[str, Any]:
+    schema = {"$ref": _SCHEMA_REF.format(model=ProblemDetails.__name__)}
+    content = {"application/problem+json": {"schema": schema, "example": examples.problem(status)}}
+    return {"description": _MEANINGS[status], "content": content}

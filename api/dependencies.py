@@ -1,0 +1,71 @@
+"""What routes are given: the parts of the service, and ids that can be ids."""
+
+import uuid
+from dataclasses import dataclass
+from typing import Annotated
+
+from anyio import CapacityLimiter
+from fastapi import Depends, Path, Query, Request
+
+from api.form import Limits
+from api.preflight import Preflight
+from api.settings import Settings
+from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.errors import NotFound
+from worker.jobs.queue import WorkQueue
+from worker.jobs.store import JobStore
+
+_UUID = {"format": "uuid"}
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """The parts of the service, put together by ``api.app.create_app``."""
+
+    settings: Settings
+    store: JobStore
+    artifacts: ArtifactStore
+    queue: WorkQueue
+    preflight: Preflight
+    # Checks wait for each other without holding the threads that serve everyone else.
+    preflight_limiter: CapacityLimiter
+
+    @property
+    def limits(self) -> Limits:
+        """How much of a session is taken in."""
+        return Limits(
+            max_file_bytes=self.settings.max_file_bytes,
+            max_session_bytes=self.settings.max_session_bytes,
+            max_calibration_bytes=self.settings.max_calibration_bytes,
+            max_json_bytes=self.settings.max_json_bytes,
+            max_videos=self.settings.max_cameras,
+        )
+
+
+def services_of(request: Request) -> Services:
+    """The service's parts, from the app."""
+    services: Services = request.app.state.services
+    return services
+
+
+def _session_id(session_id: Annotated[str, Path(description="Id of a session.", json_schema_extra=_UUID)]) -> str:
+    return _canonical(session_id, "session")
+
+
+def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_extra=_UUID)]) -> str:
+    return _canonical(job_id, "job")
+
+
+def _canonical(value: str, kind: str) -> str:
+    # What is no id is the id of nothing: an unknown one, for the client.
+    try:
+        return str(uuid.UUID(value))
+    except ValueError:
+        raise NotFound(f"There is no such {kind}.") from None
+
+
+ServicesDep = Annotated[Services, Depends(services_of)]
+SessionId = Annotated[str, Depends(_session_id)]
+JobId = Annotated[str, Depends(_job_id)]
+Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]
+Cursor = Annotated[uuid.UUID | None, Query(description="`next_cursor` of the page before.")]

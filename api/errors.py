@@ -1,0 +1,243 @@
+"""What went wrong, as ``application/problem+json`` (RFC 9457): one shape, one handler.
+
+A problem's words are written here or by the code that found it: never an exception's text, a path or a stack. ``code``
+is stable and documented; ``errors`` holds everything that is wrong with a request, never the first thing only.
+"""
+
+import errno
+from collections.abc import Iterator, Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic_core import ErrorDetails
+from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+
+from worker.jobs.errors import JobStoreError, NotFinished, NotFound
+
+_log = structlog.get_logger(__name__)
+
+_DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_RETRY_AFTER_S = 5
+
+_CODES: Mapping[int, str] = {
+    400: "malformed_request",
+    404: "not_found",
+    405: "method_not_allowed",
+    413: "content_too_large",
+    415: "unsupported_media_type",
+}
+_DETAILS: Mapping[int, str] = {
+    400: "The request can't be read.",
+    404: "There is nothing at this address.",
+    405: "This address does not take that method.",
+    413: "The request is larger than the service takes.",
+    415: "The service does not take this type of content here.",
+}
+
+
+class ErrorItem(BaseModel):
+    """One thing that is wrong with a request."""
+
+    model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
+
+    code: str = Field(description="Stable, such as `video_truncated`.")
+    message: str = Field(description="One sentence for a person.")
+    pointer: str | None = Field(default=None, description="JSON pointer to the field, parameter or part of the form.")
+    file: str | None = Field(default=None, description="Name of the file.")
+    camera: str | None = Field(default=None, description="Name of the camera.")
+    field: str | None = Field(default=None, description="Field of the file, such as `matrix`.")
+    hint: str | None = Field(default=None, description="What to do.")
+
+
+class ProblemDetails(BaseModel):
+    """A problem, by RFC 9457."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    type: str = Field(default="about:blank", description="`about:blank`: `code` says which problem it is.")
+    title: str = Field(description="The status in words.")
+    status: int
+    detail: str = Field(description="What happened, in a sentence for a person.")
+    instance: str = Field(description="What was asked for.")
+    code: str = Field(description="Stable name of the problem.")
+    errors: tuple[ErrorItem, ...] = Field(default=(), description="All that is wrong with the request.")
+    camera: str | None = None
+    stage: str | None = None
+    hint: str | None = None
+    retryable: bool = Field(default=False, description="Whether the same request may succeed later.")
+    request_id: str = Field(description="Stands in the service's log too.")
+
+
+class ApiError(Exception):
+    """A request that can't be served; becomes a problem.
+
+    Parameters
+    ----------
+    status, code, detail
+        Of the problem.
+    errors
+        All that is wrong with the request.
+    headers
+        To send along.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        code: str,
+        detail: str,
+        *,
+        errors: Sequence[ErrorItem] = (),
+        hint: str | None = None,
+        retryable: bool = False,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.errors = tuple(errors)
+        self.hint = hint
+        self.retryable = retryable
+        self.headers = dict(headers or {})
+
+
+def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
+    """The answer to a request with things wrong in it."""
+    count = "One thing is" if len(errors) == 1 else f"{len(errors)} things are"
+    return ApiError(422, "invalid_request", f"{count} wrong with the request.", errors=errors)
+
+
+def service_away(code: str, detail: str, errors: Sequence[ErrorItem] = ()) -> ApiError:
+    """The answer while a part of the service is away."""
+    headers = {"Retry-After": str(_RETRY_AFTER_S)}
+    return ApiError(503, code, detail, errors=errors, retryable=True, headers=headers)
+
+
+def validation_items(errors: Sequence[ErrorDetails], prefix: str = "") -> Iterator[ErrorItem]:
+    """Pydantic's findings as items, with pointers below ``prefix``."""
+    for error in errors:
+        yield ErrorItem(code=error["type"], message=f"{error['msg']}.", pointer=prefix + pointer_to(*error["loc"]))
+
+
+def pointer_to(*steps: str | int) -> str:
+    """JSON pointer (RFC 6901) along some steps.
+
+    >>> pointer_to("spec", "a/b")
+    '/spec/a~1b'
+    """
+    return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
+
+
+def problem_response(request: Request, error: ApiError) -> Response:
+    """Render a problem."""
+    problem = ProblemDetails(
+        title=HTTPStatus(error.status).phrase,
+        status=error.status,
+        detail=error.detail,
+        instance=request.scope["path"],
+        code=error.code,
+        errors=error.errors,
+        hint=error.hint,
+        retryable=error.retryable,
+        request_id=request.scope["state"]["request_id"],
+    )
+    return _ProblemResponse(problem.model_dump(mode="python"), error.status, error.headers)
+
+
+def as_api_error(error: Exception) -> ApiError:
+    """What an exception means to the client; anything unforeseen is a 500 that says nothing of its insides."""
+    match error:
+        case ApiError():
+            return error
+        case RequestValidationError():
+            return _from_validation(error)
+        case HTTPException():
+            return _from_status(error)
+        case JobStoreError():
+            return _from_store(error)
+        case _:
+            return _from_failure(error)
+
+
+def handle(request: Request, error: Exception) -> Response:
+    """Turn any exception into a problem; what the service is to blame for goes to the log."""
+    answer = as_api_error(error)
+    if answer.status >= 500:
+        _log.error("request_failed", code=answer.code, exc_info=error)
+    return problem_response(request, answer)
+
+
+def install(app: FastAPI) -> None:
+    """Make ``handle`` the handler of everything that routes raise on purpose.
+
+    What nobody raised on purpose is caught by ``api.middleware.RequestContext``.
+    """
+    for kind in (ApiError, RequestValidationError, HTTPException, JobStoreError, ClientDisconnect):
+        app.add_exception_handler(kind, handle)
+
+
+class _ProblemResponse(JSONResponse):
+    media_type = "application/problem+json"
+
+    def render(self, content: Any) -> bytes:
+        # A client's JSON may hold lone surrogates, which come back in pointers and do not exist in UTF-8.
+        return super().render(_without_surrogates(content))
+
+
+def _without_surrogates(value: Any) -> Any:
+    match value:
+        case str():
+            return value.encode(errors="replace").decode()
+        case dict():
+            return {key: _without_surrogates(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_without_surrogates(item) for item in value]
+        case _:
+            return value
+
+
+def _from_validation(error: RequestValidationError) -> ApiError:
+    details = error.errors()
+    if any(detail["type"] == "json_invalid" for detail in details):
+        return ApiError(400, "malformed_json", "The body is not JSON.")
+    in_body = [detail | {"loc": detail["loc"][1:]} for detail in details if detail["loc"][0] == "body"]
+    elsewhere = [detail for detail in details if detail["loc"][0] != "body"]
+    return unprocessable([*validation_items(elsewhere), *validation_items(in_body)])
+
+
+def _from_status(error: HTTPException) -> ApiError:
+    status = error.status_code
+    code = _CODES.get(status, HTTPStatus(status).name.lower())
+    return ApiError(status, code, _DETAILS.get(status, HTTPStatus(status).phrase), headers=error.headers)
+
+
+def _from_store(error: JobStoreError) -> ApiError:
+    match error:
+        case NotFound():
+            return ApiError(404, "not_found", str(error))
+        case NotFinished():
+            hint = "Ask for the job until its state is succeeded."
+            return ApiError(409, "not_finished", str(error), hint=hint, retryable=True)
+        case _:
+            return ApiError(409, "conflict", str(error))
+
+
+def _from_failure(error: Exception) -> ApiError:
+    match error:
+        case ClientDisconnect():
+            return ApiError(400, "client_disconnected", "The client hung up.", retryable=True)
+        case OperationalError() | PoolTimeoutError():
+            return service_away("database_unavailable", "The database is away.")
+        case OSError() if error.errno in _DISK_FULL:
+            return ApiError(507, "storage_full", "The service's disk is full; nothing was kept.", retryable=True)
+        case _:
+            return ApiError(500, "internal_error", "The service failed; the log says why.", retryable=True)

@@ -1,0 +1,154 @@
+"""Examples of the contract: one capture on its way through the service."""
+
+from http import HTTPStatus
+from typing import Any
+
+_SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
+_JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
+_SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+
+DOCUMENTS: dict[str, Any] = {
+    "manifest": {"name": "Handshake, take 3"},
+    "spec": {"method": "tracking", "detector": "movenet-multipose"},
+}
+
+_PREFLIGHT: dict[str, Any] = {
+    "cameras": [
+        {
+            "name": f"cam_{index}",
+            "file": f"cam_{index}.mp4",
+            "size_px": [1280, 720],
+            "frame_rate_hz": 25.0,
+            "num_frames": 300,
+        }
+        for index in range(2)
+    ],
+    "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 300},
+    "warnings": [],
+}
+
+_SESSION: dict[str, Any] = {
+    "id": _SESSION_ID,
+    "name": "Handshake, take 3",
+    "created_at": "2026-03-01T09:30:00Z",
+    "files": [
+        {"name": "cam_0.mp4", "kind": "video", "num_bytes": 5242880, "sha256": _SHA256},
+        {"name": "cam_1.mp4", "kind": "video", "num_bytes": 5242880, "sha256": _SHA256},
+        {"name": "calibration.toml", "kind": "calibration", "num_bytes": 1024, "sha256": _SHA256},
+    ],
+    "preflight": _PREFLIGHT,
+    "links": {"self": f"/v1/sessions/{_SESSION_ID}", "jobs": f"/v1/sessions/{_SESSION_ID}/jobs"},
+}
+
+
+def _stage(name: str, state: str, done: int, total: int) -> dict[str, Any]:
+    started = state in {"running", "done"}
+    return {
+        "name": name,
+        "state": state,
+        "done": done,
+        "total": total,
+        "fraction": done / total,
+        "started_at": "2026-03-01T09:31:01Z" if started else None,
+        "finished_at": None,
+        "reused": False,
+    }
+
+
+_JOB: dict[str, Any] = {
+    "id": _JOB_ID,
+    "session_id": _SESSION_ID,
+    "state": "running",
+    "spec": DOCUMENTS["spec"],
+    "attempt": 1,
+    "stages": [
+        _stage("detect", "running", 150, 600),
+        _stage("associate", "waiting", 0, 1),
+        _stage("fit", "waiting", 0, 1),
+        _stage("export", "waiting", 0, 1),
+    ],
+    "progress": 0.24,
+    "queue_position": None,
+    "created_at": "2026-03-01T09:31:00Z",
+    "started_at": "2026-03-01T09:31:01Z",
+    "finished_at": None,
+    "error": None,
+    "warnings": [],
+    "links": {
+        "self": f"/v1/jobs/{_JOB_ID}",
+        "session": f"/v1/sessions/{_SESSION_ID}",
+        "results": f"/v1/jobs/{_JOB_ID}/results",
+        "cancel": f"/v1/jobs/{_JOB_ID}/cancel",
+        "retry": f"/v1/jobs/{_JOB_ID}/retry",
+    },
+}
+
+_RESULTS: dict[str, Any] = {
+    "results": [
+        {
+            "name": "person-1.bvh",
+            "kind": "bvh",
+            "person": "person-1",
+            "media_type": "text/plain; charset=utf-8",
+            "num_bytes": 204800,
+            "sha256": _SHA256,
+            "link": f"/v1/jobs/{_JOB_ID}/results/person-1.bvh",
+        }
+    ]
+}
+
+ANSWERS: dict[str, dict[str, Any]] = {
+    "Session": _SESSION,
+    "SessionPage": {"sessions": [_SESSION], "next_cursor": None},
+    "Job": _JOB,
+    "JobPage": {"jobs": [_JOB], "next_cursor": None},
+    "ResultList": _RESULTS,
+    "Health": {"status": "ok"},
+    "Readiness": {
+        "status": "ready",
+        "checks": {"database": True, "broker": True, "artifacts": True, "model": True},
+    },
+}
+
+_PROBLEMS: dict[int, tuple[str, str]] = {
+    400: ("malformed_request", "The request can't be read."),
+    403: ("host_not_allowed", "The service does not answer to this name."),
+    404: ("not_found", "There is no such job."),
+    409: ("conflict", "The job's state does not allow it."),
+    410: ("expired", "The file was removed."),
+    413: ("content_too_large", "The session is larger than the service takes."),
+    415: ("unsupported_media_type", "A session is sent as multipart/form-data."),
+    416: ("range_not_satisfiable", "The file has no such range."),
+    422: ("invalid_request", "One thing is wrong with the request."),
+    500: ("internal_error", "The service failed; the log says why."),
+    503: ("database_unavailable", "The database is away."),
+    507: ("storage_full", "The service's disk is full; nothing was kept."),
+}
+_TRUNCATED: dict[str, Any] = {
+    "code": "video_truncated",
+    "message": "The video ends in the middle of a frame.",
+    "pointer": "/videos/1",
+    "file": "cam_1.mp4",
+    "camera": "cam_1",
+    "field": None,
+    "hint": "Copy it from the camera again.",
+}
+
+
+def problem(status: int) -> dict[str, Any]:
+    """A problem of some status."""
+    code, detail = _PROBLEMS[status]
+    return {
+        "type": "about:blank",
+        "title": HTTPStatus(status).phrase,
+        "status": status,
+        "detail": detail,
+        "instance": f"/v1/jobs/{_JOB_ID}",
+        "code": code,
+        "errors": [_TRUNCATED] if status == 422 else [],
+        "camera": None,
+        "stage": None,
+        "hint": None,
+        "retryable": status in {500, 503, 507},
+        "request_id": "01890a60-7f10-7cc3-8d4e-0a1b2c3d4e5f",
+    }

@@ -1,0 +1,108 @@
+"""What surrounds every request: an id, a guard against foreign pages, safe headers, and a last catch."""
+
+import time
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+import structlog
+import uuid_utils
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.errors import ApiError, handle, problem_response
+
+_log = structlog.get_logger(__name__)
+
+_SAFE_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class RequestContext:
+    """Give a request its id, its answer safe headers, the log a line, and a failure of ours an answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request_id = str(uuid_utils.uuid7())
+        scope.setdefault("state", {})["request_id"] = request_id
+        started_s = time.monotonic()
+        status = 0
+
+        async def send_dressed(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-ID"] = request_id
+                for name, value in _SAFE_HEADERS.items():
+                    headers[name] = value
+            await send(message)
+
+        with structlog.contextvars.bound_contextvars(request_id=request_id):
+            try:
+                await self._app(scope, receive, send_dressed)
+            except Exception as error:
+                if status:  # Too late for another answer; the server cuts the connection.
+                    raise
+                await handle(Request(scope), error)(scope, receive, send_dressed)
+            seconds = round(time.monotonic() - started_s, 4)
+            _log.info("request", method=scope["method"], path=scope["path"], status=status, seconds=seconds)
+
+
+class ForeignPageGuard:
+    """Refuse what a web page from elsewhere makes a browser send.
+
+    The service has no keys yet, so that any page could use it through the browser of someone at this machine: directly
+    (its ``Origin`` says so), or by a name of its own that resolves to loopback (its ``Host`` says so).
+
+    Parameters
+    ----------
+    allowed_hosts
+        Names by which clients may call the service.
+    """
+
+    def __init__(self, app: ASGIApp, allowed_hosts: Collection[str]) -> None:
+        self._app = app
+        self._allowed_hosts = frozenset(host.lower() for host in allowed_hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve or refuse a request."""
+        if scope["type"] == "http" and (error := self._refusal(Headers(scope=scope))):
+            await problem_response(Request(scope), error)(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+    def _refusal(self, headers: Headers) -> ApiError | None:
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or _name_of(hosts[0]) not in self._allowed_hosts:
+            return ApiError(
+                403,
+                "host_not_allowed",
+                "The service does not answer to this name.",
+                hint="Call it by localhost, or add the name to MULTICAP_ALLOWED_HOSTS.",
+            )
+        origin = headers.get("origin")
+        if origin is not None and origin.lower().partition("://")[2] != hosts[0].lower():
+            return ApiError(403, "origin_not_allowed", "Pages from elsewhere may not use the service.")
+        return None
+
+
+def _name_of(host: str) -> str | None:
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None

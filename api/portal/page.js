@@ -1,0 +1,277 @@
+// Jobs as they go on, and a form to send a capture. All text goes in by textContent: names are a stranger's words.
+
+const POLL_MS = 1000;
+const IDLE_POLL_MS = 5000;
+const PAGE = 50;
+const MOST = 200;
+
+const STATES = {
+  queued: "Waiting", running: "Running", canceling: "Canceling", succeeded: "Done",
+  failed: "Failed", canceled: "Canceled", expired: "Expired",
+};
+const STAGES = { detect: "Detect 2D joints", associate: "Track people", fit: "Fit skeletons", export: "Write files" };
+const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
+
+const at = (id) => document.getElementById(id);
+const cards = new Map(); // id of a job -> its element and what it showed last
+const sessionNames = new Map();
+let limit = PAGE;
+let timer = 0;
+
+class Problem extends Error {
+  constructor(body) {
+    super(body?.detail ?? "The service does not answer.");
+    this.items = body?.errors ?? [];
+    this.hint = body?.hint;
+  }
+}
+
+async function call(path, method = "GET") {
+  let response;
+  try {
+    response = await fetch(path, { method, headers: { Accept: "application/json" } });
+  } catch {
+    throw new Problem(null);
+  }
+  const body = response.status === 204 ? null : await response.json().catch(() => null);
+  if (!response.ok) throw new Problem(body);
+  return body;
+}
+
+function clone(id) {
+  return at(id).content.firstElementChild.cloneNode(true);
+}
+
+function element(tag, text) {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  return made;
+}
+
+function showProblem(place, problem) {
+  place.replaceChildren();
+  place.hidden = problem === null;
+  if (problem === null) return;
+  place.append(element("p", [problem.message, problem.hint].filter(Boolean).join(" ")));
+  if (problem.items.length === 0) return;
+  const list = document.createElement("ul");
+  for (const item of problem.items) {
+    const where = [item.file, item.camera, item.field].filter(Boolean).join(", ") || item.pointer;
+    list.append(element("li", [where && `${where}:`, item.message, item.hint].filter(Boolean).join(" ")));
+  }
+  place.append(list);
+}
+
+function sized(numBytes) {
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  const power = Math.min(units.length - 1, Math.floor(Math.log10(Math.max(1, numBytes)) / 3));
+  return `${(numBytes / 1000 ** power).toFixed(power > 1 ? 1 : 0)} ${units[power]}`;
+}
+
+function when(job) {
+  const date = new Date(job.created_at).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+  const parts = [date];
+  if (job.attempt > 1) parts.push(`attempt ${job.attempt}`);
+  if (job.state === "queued" && job.queue_position) parts.push(`${job.queue_position} before it`);
+  if (job.started_at && job.finished_at) {
+    parts.push(`took ${Math.max(1, Math.round((new Date(job.finished_at) - new Date(job.started_at)) / 1000))} s`);
+  }
+  return parts.join(" · ");
+}
+
+function counted(stage) {
+  if (stage.state === "done") return stage.reused ? "done before" : "done";
+  if (stage.state === "waiting" || stage.done === 0) return "";
+  return `${stage.done} / ${stage.total}`;
+}
+
+function fillStages(place, stages) {
+  while (place.children.length > stages.length) place.lastElementChild.remove();
+  while (place.children.length < stages.length) place.append(clone("stage"));
+  stages.forEach((stage, index) => {
+    const row = place.children[index];
+    const label = STAGES[stage.name] ?? stage.name;
+    row.querySelector(".label").textContent = label;
+    row.querySelector(".count").textContent = counted(stage);
+    const bar = row.querySelector("progress");
+    bar.value = stage.fraction;
+    bar.setAttribute("aria-label", label);
+  });
+}
+
+async function fillName(card, job) {
+  if (!sessionNames.has(job.session_id)) {
+    sessionNames.set(job.session_id, call(job.links.session).then((session) => session.name, () => ""));
+  }
+  card.querySelector(".name").textContent = (await sessionNames.get(job.session_id)) || "Capture";
+}
+
+async function fillResults(card, job) {
+  const place = card.querySelector(".results");
+  place.replaceChildren();
+  place.hidden = true;
+  if (job.state !== "succeeded") return;
+  const { results } = await call(job.links.results);
+  for (const result of results) {
+    const link = element("a", result.name);
+    link.href = result.link;
+    link.download = result.name;
+    link.append(Object.assign(element("span", sized(result.num_bytes)), { className: "quiet" }));
+    const item = document.createElement("li");
+    item.append(link);
+    place.append(item);
+  }
+  place.hidden = results.length === 0;
+}
+
+async function act(card, path, method) {
+  const buttons = card.querySelectorAll("button");
+  buttons.forEach((button) => { button.disabled = true; });
+  try {
+    await call(path, method);
+    await refresh();
+  } catch (problem) {
+    showProblem(card.querySelector(".problems"), problem);
+  } finally {
+    buttons.forEach((button) => { button.disabled = false; });
+  }
+}
+
+function makeCard(job) {
+  const card = clone("job");
+  const on = (name, run) => card.querySelector(`[data-do="${name}"]`).addEventListener("click", run);
+  on("cancel", () => act(card, job.links.cancel, "POST"));
+  on("retry", () => act(card, job.links.retry, "POST"));
+  on("delete", () => {
+    if (window.confirm("Delete this job and its results?")) act(card, job.links.self, "DELETE");
+  });
+  fillName(card, job);
+  return { card, shown: "" };
+}
+
+function fillCard(entry, job) {
+  const { card } = entry;
+  const state = card.querySelector(".state");
+  const percent = job.state === "running" ? ` ${Math.floor(job.progress * 100)} %` : "";
+  state.textContent = (STATES[job.state] ?? job.state) + percent;
+  state.dataset.state = job.state;
+  card.querySelector(".when").textContent = when(job);
+  fillStages(card.querySelector(".stages"), job.stages);
+  card.querySelector('[data-do="cancel"]').hidden = !["queued", "running"].includes(job.state);
+  card.querySelector('[data-do="retry"]').hidden = !["failed", "canceled"].includes(job.state);
+  card.querySelector('[data-do="delete"]').hidden = !ENDED.has(job.state);
+  const shown = `${job.state} ${job.attempt}`;
+  if (shown === entry.shown) return;
+  entry.shown = shown;
+  const items = job.warnings.map((message) => ({ message }));
+  const failed = job.error && Object.assign(new Problem(job.error), { items });
+  showProblem(card.querySelector(".problems"), failed);
+  fillResults(card, job).catch(() => { entry.shown = ""; });
+}
+
+async function refresh() {
+  const { jobs, next_cursor: next } = await call(`/v1/jobs?limit=${limit}`);
+  const ids = new Set(jobs.map((job) => job.id));
+  for (const [id, { card }] of cards) {
+    if (ids.has(id)) continue;
+    card.remove();
+    cards.delete(id);
+  }
+  jobs.forEach((job, index) => {
+    if (!cards.has(job.id)) cards.set(job.id, makeCard(job));
+    const entry = cards.get(job.id);
+    fillCard(entry, job);
+    const there = at("jobs").children[index];
+    if (there !== entry.card) at("jobs").insertBefore(entry.card, there ?? null);
+  });
+  at("empty").hidden = jobs.length > 0;
+  at("more").hidden = next === null || limit >= MOST;
+  return jobs.some((job) => !ENDED.has(job.state));
+}
+
+async function poll() {
+  clearTimeout(timer);
+  let busy = false;
+  try {
+    busy = await refresh();
+    at("connection").textContent = "";
+  } catch (problem) {
+    at("connection").textContent = problem.message;
+  }
+  at("connection").classList.toggle("away", at("connection").textContent !== "");
+  if (!document.hidden) timer = setTimeout(poll, busy ? POLL_MS : IDLE_POLL_MS);
+}
+
+// fetch can't say how much of an upload is through; XMLHttpRequest can.
+function send(form, onProgress, stopped) {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.upload.addEventListener("progress", (event) => onProgress(event.loaded, event.total));
+    request.addEventListener("load", () => {
+      let body = null;
+      try { body = JSON.parse(request.responseText); } catch { /* not from the service */ }
+      if (request.status === 202) resolve(body); else reject(new Problem(body));
+    });
+    request.addEventListener("error", () => reject(new Problem(null)));
+    request.addEventListener("abort", () => resolve(null));
+    stopped.addEventListener("abort", () => request.abort());
+    request.open("POST", "/v1/jobs");
+    request.send(form);
+  });
+}
+
+function formOf(fields) {
+  const form = new FormData();
+  const name = fields.name.value.trim();
+  if (name) form.append("manifest", new Blob([JSON.stringify({ name })], { type: "application/json" }));
+  form.append("calibration", fields.calibration.files[0]);
+  for (const video of fields.videos.files) form.append("videos", video);
+  return form;
+}
+
+at("send").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const form = event.currentTarget;
+  const submit = form.querySelector("[type=submit]");
+  const stop = new AbortController();
+  const onStop = () => stop.abort();
+  at("abort").addEventListener("click", onStop);
+  showProblem(at("problems"), null);
+  submit.disabled = true;
+  at("abort").hidden = at("upload").hidden = false;
+  try {
+    const job = await send(formOf(form.elements), (loaded, total) => {
+      at("upload-bar").value = total ? loaded / total : 0;
+      at("upload-text").textContent =
+        loaded < total ? `${sized(loaded)} of ${sized(total)} sent` : "Sent. Checking the files …";
+    }, stop.signal);
+    if (job) form.reset();
+    at("chosen").textContent = "";
+    await poll();
+  } catch (problem) {
+    showProblem(at("problems"), problem);
+  } finally {
+    at("abort").removeEventListener("click", onStop);
+    at("abort").hidden = at("upload").hidden = true;
+    at("upload-bar").value = 0;
+    at("upload-text").textContent = "";
+    submit.disabled = false;
+  }
+});
+
+at("send").addEventListener("change", () => {
+  const { videos } = at("send").elements;
+  const total = [...videos.files].reduce((sum, file) => sum + file.size, 0);
+  at("chosen").textContent = videos.files.length ? `${videos.files.length} videos, ${sized(total)}` : "";
+});
+
+at("more").addEventListener("click", () => {
+  limit = Math.min(MOST, limit + PAGE);
+  poll();
+});
+
+document.addEventListener("visibilitychange", () => {
+  if (!document.hidden) poll();
+});
+
+poll();

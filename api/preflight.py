@@ -1,0 +1,127 @@
+"""Check a session's files in a process of its own, with limits: the files are a stranger's.
+
+The API knows nothing of videos and calibrations. A program does (``python -m pipeline.preflight``), and it says what it
+found as one JSON object: the session, or ``{"problems": [...]}``.
+"""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import structlog
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from api.errors import ApiError, ErrorItem
+
+_log = structlog.get_logger(__name__)
+
+_EXIT_BAD_INPUT = 2
+_LOGGED_BYTES = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """A program that checks files, and how much of it is borne.
+
+    Parameters
+    ----------
+    command
+        Program and first arguments.
+    timeout_s
+        How long it may take; then it is killed with all its children.
+    max_bytes
+        How much it may say.
+    """
+
+    command: tuple[str, ...]
+    timeout_s: float
+    max_bytes: int
+
+    def check(self, videos: Sequence[Path], calibration: Path) -> Mapping[str, Any]:
+        """Find out what a session is.
+
+        Returns
+        -------
+            What the program printed: cameras, timebase, warnings.
+
+        Raises
+        ------
+        InvalidFilesError
+            With everything that is wrong with the files.
+        ApiError
+            500 if the program itself fails.
+        """
+        arguments = ["--videos", *map(str, videos), "--calibration", str(calibration)]
+        with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
+            exit_code = self._run([*self.command, *arguments], output, log)
+            said = _read(output, self.max_bytes)
+            if exit_code == 0 and (found := _parsed(said)) is not None:
+                return found
+            if exit_code == _EXIT_BAD_INPUT and (problems := _problems(said)):
+                raise InvalidFilesError(problems)
+            _log.error("preflight_failed", exit_code=exit_code, said=len(said), log=_tail(log))
+        raise ApiError(500, "preflight_failed", "The check of the files failed; the log says why.", retryable=True)
+
+    def _run(self, command: Sequence[str], output: IO[bytes], log: IO[bytes]) -> int:
+        with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=log, start_new_session=True
+        ) as child:
+            resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_bytes + 1, self.max_bytes + 1))
+            try:
+                return child.wait(self.timeout_s)
+            except subprocess.TimeoutExpired:
+                _log.warning("preflight_timeout", timeout_s=self.timeout_s)
+                message = f"The check of the files took longer than {self.timeout_s:g} s."
+                raise InvalidFilesError([ErrorItem(code="preflight_timeout", message=message)]) from None
+            finally:
+                # Not yet waited for when it is alive, so that the number is still its own and its children's.
+                if child.returncode is None:
+                    os.killpg(child.pid, signal.SIGKILL)
+
+
+class InvalidFilesError(Exception):
+    """The files are no session; ``errors`` says all that is wrong with them."""
+
+    def __init__(self, errors: Sequence[ErrorItem]) -> None:
+        super().__init__(f"{len(errors)} problems")
+        self.errors = tuple(errors)
+
+
+class _Problems(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+    problems: tuple[ErrorItem, ...]
+
+
+def _read(file: IO[bytes], max_bytes: int) -> bytes:
+    file.seek(0)
+    content = file.read(max_bytes + 1)
+    return content if len(content) <= max_bytes else b""
+
+
+def _tail(file: IO[bytes]) -> str:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - _LOGGED_BYTES))
+    return file.read().decode(errors="replace")
+
+
+def _parsed(said: bytes) -> Mapping[str, Any] | None:
+    try:
+        found = json.loads(said)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and {"cameras", "timebase", "warnings"} <= found.keys() else None
+
+
+def _problems(said: bytes) -> tuple[ErrorItem, ...]:
+    try:
+        return _Problems.model_validate_json(said).problems
+    except ValidationError:
+        return ()

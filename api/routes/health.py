@@ -1,0 +1,45 @@
+"""Whether the service is alive, and whether it can work."""
+
+from fastapi import APIRouter
+
+from api.contract import answer
+from api.dependencies import ServicesDep
+from api.errors import ErrorItem, service_away
+from api.schemas import Health, Readiness
+from api.settings import Settings
+from worker.jobs.spec import JobSpec
+
+router = APIRouter(tags=["health"])
+
+_MESSAGES = {
+    "database": "The database does not answer.",
+    "broker": "The broker does not answer.",
+    "artifacts": "The artifact store can't be used.",
+    "model": "The detector network is not installed.",
+}
+
+
+@router.get("/healthz", operation_id="getHealth", responses={200: answer("Health")})
+def get_health() -> Health:
+    """Say that the process is alive."""
+    return Health()
+
+
+@router.get("/readyz", operation_id="getReadiness", responses={200: answer("Readiness")})
+def get_readiness(services: ServicesDep) -> Readiness:
+    """Say whether everything that jobs need is there."""
+    checks = {
+        "database": services.store.ping(),
+        "broker": services.queue.ping(),
+        "artifacts": services.artifacts.ping(),
+        "model": _model_is_installed(services.settings),
+    }
+    away = [name for name, there in checks.items() if not there]
+    if away:
+        errors = [ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name]) for name in away]
+        raise service_away("not_ready", "A part of the service is away.", errors)
+    return Readiness(checks=checks)
+
+
+def _model_is_installed(settings: Settings) -> bool:
+    return not settings.readiness_needs_model or (settings.models_dir / f"{JobSpec().detector}.onnx").is_file()

@@ -1,0 +1,137 @@
+"""Jobs: reconstruct a session, follow it, cancel, retry, delete."""
+
+import contextlib
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Request, Response, status
+from starlette.concurrency import run_in_threadpool
+
+from api import examples
+from api.bodies import SmallBodyRoute
+from api.contract import answer, form_body, problems
+from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
+from api.intake import MANIFEST, SPEC, take_in
+from api.routes.sessions import remove_session
+from api.schemas import JobOut, JobPage
+from worker.jobs.model import Job, JobState, Session
+from worker.jobs.spec import JobSpec
+from worker.plan import plan
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+# One of these routes takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
+
+_POLL_AFTER_S = 1
+_ONE = answer("Job")
+_ACCEPTED = {
+    202: _ONE
+    | {
+        "headers": {
+            "Location": {"description": "Address of the job.", "schema": {"type": "string"}},
+            "Retry-After": {"description": "Seconds until it is worth asking.", "schema": {"type": "integer"}},
+        }
+    }
+}
+
+
+@small.post(
+    "/sessions/{session_id}/jobs",
+    operation_id="createJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses={**_ACCEPTED, **problems(400, 404, 413, 422)},
+)
+def create_job(
+    session_id: SessionId,
+    services: ServicesDep,
+    response: Response,
+    spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["spec"]}})] = JobSpec(),  # noqa: B008 - frozen
+) -> JobOut:
+    """Reconstruct a session."""
+    return _accepted(response, _start(services, services.store.session(session_id), spec))
+
+
+@router.post(
+    "/jobs",
+    operation_id="createSessionAndJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses={**_ACCEPTED, **problems(400, 413, 415, 422, 507)},
+    openapi_extra=form_body(MANIFEST, SPEC),
+)
+async def create_session_and_job(request: Request, response: Response, services: ServicesDep) -> JobOut:
+    """Send a session and reconstruct it, in one call."""
+    intake = await take_in(request, services, frozenset({MANIFEST, SPEC}))
+    with contextlib.ExitStack() as undo:
+        undo.callback(remove_session, services, intake.session.id)
+        job = await run_in_threadpool(_start, services, intake.session, intake.spec)
+        undo.pop_all()
+    return _accepted(response, job)
+
+
+@small.get("/jobs", operation_id="listJobs", responses={200: answer("JobPage"), **problems(422)})
+def list_jobs(
+    services: ServicesDep,
+    state: Annotated[JobState | None, Query(description="Only jobs in this state.")] = None,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+) -> JobPage:
+    """List jobs, the newest first."""
+    jobs = services.store.jobs(state=state, limit=limit, after=str(cursor) if cursor else None)
+    next_cursor = jobs[-1].id if len(jobs) == limit else None
+    return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
+
+
+@small.get("/jobs/{job_id}", operation_id="getJob", responses={200: _ONE, **problems(404)})
+def get_job(job_id: JobId, services: ServicesDep) -> JobOut:
+    """Read a job: its state, its stages, how far they are."""
+    return JobOut.of(services.store.job(job_id))
+
+
+@small.post(
+    "/jobs/{job_id}/cancel",
+    operation_id="cancelJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses={**_ACCEPTED, **problems(404, 409)},
+)
+def cancel_job(job_id: JobId, services: ServicesDep, response: Response) -> JobOut:
+    """Cancel a job. What runs of it stops within seconds."""
+    return _accepted(response, services.store.cancel(job_id))
+
+
+@small.post(
+    "/jobs/{job_id}/retry",
+    operation_id="retryJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses={**_ACCEPTED, **problems(404, 409)},
+)
+def retry_job(job_id: JobId, services: ServicesDep, response: Response) -> JobOut:
+    """Try a failed or canceled job again. What it had finished is not done again."""
+    job = services.store.job(job_id)
+    session = services.store.session(job.session_id)
+    job = services.store.retry(job_id, plan(session, job.spec, services.settings.chunk_frames))
+    services.queue.publish()
+    return _accepted(response, job)
+
+
+@small.delete(
+    "/jobs/{job_id}",
+    operation_id="deleteJob",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(404, 409),
+)
+def delete_job(job_id: JobId, services: ServicesDep) -> None:
+    """Delete a finished job with its results."""
+    for key in services.store.delete_job(job_id):
+        services.artifacts.delete(key)
+
+
+def _start(services: Services, session: Session, spec: JobSpec) -> Job:
+    job = services.store.create_job(session.id, spec, plan(session, spec, services.settings.chunk_frames))
+    # When the broker is away, the reaper makes the message good.
+    services.queue.publish()
+    return job
+
+
+def _accepted(response: Response, job: Job) -> JobOut:
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    response.headers["Retry-After"] = str(_POLL_AFTER_S)
+    return JobOut.of(job)

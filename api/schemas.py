@@ -1,0 +1,237 @@
+"""The wire format: what clients send and get. Nothing here is stored; the domain's records are in ``worker.jobs``."""
+
+import unicodedata
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from worker.jobs.model import ChunkState, Job, JobState, Problem, Result, Session, Stage
+from worker.jobs.spec import JobSpec
+
+_UUID = {"format": "uuid"}
+Id = Annotated[str, Field(json_schema_extra=_UUID)]
+
+
+def _printable(text: str) -> str:
+    if any(unicodedata.category(character).startswith("C") for character in text):
+        raise PydanticCustomError("control_characters", "Control characters are not allowed")
+    return text
+
+
+class _Answer(BaseModel):
+    """Base of what the service says."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+
+class Manifest(BaseModel):
+    """What a client may say about a session beside its files. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(_printable)] = Field(
+        default="untitled", min_length=1, max_length=200, description="For people."
+    )
+
+
+class FileOut(_Answer):
+    """A file of a session."""
+
+    name: str
+    kind: str = Field(description="`video` or `calibration`.")
+    num_bytes: int
+    sha256: str
+
+
+class CameraOut(_Answer):
+    """A camera of the calibration with its video."""
+
+    name: str
+    file: str
+    size_px: tuple[int, int]
+    frame_rate_hz: float
+    num_frames: int
+
+
+class TimebaseOut(_Answer):
+    """The clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
+
+    start_time_s: float
+    frame_rate_hz: float
+    num_frames: int
+
+
+class PreflightOut(_Answer):
+    """What was found in a session's files."""
+
+    cameras: tuple[CameraOut, ...]
+    timebase: TimebaseOut
+    warnings: tuple[str, ...]
+
+
+class SessionLinks(_Answer):
+    """Where to go from a session."""
+
+    self: str
+    jobs: str
+
+
+class SessionOut(_Answer):
+    """A capture session."""
+
+    id: Id
+    name: str
+    created_at: AwareDatetime
+    files: tuple[FileOut, ...]
+    preflight: PreflightOut
+    links: SessionLinks
+
+    @classmethod
+    def of(cls, session: Session) -> Self:
+        """Say a session."""
+        address = f"/v1/sessions/{session.id}"
+        return cls(
+            id=session.id,
+            name=session.name,
+            created_at=session.created_at,
+            files=tuple(FileOut(**_fields(file, FileOut)) for file in session.files),
+            preflight=PreflightOut.model_validate(session.preflight),
+            links=SessionLinks(self=address, jobs=f"{address}/jobs"),
+        )
+
+
+class SessionPage(_Answer):
+    """Some sessions, the newest first."""
+
+    sessions: tuple[SessionOut, ...]
+    next_cursor: str | None = Field(description="For the next page, if there may be one.")
+
+
+class StageOut(_Answer):
+    """A stage of a job: how many of its units are done."""
+
+    name: str
+    state: ChunkState
+    done: int
+    total: int
+    fraction: float = Field(ge=0, le=1)
+    started_at: AwareDatetime | None
+    finished_at: AwareDatetime | None
+    reused: bool = Field(description="Whether it was taken from an earlier job.")
+
+    @classmethod
+    def of(cls, stage: Stage) -> Self:
+        """Say a stage."""
+        fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
+        return cls(fraction=min(1.0, fraction), **_fields(stage, cls, without=("fraction",)))
+
+
+class JobError(_Answer):
+    """Why a job failed."""
+
+    code: str
+    detail: str
+    stage: str | None
+    camera: str | None
+    hint: str | None
+    retryable: bool
+
+    @classmethod
+    def of(cls, problem: Problem) -> Self:
+        """Say a problem."""
+        return cls(**_fields(problem, cls))
+
+
+class JobLinks(_Answer):
+    """Where to go from a job."""
+
+    self: str
+    session: str
+    results: str
+    cancel: str
+    retry: str
+
+
+class JobOut(_Answer):
+    """A reconstruction of a session."""
+
+    id: Id
+    session_id: Id
+    state: JobState
+    spec: JobSpec
+    attempt: int
+    stages: tuple[StageOut, ...]
+    progress: float = Field(ge=0, le=1, description="Never goes back within an attempt.")
+    queue_position: int | None = Field(description="How many jobs go before it; null once it runs.")
+    created_at: AwareDatetime
+    started_at: AwareDatetime | None
+    finished_at: AwareDatetime | None
+    error: JobError | None
+    warnings: tuple[str, ...]
+    links: JobLinks
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        """Say a job."""
+        address = f"/v1/jobs/{job.id}"
+        return cls(
+            **_fields(job, cls, without=("stages", "error", "links")),
+            stages=tuple(StageOut.of(stage) for stage in job.stages),
+            error=JobError.of(job.problem) if job.problem else None,
+            links=JobLinks(
+                self=address,
+                session=f"/v1/sessions/{job.session_id}",
+                results=f"{address}/results",
+                cancel=f"{address}/cancel",
+                retry=f"{address}/retry",
+            ),
+        )
+
+
+class JobPage(_Answer):
+    """Some jobs, the newest first."""
+
+    jobs: tuple[JobOut, ...]
+    next_cursor: str | None = Field(description="For the next page, if there may be one.")
+
+
+class ResultOut(_Answer):
+    """A result file."""
+
+    name: str
+    kind: str = Field(description="Such as `bvh`, `skeletons`, `metrics`.")
+    person: str | None = Field(description="Of whom, if of one person.")
+    media_type: str
+    num_bytes: int
+    sha256: str = Field(description="Also its strong ETag.")
+    link: str
+
+    @classmethod
+    def of(cls, job_id: str, result: Result) -> Self:
+        """Say a result."""
+        return cls(link=f"/v1/jobs/{job_id}/results/{result.name}", **_fields(result, cls, without=("link",)))
+
+
+class ResultList(_Answer):
+    """All result files of a job."""
+
+    results: tuple[ResultOut, ...]
+
+
+class Health(_Answer):
+    """The process is alive."""
+
+    status: str = "ok"
+
+
+class Readiness(_Answer):
+    """All parts of the service answer."""
+
+    status: str = "ready"
+    checks: dict[str, bool]
+
+
+def _fields(record: object, wire: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The fields of a record that have the same name on the wire."""
+    return {name: getattr(record, name) for name in wire.model_fields if name not in without}

@@ -1,0 +1,99 @@
+"""What the web API is told by its environment; every variable begins with ``MULTICAP_``."""
+
+import ipaddress
+import sys
+from pathlib import Path
+from typing import Self
+
+import platformdirs
+from pydantic import Field, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from worker.plan import DEFAULT_CHUNK_FRAMES
+
+KIB, MIB, GIB = 2**10, 2**20, 2**30
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a listening address is reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class Settings(BaseSettings):
+    """Where the API listens, where it keeps things, and how much it takes."""
+
+    model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
+
+    home: Path = Field(
+        default_factory=lambda: platformdirs.user_data_path("multicap", appauthor=False),
+        description="Where detector networks are installed.",
+    )
+    data_dir: Path = Field(
+        default_factory=lambda: platformdirs.user_data_path("multicap", appauthor=False) / "service",
+        description="Folder of the artifacts, uploads on their way, and the database unless database_url says else.",
+    )
+    database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
+    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
+
+    host: str = Field(default="127.0.0.1", description="Address to listen on.")
+    port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 for a free one.")
+    trust_network: bool = Field(
+        default=False,
+        description="Allow an address beyond loopback: only where something else keeps strangers out, such as a "
+        "container whose port is published on loopback.",
+    )
+    allowed_hosts: frozenset[str] = Field(
+        default=frozenset(),
+        description="Names besides localhost by which clients may call the service, as a JSON list.",
+    )
+    readiness_needs_model: bool = Field(
+        default=True, description="Whether workers share this machine's networks, so that readiness looks for them."
+    )
+
+    max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Of one video.")
+    max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Of all files of a session.")
+    max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Of a calibration file.")
+    max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
+    max_cameras: int = Field(default=64, gt=0, description="Videos of a session.")
+
+    chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a map.")
+
+    preflight_command: tuple[str, ...] = Field(
+        default=(sys.executable, "-m", "pipeline.preflight"),
+        description="Program that checks a session's files in a process of its own.",
+    )
+    preflight_timeout_s: float = Field(default=300.0, gt=0, description="How long the check may take.")
+    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="How much the check may say.")
+    max_parallel_preflights: int = Field(default=2, gt=0, description="Checks at the same time.")
+
+    @model_validator(mode="after")
+    def _refuse_strangers(self) -> Self:
+        # There are no keys yet: whoever reaches the port may do everything.
+        if not (self.trust_network or is_loopback(self.host)):
+            raise ValueError("host must be a loopback address, such as 127.0.0.1, unless trust_network is set")
+        return self
+
+    @property
+    def resolved_database_url(self) -> str:
+        """``database_url``, or SQLite in the data folder."""
+        return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
+
+    @property
+    def artifacts_dir(self) -> Path:
+        """Root of the local artifact store."""
+        return self.data_dir / "artifacts"
+
+    @property
+    def spool_dir(self) -> Path:
+        """Where uploads are until they are whole and checked."""
+        return self.data_dir / "spool"
+
+    @property
+    def models_dir(self) -> Path:
+        """Where detector networks are installed."""
+        return self.home / "models"
