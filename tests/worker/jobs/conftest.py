@@ -1,0 +1,115 @@
+"""A migrated store on each database, and jobs of two stages on it."""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+import uuid_utils
+
+from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Result, StagePlan
+from worker.jobs.spec import JobSpec
+from worker.jobs.store import JobStore
+
+POSTGRES_VARIABLE = "MULTICAP_TEST_POSTGRES_URL"
+
+LEASE_S = 60.0
+EXPIRED_S = -1.0  # a lease that ended before it began
+
+UNITS = 10
+
+
+def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:
+    """A map and a reduce."""
+    chunks = tuple(ChunkPlan(k, {"start_frame": k}, UNITS, f"detect-{k}") for k in range(num_chunks))
+    return StagePlan("detect", chunks), StagePlan("export", (ChunkPlan(0, {}, UNITS, "export"),))
+
+
+def result(job_id: str, name: str = "person-1.bvh") -> Result:
+    return Result(name, "bvh", "person-1", "text/plain", f"jobs/{job_id}/results/{name}", 5, "5" * 64)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A store with a session."""
+
+    url: str
+    store: JobStore
+    session_id: str
+
+    def queue(self, num_chunks: int = 3) -> Job:
+        return self.store.create_job(self.session_id, JobSpec(), stages(num_chunks))
+
+    def claim(self, lease_s: float = LEASE_S) -> Claim:
+        claim = self.store.claim("worker", lease_s)
+        assert claim is not None
+        return claim
+
+    def finish(self, claim: Claim) -> bool:
+        results = [result(claim.job_id)] if claim.stage == "export" else []
+        sha256 = claim.output_key.ljust(64, "0")
+        return self.store.finish(claim.chunk_id, claim.lease_token, sha256, 7, results=results)
+
+    def finish_all(self) -> None:
+        while claim := self.store.claim("worker", LEASE_S):
+            self.finish(claim)
+
+    def execute(self, statement: sa.Executable) -> None:
+        """Change the database behind the store's back."""
+        engine = sa.create_engine(self.url)
+        with engine.begin() as connection:
+            connection.execute(statement)
+        engine.dispose()
+
+
+def new_session(store: JobStore) -> str:
+    session_id = str(uuid_utils.uuid7())
+    files = [
+        InputFile("cam one.mp4", "video", f"sessions/{session_id}/inputs/0-cam_one.mp4", 3_000_000_000, "1" * 64),
+        InputFile("rig.toml", "calibration", f"sessions/{session_id}/inputs/1-rig.toml", 200, "2" * 64),
+    ]
+    preflight = {"cameras": [{"name": "cam one"}], "warnings": ["The clocks drift."]}
+    store.create_session("take", files, preflight, session_id)
+    return session_id
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """An empty database of our own."""
+    if request.param == "sqlite":
+        yield f"sqlite:///{tmp_path / 'jobs.db'}"
+        return
+    server_url = os.environ.get(POSTGRES_VARIABLE)
+    if server_url is None:
+        pytest.skip(f"{POSTGRES_VARIABLE} names no PostgreSQL")
+    url = sa.make_url(server_url).set(database=f"multicap_test_{uuid_utils.uuid4().hex}")
+    server = sa.create_engine(server_url, isolation_level="AUTOCOMMIT")
+    with server.connect() as connection:
+        connection.execute(sa.text(f"CREATE DATABASE {url.database}"))
+    yield url.render_as_string(hide_password=False)
+    with server.connect() as connection:
+        connection.execute(sa.text(f"DROP DATABASE {url.database} WITH (FORCE)"))
+    server.dispose()
+
+
+@pytest.fixture
+def new_store(database_url: str) -> Iterator[Callable[[], JobStore]]:
+    """Stores on one database, as several processes would have them."""
+    made: list[JobStore] = []
+
+    def new() -> JobStore:
+        made.append(JobStore(database_url))
+        return made[-1]
+
+    yield new
+    for store in made:
+        store.close()
+
+
+@pytest.fixture
+def jobs(database_url: str, new_store: Callable[[], JobStore]) -> Bench:
+    store = new_store()
+    store.migrate()
+    return Bench(database_url, store, new_session(store))

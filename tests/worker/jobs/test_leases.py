@@ -1,0 +1,219 @@
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench, result, stages
+from worker.jobs.model import ChunkState, Claim, JobState, Problem
+from worker.jobs.spec import JobSpec
+from worker.jobs.store import MAX_ATTEMPTS, JobStore
+
+PROBLEM = Problem("internal_error", "The stage detect failed inside the service.", stage="detect", retryable=True)
+FINAL = replace(PROBLEM, code="input_error", retryable=False)
+
+
+def test_a_claim_says_all_that_a_worker_needs(jobs: Bench) -> None:
+    job = jobs.queue()
+    claim = jobs.claim()
+    assert claim == Claim(
+        chunk_id=claim.chunk_id,
+        job_id=job.id,
+        session_id=jobs.session_id,
+        stage="detect",
+        index=0,
+        payload={"start_frame": 0},
+        unit_count=UNITS,
+        output_key="detect-0",
+        spec=JobSpec(),
+        lease_token=claim.lease_token,
+        attempt=1,
+    )
+
+
+def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: Bench) -> None:
+    old, new = jobs.queue(2).id, jobs.queue(2).id
+    claims = [jobs.claim() for _ in range(4)]
+    assert [(claim.job_id, claim.index) for claim in claims] == [(old, 0), (old, 1), (new, 0), (new, 1)]
+    assert len({claim.lease_token for claim in claims}) == 4
+    assert jobs.store.claim("worker", LEASE_S) is None
+
+
+def test_without_jobs_there_is_nothing_to_claim(jobs: Bench) -> None:
+    assert jobs.store.claim("worker", LEASE_S) is None
+
+
+def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: Bench) -> None:
+    jobs.queue(num_chunks=3)
+    claims = [jobs.claim() for _ in range(3)]
+    assert [jobs.finish(claim) for claim in (claims[2], claims[0])] == [False, False]
+    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.finish(claims[1])
+    assert jobs.claim().stage == "export"
+
+
+def test_each_stage_follows_the_one_before(jobs: Bench) -> None:
+    detect, export = stages(2)
+    job = jobs.store.create_job(jobs.session_id, JobSpec(), (detect, replace(export, name="fit"), export))
+    order = []
+    while claim := jobs.store.claim("worker", LEASE_S):
+        order.append((claim.stage, jobs.finish(claim)))
+    assert order == [("detect", False), ("detect", True), ("fit", True), ("export", False)]
+    assert jobs.store.job(job.id).state == JobState.SUCCEEDED
+
+
+Report = Callable[[JobStore, int, str], bool]
+
+REPORTS: dict[str, Report] = {
+    "heartbeat": lambda store, chunk_id, token: store.heartbeat(chunk_id, token, UNITS, LEASE_S),
+    "finish": lambda store, chunk_id, token: store.finish(
+        chunk_id, token, "f" * 64, 1, results=[result("0", "of-nobody.bvh")]
+    ),
+    "fail": lambda store, chunk_id, token: store.fail(chunk_id, token, FINAL),
+    "release": lambda store, chunk_id, token: store.release(chunk_id, token),
+}
+
+
+@pytest.mark.parametrize("report", REPORTS.values(), ids=REPORTS.keys())
+def test_only_the_holder_is_heard(jobs: Bench, report: Report) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    lost = jobs.claim(EXPIRED_S)
+    jobs.store.reap()
+    holder = jobs.claim()
+    assert holder.chunk_id == lost.chunk_id
+    before = jobs.store.job(job_id)
+    for token in (lost.lease_token, "", "no token"):
+        assert not report(jobs.store, holder.chunk_id, token)
+    assert not report(jobs.store, holder.chunk_id + 1000, holder.lease_token)
+    assert jobs.store.job(job_id) == before
+    assert jobs.store.artifact(jobs.session_id, holder.output_key) is None
+    assert jobs.finish(holder)
+    for token in (lost.lease_token, holder.lease_token):
+        assert not report(jobs.store, holder.chunk_id, token)
+    jobs.finish_all()
+    assert [file.name for file in jobs.store.results(job_id)] == ["person-1.bvh"]
+
+
+def test_a_heartbeat_keeps_the_lease(jobs: Bench) -> None:
+    jobs.queue(num_chunks=1)
+    claim = jobs.claim(EXPIRED_S)
+    assert jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+    assert jobs.store.reap() == 0
+    assert jobs.finish(claim)
+
+
+def test_a_lease_ends_by_the_clock(jobs: Bench) -> None:
+    jobs.queue(num_chunks=1)
+    claim = jobs.claim(lease_s=0.3)
+    assert jobs.store.reap() == 0
+    time.sleep(0.4)
+    assert jobs.store.reap() == 1
+    assert not jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+
+
+def test_a_late_finish_counts_while_nobody_has_taken_the_chunk_back(jobs: Bench) -> None:
+    jobs.queue(num_chunks=1)
+    assert jobs.finish(jobs.claim(EXPIRED_S))
+
+
+def test_progress_never_goes_back(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    total = 2 * UNITS
+    claim = jobs.claim()
+    seen = []
+    for done_units in (4, 2, 7, 10_000):
+        jobs.store.heartbeat(claim.chunk_id, claim.lease_token, done_units, EXPIRED_S)
+        seen.append(jobs.store.job(job_id).progress)
+    assert seen == [4 / total, 4 / total, 7 / total, 10 / total]
+    jobs.store.reap()
+    claim = jobs.claim()
+    jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+    assert jobs.store.job(job_id).progress == 10 / total
+
+
+def test_a_failure_worth_another_try_gets_it(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    for attempt in range(1, MAX_ATTEMPTS):
+        claim = jobs.claim()
+        assert claim.attempt == attempt
+        assert jobs.store.fail(claim.chunk_id, claim.lease_token, PROBLEM)
+    claim = jobs.claim()
+    assert not jobs.store.fail(claim.chunk_id, claim.lease_token, PROBLEM)
+    job = jobs.store.job(job_id)
+    assert (job.state, job.problem) == (JobState.FAILED, PROBLEM)
+
+
+def test_another_failure_ends_the_job_and_stops_its_workers(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=4).id
+    done, broken, other = jobs.claim(), jobs.claim(), jobs.claim()
+    jobs.finish(done)
+    assert not jobs.store.fail(broken.chunk_id, broken.lease_token, FINAL)
+    job = jobs.store.job(job_id)
+    assert (job.state, job.problem, job.progress) == (JobState.FAILED, FINAL, UNITS / (5 * UNITS))
+    assert [stage.state for stage in job.stages] == [ChunkState.FAILED, ChunkState.CANCELED]
+    assert job.finished_at is not None
+    assert not jobs.store.heartbeat(other.chunk_id, other.lease_token, 1, LEASE_S)
+    assert not jobs.finish(other)
+    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.reap() == 0
+
+
+def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    for _ in range(2 * MAX_ATTEMPTS):
+        claim = jobs.claim()
+        assert claim.attempt == 1
+        assert jobs.store.release(claim.chunk_id, claim.lease_token)
+    assert jobs.store.job(job_id).state == JobState.RUNNING
+
+
+def test_reap_counts_what_is_ready(jobs: Bench) -> None:
+    assert jobs.store.reap() == 0
+    jobs.queue(num_chunks=3)
+    canceled = jobs.queue(num_chunks=2)
+    assert jobs.store.reap() == 5
+    jobs.store.cancel(canceled.id)
+    jobs.claim()
+    assert jobs.store.reap() == 2
+    jobs.claim(EXPIRED_S)
+    assert jobs.store.reap() == 2
+
+
+def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=2).id
+    for attempt in range(1, MAX_ATTEMPTS + 1):
+        assert jobs.store.job(job_id).state in {JobState.QUEUED, JobState.RUNNING}
+        assert jobs.claim(EXPIRED_S).attempt == attempt
+        jobs.store.reap()
+    job = jobs.store.job(job_id)
+    assert job.state == JobState.FAILED
+    assert job.problem is not None
+    assert (job.problem.code, job.problem.stage) == ("worker_lost", "detect")
+    assert jobs.store.reap() == 0
+
+
+def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=2).id
+    jobs.claim(EXPIRED_S)
+    jobs.claim(EXPIRED_S)
+    assert jobs.store.cancel(job_id).state == JobState.CANCELING
+    assert jobs.store.reap() == 0
+    assert jobs.store.job(job_id).state == JobState.CANCELED
+
+
+def test_outputs_are_recorded_by_session(jobs: Bench) -> None:
+    jobs.queue(num_chunks=1)
+    claim = jobs.claim()
+    assert jobs.store.artifact(jobs.session_id, claim.output_key) is None
+    jobs.store.finish(claim.chunk_id, claim.lease_token, "a" * 64, 3_000_000_000)
+    assert jobs.store.artifact(jobs.session_id, claim.output_key) == ("a" * 64, 3_000_000_000)
+    assert jobs.store.artifact("another", claim.output_key) is None
+
+
+def test_the_last_record_of_an_output_counts(jobs: Bench) -> None:
+    jobs.queue(num_chunks=1)
+    jobs.queue(num_chunks=1)
+    for sha256 in ("a" * 64, "b" * 64):
+        claim = next(claim for claim in iter(jobs.claim, None) if claim.stage == "detect")
+        jobs.store.finish(claim.chunk_id, claim.lease_token, sha256, 1)
+    assert jobs.store.artifact(jobs.session_id, "detect-0") == ("b" * 64, 1)
