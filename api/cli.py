@@ -2,7 +2,7 @@
 
 import typer
 
-from api.commands import benchmark, demo, evaluate, models, reconstruct, samples
+from api.commands import benchmark, demo, evaluate, models, reconstruct, samples, serve
 
 app = typer.Typer(
     name="multicap",
@@ -13,6 +13,7 @@ app = typer.Typer(
 )
 app.command("demo")(demo.command)
 app.command("reconstruct")(reconstruct.command)
+app.command("serve")(serve.command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(benchmark.app, name="benchmark")
 app.add_typer(models.app, name="models")
