@@ -11,6 +11,7 @@ import contextlib
 import os
 import re
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -22,6 +23,8 @@ from worker.jobs.errors import NotFound
 _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
 _MAX_NAME = 100
+
+_MODE = stat.S_IRUSR | stat.S_IWUSR  # as a new temporary file has it
 
 
 def input_key(session_id: str, number: int, name: str) -> str:
@@ -97,6 +100,7 @@ class LocalArtifacts:
                 path.replace(temporary)
             except OSError:
                 shutil.copyfile(path, temporary)
+            temporary.chmod(_MODE)
             _sync(temporary)
             self._publish(temporary, target)
         path.unlink(missing_ok=True)

@@ -1,0 +1,229 @@
+"""What every artifact store promises; another one joins by a line in ``artifacts``."""
+
+import errno
+import os
+import stat
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worker.jobs.artifacts import ArtifactStore, LocalArtifacts, input_key, result_key, stage_key
+from worker.jobs.errors import NotFound
+
+KEY = "sessions/0190/stages/detect-0.npz"
+
+
+@pytest.fixture(params=[LocalArtifacts])
+def artifacts(request: pytest.FixtureRequest, tmp_path: Path) -> ArtifactStore:
+    store: ArtifactStore = request.param(tmp_path / "artifacts")
+    return store
+
+
+def read(artifacts: ArtifactStore, key: str) -> bytes:
+    with artifacts.open(key) as file:
+        return file.read()
+
+
+def test_bytes_come_back(artifacts: ArtifactStore) -> None:
+    artifacts.put_bytes(KEY, b"\x00pose\xff")
+    assert read(artifacts, KEY) == b"\x00pose\xff"
+    assert artifacts.exists(KEY)
+    assert artifacts.size(KEY) == 6
+
+
+def test_an_empty_file_is_a_file(artifacts: ArtifactStore) -> None:
+    artifacts.put_bytes(KEY, b"")
+    assert artifacts.exists(KEY)
+    assert (artifacts.size(KEY), read(artifacts, KEY)) == (0, b"")
+
+
+def test_a_file_is_taken_over(artifacts: ArtifactStore, tmp_path: Path) -> None:
+    path = tmp_path / "upload"
+    path.write_bytes(b"video" * 100_000)
+    artifacts.put_file(KEY, path)
+    assert not path.exists()
+    assert artifacts.size(KEY) == 500_000
+    assert read(artifacts, KEY) == b"video" * 100_000
+
+
+def test_a_missing_upload_leaves_nothing(artifacts: ArtifactStore, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        artifacts.put_file(KEY, tmp_path / "missing")
+    assert not artifacts.exists(KEY)
+
+
+def test_the_last_put_counts(artifacts: ArtifactStore, tmp_path: Path) -> None:
+    artifacts.put_bytes(KEY, b"first and long")
+    artifacts.put_bytes(KEY, b"second")
+    assert read(artifacts, KEY) == b"second"
+    path = tmp_path / "upload"
+    path.write_bytes(b"third")
+    artifacts.put_file(KEY, path)
+    assert read(artifacts, KEY) == b"third"
+
+
+def test_a_reader_keeps_what_it_opened(artifacts: ArtifactStore) -> None:
+    artifacts.put_bytes(KEY, b"first")
+    with artifacts.open(KEY) as file:
+        artifacts.put_bytes(KEY, b"second")
+        assert file.read() == b"first"
+
+
+def test_open_files_can_be_sought(artifacts: ArtifactStore) -> None:
+    artifacts.put_bytes(KEY, b"0123456789")
+    with artifacts.open(KEY) as file:
+        file.seek(4)
+        assert file.read(3) == b"456"
+
+
+def test_local_path_holds_the_file(artifacts: ArtifactStore) -> None:
+    artifacts.put_bytes(KEY, b"pose")
+    with artifacts.local_path(KEY) as path:
+        assert path.read_bytes() == b"pose"
+
+
+@pytest.mark.parametrize("key", [KEY, "sessions/0190", "sessions/0190/stages/there/below"])
+def test_what_is_not_there_is_not_found(artifacts: ArtifactStore, key: str) -> None:
+    artifacts.put_bytes("sessions/0190/stages/there", b"")
+    for ask in (artifacts.open, artifacts.size):
+        with pytest.raises(NotFound):
+            ask(key)
+    with pytest.raises(NotFound), artifacts.local_path(key):
+        pass
+    assert not artifacts.exists(key)
+    artifacts.delete(key)
+
+
+def test_delete(artifacts: ArtifactStore) -> None:
+    artifacts.put_bytes(KEY, b"pose")
+    artifacts.put_bytes(KEY + ".json", b"{}")
+    artifacts.delete(KEY)
+    assert not artifacts.exists(KEY)
+    assert artifacts.exists(KEY + ".json")
+    artifacts.delete(KEY)
+
+
+def test_delete_prefix_takes_all_below_and_nothing_beside(artifacts: ArtifactStore) -> None:
+    below = ["sessions/1/inputs/0-a.mp4", "sessions/1/stages/k"]
+    beside = ["sessions/10/inputs/0-a.mp4", "sessions/2/stages/k", "jobs/1/results/a.bvh"]
+    for key in below + beside:
+        artifacts.put_bytes(key, b"pose")
+    artifacts.delete_prefix("sessions/1/")
+    assert [artifacts.exists(key) for key in below] == [False, False]
+    assert all(artifacts.exists(key) for key in beside)
+    artifacts.delete_prefix("sessions/1/")
+    artifacts.delete_prefix("sessions/never/")
+    with pytest.raises(ValueError, match="slash"):
+        artifacts.delete_prefix("sessions/2")
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "",
+        "/",
+        "/etc/passwd",
+        "..",
+        "a/../b",
+        "a/..",
+        ".hidden",
+        "a/.b",
+        "a//b",
+        "a/",
+        "a b",
+        "a\\b",
+        "a\n",
+        "a\x00",
+        "ä",
+    ],
+)
+def test_other_keys_are_refused(artifacts: ArtifactStore, key: str, tmp_path: Path) -> None:
+    path = tmp_path / "upload"
+    path.write_bytes(b"")
+    acts: list[Callable[[], object]] = [
+        lambda: artifacts.put_bytes(key, b""),
+        lambda: artifacts.put_file(key, path),
+        lambda: artifacts.open(key),
+        lambda: artifacts.size(key),
+        lambda: artifacts.exists(key),
+        lambda: artifacts.delete(key),
+        lambda: artifacts.delete_prefix(f"{key}/"),
+    ]
+    for act in acts:
+        with pytest.raises(ValueError, match="no key"):
+            act()
+    assert path.exists()
+
+
+def test_many_writers_of_one_key_leave_one_whole_file(artifacts: ArtifactStore) -> None:
+    contents = [bytes([k]) * 200_000 for k in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda content: artifacts.put_bytes(KEY, content), contents))
+    assert read(artifacts, KEY) in contents
+
+
+def test_ping(artifacts: ArtifactStore) -> None:
+    assert artifacts.ping()
+
+
+class TestLocal:
+    def test_ping_without_its_folder(self, tmp_path: Path) -> None:
+        artifacts = LocalArtifacts(tmp_path / "artifacts")
+        (tmp_path / "artifacts").rename(tmp_path / "moved")
+        assert not artifacts.ping()
+
+    def test_a_file_of_another_file_system_is_copied(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        artifacts, path = LocalArtifacts(tmp_path / "artifacts"), tmp_path / "upload"
+        path.write_bytes(b"video")
+        replace = Path.replace
+
+        def only_inside(source: Path, target: Path) -> Path:
+            if source == path:
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+            return replace(source, target)
+
+        monkeypatch.setattr(Path, "replace", only_inside)
+        artifacts.put_file(KEY, path)
+        assert not path.exists()
+        assert read(artifacts, KEY) == b"video"
+
+    def test_a_full_disk_leaves_what_was_there(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        artifacts = LocalArtifacts(tmp_path)
+        artifacts.put_bytes(KEY, b"first")
+
+        def full(path: Path, data: bytes) -> int:
+            with path.open("wb") as file:
+                file.write(data[:2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(Path, "write_bytes", full)
+        with pytest.raises(OSError, match="No space"):
+            artifacts.put_bytes(KEY, b"second")
+        monkeypatch.undo()
+        assert read(artifacts, KEY) == b"first"
+        assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / KEY]
+
+    def test_files_are_for_their_owner_alone(self, tmp_path: Path) -> None:
+        artifacts, path = LocalArtifacts(tmp_path / "artifacts"), tmp_path / "upload"
+        path.write_bytes(b"video")
+        artifacts.put_file("a", path)
+        artifacts.put_bytes("b", b"pose")
+        modes = {stat.S_IMODE((tmp_path / "artifacts" / key).stat().st_mode) for key in "ab"}
+        assert modes == {0o600}
+
+
+@given(name=st.text(max_size=150), number=st.integers(0, 99))
+def test_any_name_makes_a_key(name: str, number: int, tmp_path_factory: pytest.TempPathFactory) -> None:
+    key = input_key("0190", number, name)
+    assert not LocalArtifacts(tmp_path_factory.getbasetemp()).exists(key)
+    assert len(key) < 150
+
+
+def test_keys() -> None:
+    assert input_key("s", 2, "cam 1 (left).mp4") == "sessions/s/inputs/2-cam_1_left_.mp4"
+    assert stage_key("s", "k") == "sessions/s/stages/k"
+    assert result_key("j", "person-1.bvh") == "jobs/j/results/person-1.bvh"
