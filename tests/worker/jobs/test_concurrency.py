@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,9 +13,11 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from tests.worker.jobs.conftest import LEASE_S, Bench
+from worker.jobs.database import Database
 from worker.jobs.errors import Conflict
-from worker.jobs.model import JobState
+from worker.jobs.model import ChunkState, JobState
 from worker.jobs.store import JobStore
+from worker.jobs.transitions import lock_job, move_chunk
 
 NUM_WORKERS, NUM_CHUNKS = 4, 40
 
@@ -72,6 +75,22 @@ def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: Bench, new_store: 
             assert Counter(opened) == {False: NUM_WORKERS - 1, True: 1}
         jobs.finish_all()
         assert jobs.store.job(job_id).state == JobState.SUCCEEDED
+
+
+def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: Bench) -> None:
+    job_id = jobs.queue(1).id
+    claim = jobs.claim()
+    database = Database(jobs.url)
+    with ThreadPoolExecutor(1) as pool:
+        with database.writing() as connection:
+            lock_job(connection, job_id)
+            waiting = pool.submit(jobs.finish, claim)
+            time.sleep(0.3)
+            assert not waiting.done()
+            move_chunk(connection, claim.chunk_id, ChunkState.READY)
+        assert waiting.result() is False
+    database.close()
+    assert jobs.claim().chunk_id == claim.chunk_id
 
 
 def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(

@@ -150,6 +150,7 @@ def test_retry_starts_over_and_keeps_finished_outputs(jobs: Bench) -> None:
     assert (again.started_at, again.finished_at) == (None, None)
     claim = jobs.claim()
     assert (claim.index, claim.attempt) == (0, 1)
+    assert claim.chunk_id > broken.chunk_id
     assert jobs.store.artifact(jobs.session_id, claim.output_key) == (done.output_key.ljust(64, "0"), 7)
     assert jobs.store.artifact(jobs.session_id, broken.output_key) is None
     assert not jobs.finish(broken)
