@@ -13,6 +13,7 @@ import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -23,6 +24,9 @@ from worker.jobs.errors import NotFound
 _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
 _MAX_NAME = 100
+
+# A temporary file that nobody has written to for so long was left by a process that was killed.
+_ABANDONED_S = 24 * 3600
 
 _MODE = stat.S_IRUSR | stat.S_IWUSR  # as a new temporary file has it
 
@@ -91,6 +95,7 @@ class LocalArtifacts:
         self._root = root
         self._incoming = root / ".incoming"  # no key begins with a dot
         self._incoming.mkdir(parents=True, exist_ok=True)
+        self._remove_abandoned()
 
     def put_file(self, key: str, path: Path) -> None:
         """Take a file over: renamed where the file system allows, else copied."""
@@ -171,6 +176,12 @@ class LocalArtifacts:
             yield Path(name)
         finally:
             Path(name).unlink(missing_ok=True)
+
+    def _remove_abandoned(self) -> None:
+        for path in self._incoming.iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - path.stat().st_mtime > _ABANDONED_S:
+                    path.unlink()
 
     def _publish(self, temporary: Path, target: Path) -> None:
         """Give a complete file its name, so that it survives a loss of power."""

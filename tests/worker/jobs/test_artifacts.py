@@ -207,6 +207,16 @@ class TestLocal:
         assert read(artifacts, KEY) == b"first"
         assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / KEY]
 
+    def test_what_a_killed_process_left_is_removed_in_time(self, tmp_path: Path) -> None:
+        LocalArtifacts(tmp_path).put_bytes(KEY, b"pose")
+        old, new = tmp_path / ".incoming" / "old", tmp_path / ".incoming" / "new"
+        for path in (old, new, tmp_path / KEY):
+            path.write_bytes(b"pose")
+        for path in (old, tmp_path / KEY):
+            os.utime(path, (0, 0))
+        assert LocalArtifacts(tmp_path).exists(KEY)
+        assert (old.exists(), new.exists()) == (False, True)
+
     def test_files_are_for_their_owner_alone(self, tmp_path: Path) -> None:
         artifacts, path = LocalArtifacts(tmp_path / "artifacts"), tmp_path / "upload"
         path.write_bytes(b"video")
