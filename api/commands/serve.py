@@ -10,6 +10,7 @@ from typing import Annotated
 
 import httpx2
 import typer
+from rich.text import Text
 
 from api.console import EXIT_BAD_INPUT, console, reporting
 from api.settings import Settings
@@ -31,7 +32,7 @@ def _listen(port: int) -> socket.socket:
 
 
 def _refusal(sentence: str) -> typer.Exit:
-    console.print(f"[bold red]error[/] {sentence}")
+    console.print(Text.assemble(("error ", "bold red"), sentence), soft_wrap=True)
     return typer.Exit(EXIT_BAD_INPUT)
 
 
@@ -76,10 +77,10 @@ def command(
                 _api(place, listening),
             ]
             Supervisor(programs, place.logs_dir, _warn).run()
-    except embedded.DataFolderBusyError as error:
+    except embedded.DataFolderError as error:
         raise _refusal(str(error)) from error
     console.print("Stopped.")
 
 
 def _warn(sentence: str) -> None:
-    console.print(f"[yellow]warning[/] {sentence}")
+    console.print(Text.assemble(("warning ", "yellow"), sentence), soft_wrap=True)

@@ -192,19 +192,3 @@ def test_a_killed_supervisor_leaves_no_orphan(data_dir: Path) -> None:
         process.kill()
     wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=10)
     bench.store.close()
-
-
-def test_a_folder_is_taken_once(tmp_path: Path) -> None:
-    refused = pytest.raises(embedded.DataFolderBusyError, match="Another service runs")
-    with embedded.occupy(tmp_path), refused, embedded.occupy(tmp_path):
-        pass
-    with embedded.occupy(tmp_path):
-        pass
-
-
-def test_a_socket_fits_whatever_the_folder(tmp_path: Path) -> None:
-    deep = tmp_path / ("x" * 100)
-    with embedded.occupy(deep) as place:
-        assert len(str(place.socket)) <= 100
-        assert place.socket.parent.stat().st_mode & 0o077 == 0
-    assert not place.socket.parent.exists()

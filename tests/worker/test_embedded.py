@@ -1,0 +1,56 @@
+"""The data folder of an embedded service, and the broker in it."""
+
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from worker import embedded
+from worker.jobs.queue import WorkQueue
+from worker.lifeline import tied
+
+
+def test_a_folder_is_taken_once(tmp_path: Path) -> None:
+    refused = pytest.raises(embedded.DataFolderError, match="Another service runs")
+    with embedded.occupy(tmp_path), refused, embedded.occupy(tmp_path):
+        pass
+    with embedded.occupy(tmp_path):
+        pass
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(embedded.DataFolderError, match="can't be used"), embedded.occupy(tmp_path / "file" / "data"):
+        pass
+
+
+def test_what_a_killed_part_left_is_removed(tmp_path: Path) -> None:
+    with embedded.occupy(tmp_path) as place:
+        (place.temporary_dir / "left").mkdir()
+    with embedded.occupy(tmp_path) as place:
+        assert list(place.temporary_dir.iterdir()) == []
+        assert place.environment()["TMPDIR"] == str(place.temporary_dir)
+
+
+def test_the_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
+    with embedded.occupy(tmp_path / ("x" * 100)) as place:
+        assert len(str(place.socket)) <= 100
+        assert place.socket.parent.stat().st_mode & 0o077 == 0
+    assert not place.socket.parent.exists()
+
+
+def test_the_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
+    with embedded.occupy(tmp_path / "ä b#c%41?") as place:
+        program = embedded.broker(place)
+        queue = WorkQueue(place.broker_url)
+        with subprocess.Popen(tied(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
+            try:
+                deadline_s = time.monotonic() + 10
+                while not queue.ping() and time.monotonic() < deadline_s:
+                    time.sleep(0.05)
+                assert queue.publish()
+                assert place.socket.stat().st_mode & 0o077 == 0
+            finally:
+                queue.close()
+                process.terminate()
