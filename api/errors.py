@@ -19,6 +19,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 
 from worker.jobs.errors import JobStoreError, NotFinished, NotFound
 
@@ -173,6 +174,8 @@ def handle(request: Request, error: Exception) -> Response:
     answer = as_api_error(error)
     if answer.status >= 500:
         _log.error("request_failed", code=answer.code, exc_info=error)
+    if answer.status == 405:
+        answer.headers["Allow"] = ", ".join(_methods_at(request))
     return problem_response(request, answer)
 
 
@@ -183,6 +186,14 @@ def install(app: FastAPI) -> None:
     """
     for kind in (ApiError, RequestValidationError, HTTPException, JobStoreError, ClientDisconnect):
         app.add_exception_handler(kind, handle)
+
+
+def _methods_at(request: Request) -> Iterator[str]:
+    """What the address of a request does take; the framework names the methods of one of its routes only."""
+    for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"):
+        scope = request.scope | {"method": method}
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
+            yield method
 
 
 class _ProblemResponse(JSONResponse):

@@ -107,7 +107,7 @@ def _keep(services: Services, form: Form, manifest: Manifest, preflight: Mapping
         received.append(("calibration", form.calibration))
     files = [_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(received)]
     with contextlib.ExitStack() as undo:
-        undo.callback(services.artifacts.delete_prefix, f"sessions/{session_id}")
+        undo.callback(services.artifacts.delete_prefix, f"sessions/{session_id}/")
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
         session = services.store.create_session(manifest.name, files, preflight, session_id)

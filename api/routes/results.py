@@ -18,10 +18,8 @@ router = APIRouter(prefix="/v1/jobs/{job_id}/results", tags=["results"])
 
 _BLOCK_BYTES = 2**18
 _FILE: dict[str, Any] = {
-    "application/octet-stream": {
-        "schema": {"type": "string", "contentMediaType": "application/octet-stream"},
-        "example": "HIERARCHY\nROOT Hips\n",
-    }
+    "text/plain": {"schema": {"type": "string"}, "example": "HIERARCHY\nROOT Hips\n"},
+    "application/json": {"schema": {}, "example": {"schema_version": 1}},
 }
 _HEADERS = {
     "ETag": {"description": "The file's sha256.", "schema": {"type": "string"}},

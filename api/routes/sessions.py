@@ -59,4 +59,4 @@ def remove_session(services: Services, session_id: str) -> None:
     """Delete a session; its rows first, so that nothing is shown whose files are gone."""
     for key in services.store.delete_session(session_id):
         services.artifacts.delete(key)
-    services.artifacts.delete_prefix(f"sessions/{session_id}")
+    services.artifacts.delete_prefix(f"sessions/{session_id}/")

@@ -31,10 +31,10 @@ class Leases:
 
     def claim(self, worker: str, lease_s: float) -> Claim | None:
         """Take the next ready chunk of the oldest job that has one; ``None`` if no job has."""
+        ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY)
         oldest = (
             select(jobs.c.id)
-            .join(chunks, chunks.c.job_id == jobs.c.id)
-            .where(chunks.c.state == ChunkState.READY, jobs.c.state.in_(_AT_WORK))
+            .where(jobs.c.state.in_(_AT_WORK), ready.exists())
             .order_by(jobs.c.queued_at, jobs.c.id)
             .limit(1)
         )

@@ -1,0 +1,214 @@
+"""The service on a free port, in this process, with a small program in place of the preflight."""
+
+import contextlib
+import hashlib
+import shutil
+import socket
+import sqlite3
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+import structlog
+import uvicorn
+
+from api.app import create_app
+from api.dependencies import Services
+from api.settings import Settings
+from worker.jobs.artifacts import result_key
+from worker.jobs.model import Result
+
+# Says what the real one would: what a video is stands in its first bytes.
+PREFLIGHT = """
+import json, pathlib, sys, time
+arguments = sys.argv[1:]
+at = arguments.index("--calibration")
+videos = [pathlib.Path(name) for name in arguments[arguments.index("--videos") + 1 : at]]
+problems = []
+for video in videos:
+    with video.open("rb") as file:
+        start = file.read(5)
+    if start == b"HANG!":
+        time.sleep(60)
+    if start == b"CRASH":
+        raise RuntimeError(f"{video} is a secret")
+    if start == b"BABEL":
+        print("x" * 10_000_000)
+        sys.exit(0)
+    if start == b"WRONG":
+        problems.append({"code": "video_unreadable", "message": "No video.", "file": video.name, "camera": video.stem,
+                         "field": None, "hint": "Send a video."})
+calibration = pathlib.Path(arguments[at + 1])
+if calibration.stat().st_size == 0:
+    problems.append({"code": "calibration_empty", "message": "No cameras.", "file": calibration.name, "camera": None,
+                     "field": "cameras", "hint": None})
+if problems:
+    print(json.dumps({"problems": problems}))
+    sys.exit(2)
+cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60}
+           for video in videos]
+print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
+                  "warnings": ["The cameras are close together."]}))
+"""
+
+# Nobody listens there: publishing fails at once, as it may.
+NO_BROKER = "redis://127.0.0.1:1/0"
+
+RESULT = bytes(range(256)) * 4
+
+
+@dataclass
+class Live:
+    """A running service."""
+
+    client: httpx2.Client
+    address: tuple[str, int]
+    services: Services
+
+    @property
+    def settings(self) -> Settings:
+        return self.services.settings
+
+    def kept(self) -> list[Path]:
+        """All files that the service holds of sessions and uploads."""
+        folders = (self.settings.spool_dir, self.settings.artifacts_dir)
+        return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+
+    def post_session(self, videos: int = 2, **options: Any) -> httpx2.Response:
+        return self.client.post("/v1/sessions", files=form(videos), **options)
+
+    def session_id(self) -> str:
+        answer = self.post_session()
+        assert answer.status_code == 201, answer.text
+        return str(answer.json()["id"])
+
+    def job_id(self) -> str:
+        answer = self.client.post(f"/v1/sessions/{self.session_id()}/jobs", json={})
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["id"])
+
+    def finish(self, job_id: str, content: bytes = RESULT) -> None:
+        """Do a job's work as a worker would."""
+        key = result_key(job_id, "person-1.bvh")
+        digest = hashlib.sha256(content).hexdigest()
+        self.services.artifacts.put_bytes(key, content)
+        result = Result("person-1.bvh", "bvh", "person-1", "text/plain; charset=utf-8", key, len(content), digest)
+        while claim := self.services.store.claim("test", 30.0):
+            assert claim.job_id == job_id
+            results = [result] if claim.stage == "export" else []
+            self.services.store.finish(claim.chunk_id, claim.lease_token, digest, len(content), results=results)
+
+
+def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:
+    """Parts of a good session."""
+    parts: list[tuple[str, Any]] = [("videos", (f"cam_{index}.mp4", content)) for index in range(videos)]
+    return [*parts, ("calibration", ("calibration.toml", calibration))]
+
+
+@contextlib.contextmanager
+def running(settings: Settings) -> Iterator[Live]:
+    """Serve on a free port of loopback."""
+    app = create_app(settings)
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_config=None, lifespan="on"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    deadline_s = time.monotonic() + 20
+    while not server.started:
+        assert time.monotonic() < deadline_s
+        assert thread.is_alive()
+        time.sleep(0.01)
+    address = server.servers[0].sockets[0].getsockname()
+    try:
+        with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}", timeout=30) as client:
+            yield Live(client, address, app.state.services)
+    finally:
+        server.should_exit = True
+        thread.join(20)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quiet_log() -> Iterator[None]:
+    structlog.configure(
+        logger_factory=structlog.ReturnLoggerFactory(), processors=[structlog.processors.JSONRenderer()]
+    )
+    yield
+    structlog.reset_defaults()
+
+
+@pytest.fixture(scope="session")
+def preflight_command(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
+    script = tmp_path_factory.mktemp("preflight") / "preflight.py"
+    script.write_text(PREFLIGHT, encoding="utf-8")
+    return (sys.executable, "-I", "-S", str(script))
+
+
+@pytest.fixture(scope="session")
+def make_settings(
+    tmp_path_factory: pytest.TempPathFactory, preflight_command: tuple[str, ...]
+) -> Callable[..., Settings]:
+    def make(**changes: Any) -> Settings:
+        folder = tmp_path_factory.mktemp("service")
+        defaults: dict[str, Any] = {
+            "home": folder / "home",
+            "data_dir": folder / "data",
+            "broker_url": NO_BROKER,
+            "preflight_command": preflight_command,
+            "max_file_bytes": 100_000,
+            "max_session_bytes": 250_000,
+            "max_calibration_bytes": 10_000,
+            "max_json_bytes": 1_000,
+            "max_cameras": 4,
+        }
+        return Settings(**(defaults | changes))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+    with running(make_settings()) as live:
+        yield live
+
+
+@pytest.fixture
+def live(service: Live) -> Iterator[Live]:
+    """A running service with nothing in it."""
+    yield service
+    with contextlib.closing(sqlite3.connect(service.settings.data_dir / "multicap.db")) as database, database:
+        database.execute("PRAGMA foreign_keys = ON")
+        database.execute("DELETE FROM sessions")
+    for folder in ("sessions", "jobs"):
+        shutil.rmtree(service.settings.artifacts_dir / folder, ignore_errors=True)
+
+
+def raw(address: tuple[str, int], request: bytes) -> bytes:
+    """Send bytes as they are, and read all of the answer."""
+    with socket.create_connection(address[:2], timeout=10) as connection:
+        connection.sendall(request)
+        connection.shutdown(socket.SHUT_WR)
+        answer = b""
+        while block := connection.recv(65536):
+            answer += block
+        return answer
+
+
+def problem_of(answer: httpx2.Response, status: int, code: str) -> dict[str, Any]:
+    """Check that an answer is a problem of the documented shape."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert set(problem) == {
+        "type", "title", "status", "detail", "instance", "code", "errors", "camera", "stage", "hint", "retryable",
+        "request_id",
+    }  # fmt: skip
+    assert problem["status"] == status
+    assert problem["code"] == code
+    assert problem["request_id"] == answer.headers["x-request-id"]
+    assert "Traceback" not in answer.text
+    return problem

@@ -1,0 +1,136 @@
+import json
+import uuid
+from datetime import UTC, datetime
+
+import pytest
+
+from tests.api.conftest import Live, form, problem_of
+from worker.jobs.model import Problem
+
+
+def test_job_from_its_creation_to_its_end(live: Live) -> None:
+    session_id = live.session_id()
+    answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"method": "tracking"})
+    assert answer.status_code == 202
+    job = answer.json()
+    assert answer.headers["location"] == f"/v1/jobs/{job['id']}" == job["links"]["self"]
+    assert int(answer.headers["retry-after"]) >= 1
+    assert uuid.UUID(job["id"]).version == 7
+    assert (job["session_id"], job["state"], job["attempt"]) == (session_id, "queued", 1)
+    assert [stage["name"] for stage in job["stages"]] == ["detect", "associate", "fit", "export"]
+    # 60 frames of two cameras.
+    assert [stage["total"] for stage in job["stages"]] == [120, 1, 1, 1]
+    assert job["created_at"].endswith("Z")
+    assert abs((datetime.now(UTC) - datetime.fromisoformat(job["created_at"])).total_seconds()) < 60
+
+    live.finish(job["id"])
+    done = live.client.get(f"/v1/jobs/{job['id']}").json()
+    assert (done["state"], done["progress"], done["error"]) == ("succeeded", 1.0, None)
+    assert [stage["fraction"] for stage in done["stages"]] == [1, 1, 1, 1]
+
+
+def test_job_without_a_body_is_as_by_default(live: Live) -> None:
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs")
+    assert answer.json()["spec"] == {"method": "tracking", "detector": "movenet-multipose"}
+
+
+def test_session_and_job_in_one_call(live: Live) -> None:
+    parts = [*form(), ("spec", ("", json.dumps({"method": "tracking"}))), ("manifest", (None, b'{"name": "Take 3"}'))]
+    answer = live.client.post("/v1/jobs", files=parts)
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["location"] == answer.json()["links"]["self"]
+    session = live.client.get(answer.json()["links"]["session"]).json()
+    assert session["name"] == "Take 3"
+
+
+def test_one_call_names_all_problems_of_spec_manifest_and_files(live: Live) -> None:
+    parts = [
+        ("videos", ("cam_0.mp4", b"WRONG")),
+        ("calibration", ("calibration.toml", b"")),
+        ("spec", (None, b'{"method": "magic", "colour": 1}')),
+        ("manifest", (None, b'{"name": ""}')),
+    ]
+    problem = problem_of(live.client.post("/v1/jobs", files=parts), 422, "invalid_request")
+    assert {item["pointer"] for item in problem["errors"]} == {
+        "/spec/method", "/spec/colour", "/manifest/name", "/videos/0", "/calibration",
+    }  # fmt: skip
+    assert live.kept() == []
+    assert live.client.get("/v1/sessions").json()["sessions"] == []
+
+
+def test_session_goes_when_its_job_can_not_be_made(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError
+
+    monkeypatch.setattr(live.services.store, "create_job", fail)
+    problem_of(live.client.post("/v1/jobs", files=form()), 500, "internal_error")
+    assert live.kept() == []
+    assert live.client.get("/v1/sessions").json()["sessions"] == []
+
+
+def test_pages_hold_every_job_once(live: Live) -> None:
+    session_id = live.session_id()
+    made = [live.client.post(f"/v1/sessions/{session_id}/jobs").json()["id"] for _ in range(5)]
+    found: list[str] = []
+    cursor = ""
+    for _ in range(4):
+        page = live.client.get(f"/v1/jobs?limit=2{cursor}").json()
+        found += [job["id"] for job in page["jobs"]]
+        if page["next_cursor"] is None:
+            break
+        cursor = f"&cursor={page['next_cursor']}"
+    assert found == made[::-1]
+
+
+def test_jobs_by_state(live: Live) -> None:
+    first, second = live.job_id(), live.job_id()
+    live.client.post(f"/v1/jobs/{first}/cancel")
+    by_state = {
+        state: [job["id"] for job in live.client.get(f"/v1/jobs?state={state}").json()["jobs"]]
+        for state in ("queued", "canceled", "failed")
+    }
+    assert by_state == {"queued": [second], "canceled": [first], "failed": []}
+
+
+def test_cancel_and_retry(live: Live) -> None:
+    job_id = live.job_id()
+    problem_of(live.client.post(f"/v1/jobs/{job_id}/retry"), 409, "conflict")
+    answer = live.client.post(f"/v1/jobs/{job_id}/cancel")
+    assert (answer.status_code, answer.json()["state"]) == (202, "canceled")
+    problem_of(live.client.post(f"/v1/jobs/{job_id}/cancel"), 409, "conflict")
+    again = live.client.post(f"/v1/jobs/{job_id}/retry")
+    assert (again.status_code, again.json()["state"], again.json()["attempt"]) == (202, "queued", 2)
+    assert again.headers["location"] == f"/v1/jobs/{job_id}"
+
+
+def test_failed_job_says_why(live: Live) -> None:
+    job_id = live.job_id()
+    claim = live.services.store.claim("test", 30.0)
+    assert claim is not None
+    problem = Problem("video_truncated", "The video ends early.", stage="detect", camera="cam_1", hint="Copy it again.")
+    live.services.store.fail(claim.chunk_id, claim.lease_token, problem)
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    assert job["state"] == "failed"
+    assert job["error"] == {
+        "code": "video_truncated", "detail": "The video ends early.", "stage": "detect", "camera": "cam_1",
+        "hint": "Copy it again.", "retryable": False,
+    }  # fmt: skip
+
+
+def test_delete_waits_for_the_end(live: Live) -> None:
+    job_id = live.job_id()
+    problem_of(live.client.delete(f"/v1/jobs/{job_id}"), 409, "conflict")
+    live.finish(job_id)
+    assert any(path.name == "person-1.bvh" for path in live.kept())
+    assert live.client.delete(f"/v1/jobs/{job_id}").status_code == 204
+    assert not any(path.name == "person-1.bvh" for path in live.kept())
+    problem_of(live.client.get(f"/v1/jobs/{job_id}"), 404, "not_found")
+
+
+def test_progress_of_a_running_stage(live: Live) -> None:
+    job_id = live.job_id()
+    claim = live.services.store.claim("test", 30.0)
+    assert claim is not None
+    live.services.store.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    assert (job["state"], job["stages"][0]["done"], job["stages"][0]["fraction"]) == ("running", 30, 0.25)

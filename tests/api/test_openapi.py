@@ -1,0 +1,80 @@
+from typing import Any
+
+import pytest
+from jsonschema_rs import validator_for
+
+from api.openapi import COMMITTED, document
+from tests.api.conftest import Live
+
+METHODS = {"get", "post", "put", "patch", "delete"}
+
+
+def operations(schema: dict[str, Any]) -> list[dict[str, Any]]:
+    return [operation for path in schema["paths"].values() for name, operation in path.items() if name in METHODS]
+
+
+@pytest.fixture
+def schema(live: Live) -> dict[str, Any]:
+    found: dict[str, Any] = live.client.get("/openapi.json").json()
+    return found
+
+
+def test_committed_contract_is_what_the_code_says() -> None:
+    assert COMMITTED.read_text(encoding="utf-8") == document()
+
+
+def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
+    assert schema["openapi"].startswith("3.1")
+    names = [operation["operationId"] for operation in operations(schema)]
+    assert sorted(names) == [
+        "cancelJob", "createJob", "createSession", "createSessionAndJob", "deleteJob", "deleteSession", "getHealth",
+        "getJob", "getReadiness", "getResult", "getSession", "listJobs", "listResults", "listSessions", "retryJob",
+    ]  # fmt: skip
+    assert all(operation["description"] for operation in operations(schema))
+
+
+def test_every_answer_has_an_example(schema: dict[str, Any]) -> None:
+    for operation in operations(schema):
+        for status, response in operation["responses"].items():
+            if status in {"204", "304"}:
+                continue
+            declared = (
+                schema["components"]["responses"][response["$ref"].split("/")[-1]] if "$ref" in response else response
+            )
+            for content in declared["content"].values():
+                assert "example" in content or content["examples"], (operation["operationId"], status)
+
+
+def test_every_body_has_an_example(schema: dict[str, Any]) -> None:
+    for operation in operations(schema):
+        for content in operation.get("requestBody", {"content": {}})["content"].values():
+            assert "example" in content or content["examples"]
+
+
+def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
+    for operation in operations(schema):
+        assert {"403", "500", "503"} <= operation["responses"].keys()
+        if "{job_id}" in str(operation.get("parameters")) or operation["operationId"].startswith(("get", "delete")):
+            assert "404" in operation["responses"] or operation["operationId"] in {"getHealth", "getReadiness"}
+
+
+@pytest.mark.parametrize(
+    ("example", "model"),
+    [
+        ("Session", "SessionOut"), ("SessionPage", "SessionPage"), ("Job", "JobOut"), ("JobPage", "JobPage"),
+        ("ResultList", "ResultList"), ("Health", "Health"), ("Readiness", "Readiness"),
+    ],
+)  # fmt: skip
+def test_examples_are_valid(schema: dict[str, Any], example: str, model: str) -> None:
+    validator = validator_for(schema | {"$ref": f"#/components/schemas/{model}"})
+    validator.validate(schema["components"]["examples"][example]["value"])
+
+
+def test_examples_of_problems_are_valid(schema: dict[str, Any]) -> None:
+    validator = validator_for(schema | {"$ref": "#/components/schemas/ProblemDetails"})
+    for status in operations(schema)[0]["responses"]:
+        name = f"Problem{status}"
+        if name in schema["components"]["responses"]:
+            content = schema["components"]["responses"][name]["content"]["application/problem+json"]
+            validator.validate(content["example"])
+            assert content["example"]["status"] == int(status)

@@ -1,0 +1,132 @@
+import hashlib
+
+import pytest
+
+from tests.api.conftest import RESULT, Live, problem_of
+
+ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
+
+
+@pytest.fixture
+def job_id(live: Live) -> str:
+    identifier = live.job_id()
+    live.finish(identifier)
+    return identifier
+
+
+@pytest.fixture
+def path(job_id: str) -> str:
+    return f"/v1/jobs/{job_id}/results/person-1.bvh"
+
+
+def test_list(live: Live, job_id: str, path: str) -> None:
+    assert live.client.get(f"/v1/jobs/{job_id}/results").json() == {
+        "results": [
+            {
+                "name": "person-1.bvh",
+                "kind": "bvh",
+                "person": "person-1",
+                "media_type": "text/plain; charset=utf-8",
+                "num_bytes": len(RESULT),
+                "sha256": ETAG.strip('"'),
+                "link": path,
+            }
+        ]
+    }
+
+
+def test_whole_file(live: Live, path: str) -> None:
+    answer = live.client.get(path)
+    assert answer.status_code == 200
+    assert answer.content == RESULT
+    assert answer.headers["etag"] == ETAG
+    assert answer.headers["accept-ranges"] == "bytes"
+    assert answer.headers["content-type"] == "text/plain; charset=utf-8"
+    assert answer.headers["content-disposition"] == "attachment; filename*=utf-8''person-1.bvh"
+    assert answer.headers["content-length"] == str(len(RESULT))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "start", "stop"),
+    [
+        ("bytes=0-0", 0, 1),
+        ("bytes=10-19", 10, 20),
+        ("bytes=1000-", 1000, 1024),
+        ("bytes=1023-1023", 1023, 1024),
+        ("bytes=1000-99999", 1000, 1024),
+        ("bytes=-24", 1000, 1024),
+        ("bytes=-99999", 0, 1024),
+        ("BYTES=0-1", 0, 2),
+    ],
+)
+def test_ranges(live: Live, path: str, wanted: str, start: int, stop: int) -> None:
+    answer = live.client.get(path, headers={"Range": wanted})
+    assert answer.status_code == 206
+    assert answer.content == RESULT[start:stop]
+    assert answer.headers["content-range"] == f"bytes {start}-{stop - 1}/{len(RESULT)}"
+    assert answer.headers["content-length"] == str(stop - start)
+    assert answer.headers["etag"] == ETAG
+
+
+@pytest.mark.parametrize("wanted", ["bytes=1024-", "bytes=5000-6000", "bytes=-0"])
+def test_ranges_beyond_the_end(live: Live, path: str, wanted: str) -> None:
+    answer = live.client.get(path, headers={"Range": wanted})
+    problem_of(answer, 416, "range_not_satisfiable")
+    assert answer.headers["content-range"] == "bytes */1024"
+
+
+@pytest.mark.parametrize("wanted", ["bytes=5-2", "bytes=", "bytes=-", "bytes=a-b", "lines=1-2", "bytes=0-1,5-6", "x"])
+def test_ranges_that_may_be_ignored(live: Live, path: str, wanted: str) -> None:
+    answer = live.client.get(path, headers={"Range": wanted})
+    assert (answer.status_code, answer.content) == (200, RESULT)
+
+
+@pytest.mark.parametrize(("validator", "status"), [(ETAG, 206), ('"other"', 200), (f"W/{ETAG}", 200)])
+def test_if_range(live: Live, path: str, validator: str, status: int) -> None:
+    answer = live.client.get(path, headers={"Range": "bytes=0-9", "If-Range": validator})
+    assert answer.status_code == status
+
+
+@pytest.mark.parametrize(
+    ("validators", "status"),
+    [(ETAG, 304), (f'"other", {ETAG}', 304), (f"W/{ETAG}", 304), ("*", 304), ('"other"', 200), ("", 200)],
+)
+def test_if_none_match(live: Live, path: str, validators: str, status: int) -> None:
+    answer = live.client.get(path, headers={"If-None-Match": validators})
+    assert answer.status_code == status
+    if status == 304:
+        assert answer.content == b""
+        assert answer.headers["etag"] == ETAG
+
+
+def test_unknown_name(live: Live, job_id: str) -> None:
+    for name in ("person-2.bvh", "%2e%2e%2fmulticap.db", "person-1.bvh%00"):
+        problem_of(live.client.get(f"/v1/jobs/{job_id}/results/{name}"), 404, "not_found")
+
+
+def test_unfinished_job_has_none_yet(live: Live) -> None:
+    job_id = live.job_id()
+    problem = problem_of(live.client.get(f"/v1/jobs/{job_id}/results"), 409, "not_finished")
+    assert problem["retryable"] is True
+    problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 409, "not_finished")
+
+
+def test_canceled_job_has_none(live: Live) -> None:
+    job_id = live.job_id()
+    live.client.post(f"/v1/jobs/{job_id}/cancel")
+    assert live.client.get(f"/v1/jobs/{job_id}/results").json() == {"results": []}
+
+
+def test_removed_file_is_gone_and_its_key_unsaid(live: Live, path: str, job_id: str) -> None:
+    live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
+    answer = live.client.get(path)
+    problem_of(answer, 410, "expired")
+    assert "results" not in answer.json()["detail"]
+
+
+def test_empty_file(live: Live) -> None:
+    job_id = live.job_id()
+    live.finish(job_id, b"")
+    path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+    assert live.client.get(path).content == b""
+    problem_of(live.client.get(path, headers={"Range": "bytes=0-"}), 416, "range_not_satisfiable")

@@ -1,0 +1,223 @@
+import hashlib
+import json
+import os
+import socket
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from api.settings import Settings
+from tests.api.conftest import Live, form, problem_of, running
+
+
+def test_session_says_what_was_found(live: Live) -> None:
+    answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, b'{"name": "Take \\u00e9 3"}'))])
+    assert answer.status_code == 201
+    session = answer.json()
+    assert answer.headers["location"] == f"/v1/sessions/{session['id']}"
+    assert uuid.UUID(session["id"]).version == 7
+    assert session["name"] == "Take é 3"
+    assert session["files"] == [
+        {"name": name, "kind": kind, "num_bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+        for name, kind, content in (
+            ("cam_0.mp4", "video", b"video"),
+            ("cam_1.mp4", "video", b"video"),
+            ("calibration.toml", "calibration", b"[cam_0]"),
+        )
+    ]
+    assert session["preflight"]["timebase"] == {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60}
+    assert session["preflight"]["cameras"][1] == {
+        "name": "cam_1", "file": "cam_1.mp4", "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
+    }  # fmt: skip
+    assert session["preflight"]["warnings"] == ["The cameras are close together."]
+    assert live.client.get(session["links"]["self"]).json() == session
+
+
+def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None:
+    content = os.urandom(99_999)
+    answer = live.client.post("/v1/sessions", files=form(1, content))
+    (video, _) = live.services.store.session(answer.json()["id"]).files
+    with live.services.artifacts.open(video.key) as file:
+        assert file.read() == content
+    assert list(live.settings.spool_dir.iterdir()) == []
+
+
+def test_all_problems_of_all_files_at_once(live: Live) -> None:
+    parts = [
+        ("videos", ("cam_0.mp4", b"WRONG")),
+        ("videos", ("cam_1.mp4", b"video")),
+        ("videos", ("cam_2.mp4", b"WRONG")),
+        ("calibration", ("calibration.toml", b"")),
+    ]
+    problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
+    assert [(item["pointer"], item["code"], item["file"], item["camera"]) for item in problem["errors"]] == [
+        ("/videos/0", "video_unreadable", "cam_0.mp4", "cam_0"),
+        ("/videos/2", "video_unreadable", "cam_2.mp4", "cam_2"),
+        ("/calibration", "calibration_empty", "calibration.toml", None),
+    ]
+    assert problem["errors"][0]["hint"] == "Send a video."
+    assert live.kept() == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../cam_0.mp4", "/etc/passwd", "a/b.mp4", "C:\\evil\\cam_0.mp4", "\\\\host\\share\\x.mp4", "a\\b.mp4",
+        "..", ".", "tab\tbed.mp4", "bell\x07.mp4", "delete\x7f.mp4", "c1\x85.mp4", "turned\u202e4pm.mp4",
+        "invisible\u200b.mp4", "x" * 201 + ".mp4", "é" * 101,
+    ],
+)  # fmt: skip
+def test_hostile_file_names(live: Live, name: str) -> None:
+    parts = [*form(1), ("videos", ("placeholder", b"video"))]
+    request = live.client.build_request("POST", "/v1/sessions", files=parts)
+    body = request.read().replace(b'"placeholder"', b'"' + name.replace('"', '\\"').encode() + b'"')
+    answer = live.client.post("/v1/sessions", content=body, headers={"Content-Type": request.headers["content-type"]})
+    (item,) = problem_of(answer, 422, "invalid_request")["errors"]
+    assert (item["pointer"], item["code"]) == ("/videos/1", "file_name_invalid")
+    assert live.kept() == []
+
+
+@pytest.mark.parametrize("name", [b"\xff\xfe.mp4", b"\xed\xa0\x80.mp4", b"nul\x00.mp4", b""])
+def test_file_names_that_are_no_text(live: Live, name: bytes) -> None:
+    request = live.client.build_request("POST", "/v1/sessions", files=form(1))
+    body = request.read().replace(b"cam_0.mp4", name)
+    answer = live.client.post("/v1/sessions", content=body, headers={"Content-Type": request.headers["content-type"]})
+    assert answer.status_code in {400, 422}
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert live.kept() == []
+
+
+@pytest.mark.parametrize(
+    "name", ["cam 0.mp4", "Kamera ä.mp4", "撮影.mov", "-rf.mp4", "'; DROP TABLE.mp4", "x" * 196 + ".mp4"]
+)
+def test_unusual_names_are_kept(live: Live, name: str) -> None:
+    answer = live.client.post("/v1/sessions", files=[("videos", (name, b"video")), *form(0)])
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["files"][0]["name"] == name
+
+
+@pytest.mark.parametrize(
+    ("parts", "errors"),
+    [
+        (form(0), {("/videos", "missing_part")}),
+        (form(1)[:1], {("/calibration", "missing_part")}),
+        ([("x", (None, b""))], {("/x", "unknown_part"), ("/videos", "missing_part"), ("/calibration", "missing_part")}),
+        ([*form(), ("spec", (None, b"{}"))], {("/spec", "unknown_part")}),
+        ([*form(), form()[0]], {("/videos/2", "duplicate_file_name")}),
+        ([*form(1), ("videos", ("CAM_0.mp4", b""))], {("/videos/1", "duplicate_file_name")}),
+        ([*form(1), ("videos", ("calibration.toml", b""))], {("/videos/1", "duplicate_file_name")}),
+        ([*form(), ("calibration", ("other.toml", b""))], {("/calibration", "duplicate_part")}),
+        ([*form(), *[("manifest", (None, b"{}"))] * 2], {("/manifest", "duplicate_part")}),
+        (form(7), {("/videos/4", "too_many_videos")}),
+        (
+            [*form(1), ("videos", ("a/b", b"")), ("y~/", (None, b""))],
+            {("/videos/1", "file_name_invalid"), ("/y~0~1", "unknown_part")},
+        ),
+    ],
+)  # fmt: skip
+def test_wrong_parts(live: Live, parts: Any, errors: set[tuple[str, str]]) -> None:
+    problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
+    assert {(item["pointer"], item["code"]) for item in problem["errors"]} == errors
+    assert live.kept() == []
+
+
+@pytest.mark.parametrize(
+    ("manifest", "pointer"),
+    [
+        (b"{", "/manifest"),
+        (b"[]", "/manifest"),
+        (b"\xff", "/manifest"),
+        (b'{"units": "mm"}', "/manifest/units"),
+        (b'{"name": 3}', "/manifest/name"),
+        (b'{"name": "a\\u0000b"}', "/manifest/name"),
+        (b'{"name": "' + b"x" * 201 + b'"}', "/manifest/name"),
+        (b'{"name": "\\ud800"}', "/manifest"),
+        (b"[" * 999, "/manifest"),
+    ],
+)
+def test_wrong_manifests(live: Live, manifest: bytes, pointer: str) -> None:
+    answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, manifest))])
+    (item,) = problem_of(answer, 422, "invalid_request")["errors"]
+    assert item["pointer"] == pointer
+    assert live.kept() == []
+
+
+@pytest.mark.parametrize(
+    ("parts", "status"),
+    [
+        (form(1, b"v" * 100_000), 201),
+        (form(1, b"v" * 100_001), 413),
+        (form(1, b"v", b"c" * 10_000), 201),
+        (form(1, b"v", b"c" * 10_001), 413),
+        ([*form(2, b"v" * 100_000), ("videos", ("cam_2.mp4", b"v" * 49_993))], 201),
+        ([*form(2, b"v" * 100_000), ("videos", ("cam_2.mp4", b"v" * 49_994))], 413),
+        ([*form(1), ("manifest", (None, b'{"name": "x"}' + b" " * 987))], 201),
+        ([*form(1), ("manifest", (None, b'{"name": "x"}' + b" " * 988))], 413),
+        (form(4), 201),
+        ([*form(1), *[("unknown", (None, b""))] * 40], 400),
+    ],
+)
+def test_limits(live: Live, parts: Any, status: int) -> None:
+    answer = live.client.post("/v1/sessions", files=parts)
+    assert answer.status_code == status, answer.text
+    if status != 201:
+        assert live.kept() == []
+
+
+def test_too_large_file_is_named(live: Live) -> None:
+    problem = problem_of(live.client.post("/v1/sessions", files=form(1, b"v" * 100_001)), 413, "content_too_large")
+    (item,) = problem["errors"]
+    assert (item["pointer"], item["file"], item["code"]) == ("/videos", "cam_0.mp4", "part_too_large")
+
+
+def test_announced_length_is_enough_to_refuse(live: Live) -> None:
+    headers = {"Content-Type": "multipart/form-data; boundary=x", "Content-Length": "9999999999"}
+    request = live.client.build_request("POST", "/v1/sessions", headers=headers)
+    lines = [f"{name}: {value}" for name, value in request.headers.items()]
+    head = "\r\n".join(["POST /v1/sessions HTTP/1.1", *lines, "", ""]).encode()
+    with socket.create_connection(live.address[:2], timeout=10) as connection:
+        connection.sendall(head)
+        connection.sendall(b"x" * 70_000_000)
+        assert b" 413 " in connection.recv(65536).split(b"\r\n")[0]
+
+
+def test_pages(live: Live) -> None:
+    made = [live.session_id() for _ in range(3)]
+    first = live.client.get("/v1/sessions?limit=2").json()
+    second = live.client.get(f"/v1/sessions?limit=2&cursor={first['next_cursor']}").json()
+    assert [session["id"] for page in (first, second) for session in page["sessions"]] == made[::-1]
+    assert second["next_cursor"] is None
+
+
+def test_delete_takes_files_and_jobs_along(live: Live) -> None:
+    job_id = live.job_id()
+    session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
+    problem_of(live.client.delete(f"/v1/sessions/{session_id}"), 409, "conflict")
+    live.finish(job_id)
+    assert live.client.delete(f"/v1/sessions/{session_id}").status_code == 204
+    assert live.kept() == []
+    problem_of(live.client.get(f"/v1/jobs/{job_id}"), 404, "not_found")
+
+
+def test_start_clears_what_a_killed_process_was_receiving(make_settings: Callable[..., Settings]) -> None:
+    settings = make_settings()
+    (settings.spool_dir / "half").mkdir(parents=True)
+    (settings.spool_dir / "half" / "cam_0.mp4").write_bytes(b"vid")
+    with running(settings) as live:
+        assert live.kept() == []
+
+
+def test_database_that_fails_keeps_no_files(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError
+
+    monkeypatch.setattr(live.services.store, "create_session", fail)
+    problem_of(live.post_session(), 500, "internal_error")
+    assert live.kept() == []
+
+
+def test_manifest_may_be_a_file(live: Live) -> None:
+    manifest = ("manifest", ("manifest.json", json.dumps({"name": "Take 4"}), "application/json"))
+    assert live.client.post("/v1/sessions", files=[*form(), manifest]).json()["name"] == "Take 4"
