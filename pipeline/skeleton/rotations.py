@@ -10,7 +10,7 @@ _NO_DIRECTION = 1e-6
 # Two axes of a frame must differ by more than this sine (3 degrees), else the frame's third axis is noise.
 _MIN_AXES_SINE = 0.05
 
-# A bend below about 12 degrees says nothing about the plane in which a limb bends: two centimetres of noise make as much.
+# A bend below about 12 degrees says little about the plane in which a limb bends: centimetres of noise make as much.
 _STRAIGHT_SINE = 0.2
 # Time over which the plane of a limb bent at a right angle is averaged; straighter limbs are averaged over longer.
 _TWIST_TIME_S = 0.02
@@ -74,7 +74,7 @@ def align(start: Float[np.ndarray, "frames vectors 3"], end: Float[np.ndarray, "
     start, end
         NaN where unknown; such pairs don't count. Fewer than two independent pairs leave a frame's rotation arbitrary.
     """
-    known = (np.isfinite(start) & np.isfinite(end)).all(-1, keepdims=True)
+    known = np.isfinite(start + end).all(-1)[..., None]
     covariance = np.einsum("fvi,fvj->fij", np.where(known, end, 0.0), np.where(known, start, 0.0))
     left, _, right = np.linalg.svd(covariance)
     left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
@@ -121,7 +121,7 @@ def hinge_twist_rad(
         Direction of the lower limb in the upper limb's frame before twist, any length, NaN where unknown.
     """
     normal = np.cross(bone, unit(lower))
-    known = np.isfinite(normal).all(-1)
+    known: np.ndarray = np.isfinite(normal).all(-1)
     normal = np.where(known[:, None], normal, 0.0)
     bend = normal @ hinge + 1j * (np.cross(hinge, normal) @ bone)
     sine = np.abs(bend)
