@@ -2,9 +2,9 @@
 
 The heads are maps with one cell every 4 pixels of the network's input: ``center`` (1 channel) and ``heatmap`` (one a
 joint) hold confidences; ``regress`` holds, at a body's centre, the way to each of its joints in cells; ``offset``
-holds, at a joint's peak, the way from the cell to the joint. The last two have y and x by turns. After MoveNet's model
-card and https://blog.tensorflow.org/2021/05/next-generation-pose-detection-with-movenet-and-tensorflowjs.html (a joint
-is where heat divided by the distance to its regressed place is greatest), with each peak given to one body only.
+holds, at a joint's peak, the way from the cell to the joint. The last two have y and x by turns. As in MoveNet
+(https://blog.tensorflow.org/2021/05/next-generation-pose-detection-with-movenet-and-tensorflowjs.html) a joint is where
+heat divided by the distance to its regressed place is greatest; unlike there, a peak belongs to one body only.
 """
 
 from collections.abc import Mapping
@@ -24,6 +24,8 @@ _MIN_JOINT_SCORE = 0.05
 _MAX_BODIES = 200
 # Cells that are added to a distance before a heat is divided by it; MoveNet's own.
 _DISTANCE_BIAS = 1.8
+# A peak farther from there than this part of the body's size is someone else's joint.
+_MAX_DISTANCE = 0.3
 # Two bodies are one if this share of their common joints lies within this part of the body's size.
 _DUPLICATE_SHARE = 0.7
 _DUPLICATE_DISTANCE = 0.03
@@ -130,30 +132,38 @@ def _affinity(
     regress: Float[np.ndarray, "coordinates height width"],
 ) -> Float[np.ndarray, "n joints candidates"]:
     """How well each peak fits each body: its heat, less the farther it is from where the body's centre expects it."""
-    to_joints = regress[:, centers_yx[:, 0], centers_yx[:, 1]].T.reshape(len(centers_yx), len(candidates.heat), 2)
+    to_joints = regress[:, centers_yx[:, 0], centers_yx[:, 1]].T.reshape(len(centers_yx), -1, 2)
     expected_yx = centers_yx[:, None] + to_joints
+    body_size = np.linalg.norm(np.ptp(expected_yx, axis=1), axis=-1)
     distance = np.linalg.norm(expected_yx[:, :, None] - candidates.cell_yx, axis=-1)
-    return candidates.heat / (distance + _DISTANCE_BIAS)
+    near = distance <= _MAX_DISTANCE * body_size[:, None, None] + _DISTANCE_BIAS
+    return np.where(near, candidates.heat / (distance + _DISTANCE_BIAS), 0.0)
 
 
 def _choose_exclusively(
     affinity: Float[np.ndarray, "n joints candidates"],
 ) -> tuple[Int[np.ndarray, "n joints"], Bool[np.ndarray, "n joints"]]:
-    """Give each peak to at most one body; the bodies choose in their order.
+    """Give each peak to at most one body, the one that it fits best; the others take their next best, or none.
+
+    Where two people overlap, both would claim the same peaks and one of them would become a mixture of the two.
 
     Returns
     -------
         The candidate of each joint, and whether there is any.
     """
-    num_bodies, num_joints, _ = affinity.shape
+    num_bodies, num_joints, num_candidates = affinity.shape
     choice = np.zeros((num_bodies, num_joints), np.int64)
     found = np.zeros((num_bodies, num_joints), bool)
     joints = np.arange(num_joints)
-    left = affinity.copy()
-    for body in range(num_bodies):
-        choice[body] = left[body].argmax(-1)
-        found[body] = left[body, joints, choice[body]] > 0
-        left[:, joints, choice[body]] = 0
+    left = affinity.transpose(1, 0, 2).copy()
+    # Each round gives every joint's best remaining peak away; equal ones go to the surer body.
+    for _ in range(num_bodies):
+        body, peak = np.divmod(left.reshape(num_joints, -1).argmax(-1), num_candidates)
+        fits = left[joints, body, peak] > 0
+        choice[body[fits], joints[fits]] = peak[fits]
+        found[body[fits], joints[fits]] = True
+        left[joints, body] = 0
+        left[joints, :, peak] = 0
     return choice, found
 
 
