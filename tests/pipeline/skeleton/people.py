@@ -14,16 +14,12 @@ EARS_ABOVE_SHOULDERS_M = 0.22
 Angle = Callable[[np.ndarray], np.ndarray]
 
 
-def _constant(angle_rad: float) -> Angle:
-    return lambda phase: np.full_like(phase, angle_rad)
-
-
 def walker(
     num_frames: int,
     frame_rate_hz: float = 30.0,
     *,
     turn_rad: float = 0.0,
-    elbow_rad: Angle = _constant(0.9),
+    elbow_rad: Angle = lambda phase: np.full_like(phase, 0.9),
     shoulder_rad: Angle = lambda phase: -0.5 * np.sin(phase),
 ) -> np.ndarray:
     """Joints (frames, 17, 3) of someone who walks at one step a second, first towards -Y.
