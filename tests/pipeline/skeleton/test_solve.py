@@ -243,3 +243,15 @@ def test_lengths_come_from_measured_frames_only() -> None:
     track.source[10:, COCO_17.indices(("left_wrist", "right_wrist"))] = 3
     motion = motion_from_track(track, COCO_17, timebase(30), "person-1")
     assert motion.bone_length_m[INDEX["LeftHand"]] == pytest.approx(FOREARM_M)
+
+
+def test_wild_positions_are_not_followed() -> None:
+    truth_m = walker(40)
+    wild_m = truth_m.copy()
+    wild_m[20, COCO_17.index("left_wrist")] += [0.5, 0.8, 1.0]
+    wild_m[10, COCO_17.index("nose")] += [0.0, 0.9, 0.0]
+    motion = solve(wild_m)
+    error_m = errors_m(motion, truth_m)
+    assert error_m["LeftHand"].max() < 0.02
+    assert error_m["Head"].max() < 0.02
+    assert steps_deg(motion).max() < 8.0
