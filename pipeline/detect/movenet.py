@@ -132,7 +132,7 @@ def _affinity(
     regress: Float[np.ndarray, "coordinates height width"],
 ) -> Float[np.ndarray, "n joints candidates"]:
     """How well each peak fits each body: its heat, less the farther it is from where the body's centre expects it."""
-    to_joints = regress[:, centers_yx[:, 0], centers_yx[:, 1]].T.reshape(len(centers_yx), -1, 2)
+    to_joints = regress[:, centers_yx[:, 0], centers_yx[:, 1]].T.reshape(len(centers_yx), len(candidates.heat), 2)
     expected_yx = centers_yx[:, None] + to_joints
     body_size = np.linalg.norm(np.ptp(expected_yx, axis=1), axis=-1)
     distance = np.linalg.norm(expected_yx[:, :, None] - candidates.cell_yx, axis=-1)

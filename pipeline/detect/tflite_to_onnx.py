@@ -157,6 +157,8 @@ def _emit_convolution(
     conversion: _Conversion, operator: Operator, name: str, weights: np.ndarray, num_groups: int
 ) -> str:
     options = operator.options
+    if (options.DilationHFactor(), options.DilationWFactor()) != (1, 1):
+        raise ModelError("The TensorFlow Lite model needs a dilated convolution, which is not supported.")
     inputs = [conversion.activation(operator.inputs[0]), conversion.add_constant(f"{name}_weights", weights)]
     if len(operator.inputs) > 2 and operator.inputs[2] >= 0:
         inputs.append(conversion.add_constant(f"{name}_bias", conversion.weights(operator.inputs[2])))
@@ -167,7 +169,7 @@ def _emit_convolution(
         group=num_groups,
         kernel_shape=list(weights.shape[2:]),
         strides=[options.StrideH(), options.StrideW()],
-        dilations=[options.DilationHFactor(), options.DilationWFactor()],
+        dilations=[1, 1],
         # TensorFlow's SAME pads the odd pixel at the end.
         auto_pad="SAME_UPPER" if options.Padding() == tflite.Padding.SAME else "VALID",
     )

@@ -1,15 +1,15 @@
 """One member out of a wheel, a zip or a tar, by name and under a size limit; nothing else is unpacked."""
 
+import io
 import lzma
 import tarfile
 import zipfile
 import zlib
 from pathlib import Path
-from typing import IO
 
 from pipeline.errors import ModelError
 
-Archive = Path | IO[bytes]
+Archive = Path | io.BytesIO
 
 # A tar has no table of contents: all that lies before the member is read, and a hostile one could be endless.
 _MAX_TAR_BYTES = 2**31
@@ -31,7 +31,7 @@ def read_member(archive: Archive, member: str, max_bytes: int) -> bytes:
     Parameters
     ----------
     archive
-        A path, or a seekable binary file, of a zip (a wheel is one) or a tar of any compression.
+        A path, or the contents, of a zip (a wheel is one) or a tar of any compression.
     member
         Its full name inside the archive.
     max_bytes

@@ -103,7 +103,7 @@ def _receive(client: httpx2.Client, url: str, part: Path, max_bytes: int, on_byt
     # Compressed on the way, offsets would mean something else.
     headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={start}-"} if start else {})
     with client.stream("GET", url, headers=headers) as response:
-        if start and response.status_code == httpx2.codes.REQUESTED_RANGE_NOT_SATISFIABLE:
+        if start and response.status_code == httpx2.codes.RANGE_NOT_SATISFIABLE:
             return  # nothing is missing, or the file is another one by now: the checksum tells
         if not response.is_success:
             raise ModelError(f"The server refused {part.stem} (status {response.status_code}). Try again later.")
