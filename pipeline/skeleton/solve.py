@@ -52,8 +52,8 @@ class _Pose:
     def _believed(self, child: str, bone_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
         """A measured bone from its parent to ``child``, world axes; NaN where its length can't be true."""
         length_m = np.linalg.norm(self._offsets_m[INDEX[child]])
-        stretch = np.linalg.norm(bone_m, axis=-1) / length_m - 1.0
-        return np.where(np.abs(stretch)[:, None] <= _MAX_STRETCH, bone_m, np.nan)
+        stretch_m = np.abs(np.linalg.norm(bone_m, axis=-1) - length_m)
+        return np.where(stretch_m[:, None] <= _MAX_STRETCH * length_m, bone_m, np.nan)
 
     def turn(self, name: str, parent_from_joint: Rotation) -> None:
         """Pose one joint."""
@@ -69,10 +69,9 @@ class _Pose:
         before
             A rotation from the joint to its parent that the smallest rotation to the target follows.
         """
-        toward = (
-            (self.world_from_parent(name) * before).inv().apply(self._believed(child, target_m - self.position_m(name)))
-        )
-        turned, valid = swing(self._directions[INDEX[child]], toward)
+        bone_m = self._believed(child, target_m - self.position_m(name))
+        toward_m = (self.world_from_parent(name) * before).inv().apply(bone_m)
+        turned, valid = swing(self._directions[INDEX[child]], toward_m)
         self.turn(name, filled(before * turned, valid))
 
     def aim_limb(

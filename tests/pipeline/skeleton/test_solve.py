@@ -1,5 +1,8 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from pipeline.data import SkeletonMotion
@@ -255,3 +258,13 @@ def test_wild_positions_are_not_followed() -> None:
     assert error_m["LeftHand"].max() < 0.02
     assert error_m["Head"].max() < 0.02
     assert steps_deg(motion).max() < 8.0
+
+
+coordinates = st.one_of(st.just(np.nan), st.sampled_from([0.0, 1.0, -1.0]), st.floats(-50, 50))
+
+
+@settings(max_examples=80, deadline=None)
+@given(arrays(float, st.tuples(st.integers(1, 4), st.just(17), st.just(3)), elements=coordinates))
+def test_any_track_gives_a_sound_motion(xyz_m: np.ndarray) -> None:
+    xyz_m[~np.isfinite(xyz_m).all(-1)] = np.nan
+    assert_sound(solve(xyz_m))
