@@ -1,4 +1,4 @@
-"""Check a capture session in a process of its own: ``python -m pipeline.preflight --videos FILE... --calibration FILE``.
+"""Check a session in a process of its own: ``python -m pipeline.preflight --videos FILE... --calibration FILE``.
 
 Prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the session is. So a caller that must not load
 the science, or must not be hurt by a stranger's file, can still know all about a session.
