@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from api.commands.reconstruct import summary_table, write_results
+from api.commands.reconstruct import print_summary, write_results
 from api.console import StageBars, console, reporting
 from pipeline import samples
 from pipeline.config import ReconstructionConfig
@@ -51,13 +51,8 @@ def command(
         paths = write_results(reconstruction, out)
         paths += write_overlays(session, reconstruction, reconstruction.timebase.num_frames // 2, out)
     metrics = quality_report(reconstruction)
-    console.print(summary_table(reconstruction, metrics))
-    console.print(
-        f"{metrics['num_frames']} frames of {len(session.cameras)} cameras in {time.monotonic() - started_s:.0f} s; "
-        f"median reprojection error {metrics['reprojection_error_px']['median']:.1f} px, "
-        f"coverage {100 * metrics['coverage']:.1f} %, "
-        f"bone length deviation {metrics['bone_length_std_cm']:.1f} cm"
-    )
+    print_summary(reconstruction, metrics)
+    console.print(f"{len(session.cameras)} cameras, {time.monotonic() - started_s:.0f} s in all.")
     console.print(f"Results are in {out}/:")
     for path in paths:
         console.print(f"  {path.name}")

@@ -3,11 +3,13 @@
 import os
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
@@ -37,21 +39,31 @@ def _umask() -> int:
     return mask
 
 
-def summary_table(reconstruction: Reconstruction, metrics: dict[str, Any]) -> Table:
-    """People, frames, reprojection error, coverage and bone length deviation."""
-    table = Table(title="People")
-    for column in ("person", "frames", "reprojection error", "coverage", "stature"):
-        table.add_column(column, justify="left" if column == "person" else "right")
+def print_summary(reconstruction: Reconstruction, metrics: Mapping[str, Any]) -> None:
+    """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong."""
+
+    def shown(value: float | None, unit: str, digits: int) -> str:
+        return "-" if value is None else f"{value:.{digits}f} {unit}"
+
+    table = Table("person", "frames", "reprojection error", "cameras a joint", "coverage", "stature")
     for person, motion in zip(metrics["people"], reconstruction.motions, strict=True):
-        error_px, stature_m = person["reprojection_error_px"], person["stature_m"]
+        first, length = person["start_frame"], person["num_frames"]
         table.add_row(
             motion.name,
-            f"{person['start_frame']} - {person['start_frame'] + person['num_frames'] - 1}",
-            "-" if error_px is None else f"{error_px:.1f} px",
-            f"{100 * person['coverage']:.1f} %",
-            "-" if stature_m is None else f"{stature_m:.2f} m",
+            f"{first} - {first + length - 1}",
+            shown(person["reprojection_error_px"], "px", 1),
+            shown(person["views_per_joint"], "", 1),
+            shown(100 * person["coverage"], "%", 1),
+            shown(person["stature_m"], "m", 2),
         )
-    return table
+    console.print(table)
+    console.print(
+        f"{metrics['num_frames']} frames at {metrics['frame_rate_hz']:g} Hz; "
+        f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}, "
+        f"bone length deviation {shown(metrics['bone_length_std_cm'], 'cm', 1)}"
+    )
+    for check in metrics["world_checks"]:
+        console.print(Text.assemble(("warning ", "yellow"), check["message"]))
 
 
 def command(
@@ -76,7 +88,7 @@ def command(
         named = [*videos, *(more_videos or [])]
         session = open_session(named[0] if len(named) == 1 else named, calibration)
         for warning in session.warnings:
-            console.print(f"[yellow]warning[/] {warning}")
+            console.print(Text.assemble(("warning ", "yellow"), warning))
         reconstruction = reconstruct(session, config, bars.update)
         paths = write_results(reconstruction, out)
     metrics = quality_report(reconstruction)
@@ -94,6 +106,6 @@ def command(
             }
         )
         return
-    console.print(summary_table(reconstruction, metrics))
+    print_summary(reconstruction, metrics)
     for path in paths:
-        console.print(f"  {path}")
+        console.print(Text(f"  {path}"))

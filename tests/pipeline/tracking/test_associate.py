@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from tests.pipeline.tracking.conftest import body, detections_of
 
 from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
 from pipeline.geometry.camera import project
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from tests.pipeline.tracking.conftest import body, detections_of
 
 RATE_HZ = 25.0
 NUM_FRAMES = 50
@@ -62,7 +62,7 @@ def test_two_people_pass_each_other(ring: tuple[Camera, ...]) -> None:
 def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera, ...]) -> None:
     """Straight motion at constant speed, each camera at a phase of its own: interpolation is nearly exact."""
     times, detections = {}, {}
-    base_m, speed_m_s = body() + [-0.8, 0.0, 0.0], np.array([0.8, 0.3, 0.0])
+    base_m, speed_m_s = body() + np.array([-0.8, 0.0, 0.0]), np.array([0.8, 0.3, 0.0])
     for k, camera in enumerate(ring):
         time_s = np.arange(NUM_FRAMES + 1) / RATE_HZ - k * 0.011
         times[camera.name] = FrameTimes(time_s)
@@ -134,7 +134,7 @@ def test_a_doubled_detection_makes_no_second_person(ring: tuple[Camera, ...]) ->
 def test_false_positives_without_a_second_view_make_nobody(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {camera.name: detections_of(camera, people_m) for camera in ring}
-    lamp_px = project(ring[0], body() + [1.5, 1.5, 0.0])
+    lamp_px = project(ring[0], body() + np.array([1.5, 1.5, 0.0]))
     one = detections["cam0"]
     detections["cam0"] = Detections(
         "cam0",

@@ -1,0 +1,1 @@
+"""Data sets with ground truth: loaders and their ways of scoring."""
