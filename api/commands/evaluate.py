@@ -1,6 +1,5 @@
 """`multicap evaluate`: accuracy against a known truth."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +8,7 @@ from rich.table import Table
 
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
-from pipeline.metrics.datasets.rendered import load_truth, score_rendered
+from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.run import reconstruct
 from pipeline.session import open_session
 
@@ -29,14 +28,14 @@ def rendered(
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        truth = load_truth(data)
+        truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
         reconstruction = reconstruct(session, ReconstructionConfig(detector=detector), bars.update)
-        scores = asdict(score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth))
+        scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
     if as_json:
         emit(scores)
         return
     table = Table("measure", "value")
     for name, value in scores.items():
-        table.add_row(name, f"{value:.4g}")
+        table.add_row(name, "-" if value is None else f"{value:.4g}")
     console.print(table)

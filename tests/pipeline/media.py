@@ -29,6 +29,7 @@ def write_video(
     """Encode ``num_frames`` pictures; ``stamps`` are timestamps in 1/1000 s where the rate is not constant."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=rate_hz, options=options or {})
+        assert isinstance(stream, av.VideoStream)
         stream.width, stream.height = size_px
         stream.pix_fmt = "yuv420p"
         if stamps is not None:
@@ -46,6 +47,7 @@ def write_audio(path: Path) -> Path:
     """A file with sound and no picture."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("aac", rate=44100)
+        assert isinstance(stream, av.AudioStream)
         frame = av.AudioFrame.from_ndarray(np.zeros((1, 44100), np.float32), format="fltp", layout="mono")
         frame.sample_rate = 44100
         container.mux(stream.encode(frame))

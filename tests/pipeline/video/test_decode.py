@@ -1,5 +1,6 @@
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -15,7 +16,7 @@ from tests.pipeline.media import write_video
 
 NUM_FRAMES = 48
 
-KINDS = {
+KINDS: dict[str, dict[str, Any]] = {
     "b-frames": {"codec": "libx264", "options": {"bf": "3", "g": "12"}},
     "open-gop": {"codec": "libx264", "options": {"x264-params": "open-gop=1:bframes=3:keyint=10:min-keyint=10"}},
     "one-keyframe": {"codec": "libx264", "options": {"g": "250"}},
