@@ -1,4 +1,18 @@
-"""Position error and identity of predicted people against a known truth."""
+"""Accuracy of tracks against a known truth: joint errors, missed people, ghosts and identity switches.
+
+- *Matching*: in every frame by itself, tracks and people are paired one to one by the Hungarian algorithm on the mean
+  distance over the joints that both have. Pairs beyond the gate (0.5 m) are never made; as many pairs as possible are,
+  and among these the ones with the least sum of distances.
+- *MPJPE*: mean distance over all joints of all matched pairs that both have, in millimetres. Nothing is aligned.
+- *PCK150*: share of all true joints, matched or not, whose match lies within 150 mm (inclusive).
+- *Recall*: share of true person-frames that are matched.
+- *Switches*: a person's match is another track than at the person's last match. Two people who swap tracks are two
+  switches, at one frame; a person who is lost and found again by the same track is none.
+- *Ghost rate*: share of predicted person-frames that are unmatched. A track counts in the frames in which it has any
+  of the joints.
+
+A figure without any data is ``None``.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,84 +21,140 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-# A prediction farther from a person than this, on average over the joints, is not that person.
+from pipeline.data import Track3D
+from pipeline.joints import JointSet
+
+BODY_JOINTS = (
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+)
+"""The twelve joints that are scored: no face."""
 GATE_M = 0.5
-PCK_THRESHOLD_M = 0.15
+"""Pairs whose joints are farther apart on average are no match."""
+UNMATCHED = -1
+"""The match of a person in a frame in which no track is near."""
+
+_PCK_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class PositionScores:
-    """Accuracy of a take.
+class Accuracy:
+    """Accuracy of tracks, as the module defines it; rates are fractions of 1."""
 
-    Parameters
-    ----------
-    mpjpe_mm
-        Mean distance of predicted to true joints over all matched people and joints; NaN if nobody matched.
-    pck150
-        Share of all true joints that have a prediction within 150 mm.
-    recall
-        Share of all true joints that have a prediction at all.
-    switches
-        How often the track that matches a true person is another than at the person's last match.
-    ghost_rate
-        Share of predicted person-frames that match nobody; 0 if nothing was predicted.
-    """
-
-    mpjpe_mm: float
-    pck150: float
-    recall: float
+    mpjpe_mm: float | None
+    pck150: float | None
+    recall: float | None
     switches: int
-    ghost_rate: float
+    ghost_rate: float | None
 
 
-def match_frame(
-    predicted_m: Float[np.ndarray, "predicted joints 3"], truth_m: Float[np.ndarray, "people joints 3"]
-) -> list[tuple[int, int]]:
-    """Pairs (person, prediction) of least total mean joint distance (Hungarian), none beyond ``GATE_M``.
-
-    NaN joints do not count; people or predictions without a common joint are never paired.
-    """
-    distance_m = np.linalg.norm(truth_m[:, None] - predicted_m[None], axis=-1)
-    common = np.isfinite(distance_m)
-    mean_m = np.where(common, distance_m, 0.0).sum(-1) / np.maximum(common.sum(-1), 1)
-    mean_m = np.where(common.any(-1), mean_m, np.inf)
-    # What lies beyond the gate costs as much as no match, so that it never displaces a match within.
-    rows, columns = linear_sum_assignment(np.minimum(mean_m, GATE_M))
-    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if mean_m[i, j] < GATE_M]
-
-
-def score_positions(
-    predicted_m: Sequence[Float[np.ndarray, "_ joints 3"]],
-    track_ids: Sequence[Int[np.ndarray, " _"]],
-    truth_m: Float[np.ndarray, "frames people joints 3"],
-) -> PositionScores:
-    """Score predictions frame by frame.
+def select_joints(
+    tracks: Sequence[Track3D], joints: JointSet, names: Sequence[str], frames: Int[np.ndarray, " frames"]
+) -> Float[np.ndarray, "tracks frames names 3"]:
+    """Tracks as one array over the frames that are scored.
 
     Parameters
     ----------
-    predicted_m, track_ids
-        For every frame the predicted people, NaN for a joint that is absent, and their tracks.
-    truth_m
-        NaN where a person or joint is not there.
+    joints
+        Those of the tracks; a name that it lacks is NaN throughout.
+    frames
+        Output frames to take; one that a track does not reach, such as -1, is NaN.
     """
-    errors_m: list[Float[np.ndarray, " _"]] = []
-    num_true = num_predicted = num_matched = switches = 0
-    last_track: dict[int, int] = {}
-    for frame, (people_m, ids) in enumerate(zip(predicted_m, track_ids, strict=True)):
-        num_true += int(np.isfinite(truth_m[frame]).all(-1).sum())
-        num_predicted += len(people_m)
-        for person, prediction in match_frame(people_m, truth_m[frame]):
-            num_matched += 1
-            error_m = np.linalg.norm(people_m[prediction] - truth_m[frame, person], axis=-1)
-            errors_m.append(error_m[np.isfinite(error_m)])
-            track = int(ids[prediction])
-            switches += last_track.get(person, track) != track
-            last_track[person] = track
-    all_m = np.concatenate([np.empty(0), *errors_m])
-    return PositionScores(
-        mpjpe_mm=float(all_m.mean() * 1000) if len(all_m) else float("nan"),
-        pck150=float((all_m <= PCK_THRESHOLD_M).sum() / max(num_true, 1)),
-        recall=len(all_m) / max(num_true, 1),
-        switches=switches,
-        ghost_rate=(num_predicted - num_matched) / max(num_predicted, 1),
+    taken = np.full((len(tracks), len(frames), len(names), 3), np.nan)
+    shared = [k for k, name in enumerate(names) if name in joints.names]
+    columns = [joints.index(names[k]) for k in shared]
+    for row, track in enumerate(tracks):
+        local = frames - track.start_frame
+        inside = np.flatnonzero((frames >= 0) & (local >= 0) & (local < track.num_frames))
+        taken[row, inside[:, None], shared] = track.xyz_m[local[inside]][:, columns]
+    return taken
+
+
+def match_frames(
+    predicted_m: Float[np.ndarray, "tracks frames joints 3"],
+    truth_m: Float[np.ndarray, "people frames joints 3"],
+    gate_m: float = GATE_M,
+) -> Int[np.ndarray, "people frames"]:
+    """Match tracks to people in every frame by itself.
+
+    Parameters
+    ----------
+    predicted_m, truth_m
+        World positions, NaN where a joint is unknown or somebody absent.
+    gate_m
+        Largest mean joint distance of a match.
+
+    Returns
+    -------
+        For every person and frame the index of the matched track, ``UNMATCHED`` where there is none.
+    """
+    matched = np.full(truth_m.shape[:2], UNMATCHED)
+    for frame in range(truth_m.shape[1]):
+        distance_m = _mean_distance_m(predicted_m[:, frame], truth_m[:, frame])
+        near = distance_m <= gate_m
+        # Worth more than any sum of distances within the gate: first many pairs, then close ones.
+        cost = np.where(near, distance_m, 1.0 + gate_m * (1 + min(near.shape)))
+        people, tracks = linear_sum_assignment(cost)
+        paired = near[people, tracks]
+        matched[people[paired], frame] = tracks[paired]
+    return matched
+
+
+def _mean_distance_m(
+    predicted_m: Float[np.ndarray, "tracks joints 3"], truth_m: Float[np.ndarray, "people joints 3"]
+) -> Float[np.ndarray, "people tracks"]:
+    """Mean distance over the joints that both have; infinite where they share none."""
+    distance_m = np.linalg.norm(truth_m[:, None] - predicted_m, axis=-1)
+    shared = np.isfinite(distance_m)
+    count = shared.sum(-1)
+    total_m = np.where(shared, distance_m, 0.0).sum(-1)
+    return np.where(count > 0, total_m / np.maximum(count, 1), np.inf)
+
+
+def count_switches(matched: Int[np.ndarray, "people frames"]) -> int:
+    """How often a person's match is another track than at the person's last match."""
+    histories = (row[row != UNMATCHED] for row in matched)
+    return sum(int(np.count_nonzero(np.diff(history))) for history in histories)
+
+
+def accuracy(
+    predicted_m: Float[np.ndarray, "tracks frames joints 3"],
+    truth_m: Float[np.ndarray, "people frames joints 3"],
+    gate_m: float = GATE_M,
+) -> Accuracy:
+    """Score tracks against the truth, frame by frame.
+
+    Parameters
+    ----------
+    predicted_m, truth_m
+        World positions of the same joints, NaN where a joint is unknown or somebody absent.
+    gate_m
+        Largest mean joint distance of a match.
+    """
+    matched = match_frames(predicted_m, truth_m, gate_m)
+    people, frames = np.nonzero(matched != UNMATCHED)
+    error_m = np.linalg.norm(predicted_m[matched[people, frames], frames] - truth_m[people, frames], axis=-1)
+    known_m = error_m[np.isfinite(error_m)]
+    is_true = np.isfinite(truth_m).all(-1)
+    num_predicted = int(np.isfinite(predicted_m).all(-1).any(-1).sum())
+    return Accuracy(
+        mpjpe_mm=float(known_m.mean()) * 1000 if len(known_m) else None,
+        pck150=_share(int((known_m <= _PCK_M).sum()), int(is_true.sum())),
+        recall=_share(len(people), int(is_true.any(-1).sum())),
+        switches=count_switches(matched),
+        ghost_rate=_share(num_predicted - len(people), num_predicted),
     )
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

@@ -1,1 +1,1 @@
-"""Data sets with ground truth: loaders and their ways of scoring."""
+"""Readers of captures with a known truth, and their scores."""
