@@ -1,7 +1,5 @@
 """`multicap reconstruct`: videos and a calibration to people in motion, no service needed."""
 
-import os
-import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +12,7 @@ from rich.text import Text
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
-from pipeline.errors import InputError, Problem
+from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export.results import result_files
 from pipeline.metrics.quality import quality_report
 from pipeline.run import reconstruct
@@ -22,21 +20,25 @@ from pipeline.session import open_session
 
 
 def write_results(reconstruction: Reconstruction, folder: Path) -> list[Path]:
-    """Write all result files, each under a temporary name first, so that a half-written file never bears its name."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write all result files into a folder, which is made if it is missing.
+
+    Each is written under a temporary name first, so that a half-written file never bears its name.
+
+    Raises
+    ------
+    PipelineError
+        If the folder can't be written to or the disk is full.
+    """
     paths = []
-    for name, content in result_files(reconstruction):
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}.", delete=False) as file:
-            file.write(content)
-        Path(file.name).chmod(0o666 & ~_umask())
-        paths.append(Path(file.name).replace(folder / name))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in result_files(reconstruction):
+            part = folder / f".{name}.part"
+            part.write_bytes(content)
+            paths.append(part.replace(folder / name))
+    except OSError as error:
+        raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
     return paths
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def print_summary(reconstruction: Reconstruction, metrics: Mapping[str, Any]) -> None:

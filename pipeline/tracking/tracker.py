@@ -167,9 +167,8 @@ class Tracker:
 
     def _start_targets(self, time_s: float) -> list[tuple[int, int, int]]:
         """New targets from what is unmatched in every camera's most recent frame."""
-        # A frame older than the cameras' period is not the present any more.
         pool = [
-            one for view in self._views for one in view.unmatched if time_s - one.time_s < self._parameters.period_s
+            one for view in self._views for one in view.unmatched if time_s - one.time_s < self._parameters.instant_s
         ]
         if len({one.camera for one in pool}) < 2:
             return []

@@ -74,6 +74,24 @@ def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera,
     np.testing.assert_allclose(track.xyz_m[inner], truth_m[inner], atol=2e-3)
 
 
+def test_two_cameras_in_opposite_phase_and_at_half_the_rate_meet(ring: tuple[Camera, ...]) -> None:
+    """One camera at 25 Hz, one at 12.5 Hz that never takes a frame at the same time."""
+    pair, base_m, speed_m_s = ring[:2], body() + np.array([-0.5, 0.0, 0.0]), np.array([0.5, 0.2, 0.0])
+    times = {
+        "cam0": FrameTimes(np.arange(NUM_FRAMES) / RATE_HZ),
+        "cam1": FrameTimes(np.arange(NUM_FRAMES // 2) / (RATE_HZ / 2) + 0.02),
+    }
+    detections = {
+        camera.name: detections_of(camera, (base_m + times[camera.name].time_s[:, None, None] * speed_m_s)[None])
+        for camera in pair
+    }
+    (track,) = run(pair, detections, times)
+    assert track.num_frames >= NUM_FRAMES - 4
+    instants_s = (track.start_frame + np.arange(track.num_frames)) / RATE_HZ
+    truth_m = base_m + instants_s[:, None, None] * speed_m_s
+    np.testing.assert_allclose(track.xyz_m[1:-1], truth_m[1:-1], atol=5e-3)
+
+
 def test_a_wrong_wrist_in_one_view_does_not_pull_the_joint(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {camera.name: detections_of(camera, people_m) for camera in ring}
