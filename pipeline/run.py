@@ -48,7 +48,8 @@ def reconstruct(
         If the detector is not installed.
     """
     detector = open_detector(config.detector)
-    spans = chunk_ranges(session_timebase(session.times), config.chunk_frames)
+    timebase = session_timebase(session.times)
+    spans = chunk_ranges(timebase, config.chunk_frames or _chunk_frames(timebase.num_frames, config.processes))
     chunks = (
         _map_here(session, spans, detector, on_progress)
         if config.processes == 1
@@ -64,7 +65,7 @@ def reconstruct(
     return Reconstruction(
         cameras=session.cameras,
         joints=detector.joints,
-        timebase=session_timebase(session.times),
+        timebase=timebase,
         tracks=tracks,
         observations=observations,
         motions=motions,
@@ -85,6 +86,14 @@ def fit(session: CaptureSession, tracks: Sequence[Track3D], joints: JointSet) ->
     """Animate one skeleton a person."""
     timebase = session_timebase(session.times)
     return tuple(motion_from_track(track, joints, timebase, f"person-{track.track_id}") for track in tracks)
+
+
+def _chunk_frames(num_frames: int, processes: int) -> int:
+    """Frames a chunk: at least two chunks a process, else long ones.
+
+    What lies between a border and the keyframe before it is decoded twice.
+    """
+    return min(100, num_frames if processes == 1 else -(-num_frames // (2 * processes)))
 
 
 def _num_frames(session: CaptureSession) -> int:

@@ -75,7 +75,9 @@ def command(
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
     method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
-    chunk_frames: Annotated[int, typer.Option(min=1, help="Frames that are decoded and detected as one piece.")] = 50,
+    chunk_frames: Annotated[
+        int | None, typer.Option(min=1, help="Frames that are decoded and detected as one piece.", show_default="100")
+    ] = None,
     processes: Annotated[int, typer.Option(min=1, max=64, help="Pieces worked on at once.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
