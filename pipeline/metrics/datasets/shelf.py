@@ -111,9 +111,9 @@ def score_shelf(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[st
 
     Returns
     -------
-        ``pcp`` with ``average`` (plain mean of actors 1-3), ``actors`` and ``parts`` by the head rule ``crossview``, and
-        the average ``by_head_rule``; ``mpjpe_mm`` an actor; ``switches``: how often an annotated actor's nearest track is
-        another than at the actor's last annotation.
+        ``pcp`` with ``average`` (plain mean of actors 1-3), ``actors`` and ``parts`` by the head rule ``crossview``,
+        and the average ``by_head_rule``; ``mpjpe_mm`` an actor; ``switches``: how often an annotated actor's nearest
+        track is another than at the actor's last annotation.
     """
     alive = [
         [track for track in tracks if 0 <= frame - track.start_frame < track.num_frames]
