@@ -1,5 +1,6 @@
 """Open a stranger's video: container formats only, this one file only, one thread."""
 
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,8 +23,12 @@ DECODE_ERRORS = (FFmpegError, OSError, ValueError, EOFError)
 def open_container(path: Path) -> Iterator[InputContainer]:
     """Open a video file; raises one of ``DECODE_ERRORS`` if it is none."""
     # The prefix keeps a file called 'concat:...' from being taken for a protocol.
-    with av.open(f"file:{path.absolute()}", options=_OPTIONS) as container:
-        yield container
+    try:
+        with av.open(f"file:{path.absolute()}", options=_OPTIONS) as container:
+            yield container
+    finally:
+        # Containers and their streams refer to each other: uncollected, decoders with all their pictures pile up.
+        gc.collect()
 
 
 def first_video(container: InputContainer) -> VideoStream | None:
