@@ -72,7 +72,7 @@ def _improvise_role(
     cast: Cast,
     boxes: Sequence[Box],
     duration_s: float,
-    others: Float[np.ndarray, "people times 2"],
+    others: Float[np.ndarray, "people looks 2"],
     rng: np.random.Generator,
 ) -> Role:
     start = _start(cast, boxes, others, rng)
@@ -98,7 +98,7 @@ def _improvise_role(
 
 
 def _start(
-    cast: Cast, boxes: Sequence[Box], others: Float[np.ndarray, "people times 2"], rng: np.random.Generator
+    cast: Cast, boxes: Sequence[Box], others: Float[np.ndarray, "people looks 2"], rng: np.random.Generator
 ) -> Role:
     """Somewhere in the area, or behind a door."""
     if cast.doors_m:
@@ -149,7 +149,7 @@ def _seen(routes: Sequence[Route]) -> Way:
 
 
 def _clearance(
-    way: Way, first_row: int, others: Float[np.ndarray, "people times 2"], boxes: Sequence[Box], gap_m: float
+    way: Way, first_row: int, others: Float[np.ndarray, "people looks 2"], boxes: Sequence[Box], gap_m: float
 ) -> float:
     """Smallest distance to others as a share of the gap; 0 in a box. From 1 on all is well."""
     looks = way[-first_row % _STEP :: _STEP]

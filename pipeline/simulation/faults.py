@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.joints import COCO_17
-from pipeline.simulation.noise import lasting_events, lasting_noise
+from pipeline.simulation.noise import lasting_events
 
 _ARMS = (("left_shoulder", "left_elbow", "left_wrist"), ("right_shoulder", "right_elbow", "right_wrist"))
 _LEGS = (("left_hip", "left_knee", "left_ankle"), ("right_hip", "right_knee", "right_ankle"))
@@ -55,7 +55,7 @@ class Faults:
     memory_s: float = 0.1
 
 
-NO_FAULTS = Faults(miss_joint=0, miss_body=0, swap=0, mix=0, duplicate=0, false_positives=0)
+NO_FAULTS = Faults(miss_joint=0.0, miss_body=0.0, swap=0.0, mix=0.0, duplicate=0.0, false_positives=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +148,7 @@ def ghosts(
     )
     shape_px = _STANDING + rng.normal(0, 0.05, (num_things, *_STANDING.shape))
     keypoints_px = corner_px[thing, None] + height_px[thing, None, None] * (
-        shape_px[thing] + 0.01 * lasting_noise(rng, (len(thing), *_STANDING.shape), 0)
+        shape_px[thing] + 0.01 * rng.standard_normal((len(thing), *_STANDING.shape))
     )
     lacking = rng.random((num_things, len(_STANDING))) < 0.3
     score = np.where(lacking[thing], 0.0, rng.uniform(0.15, 0.5, lacking.shape)[thing])
