@@ -4,7 +4,7 @@
 
     PipelineError            a clear sentence, a stable ``code``
     ├── InputError           bad input: every problem found, at once
-    └── ModelError           a detector network can't be installed or used
+    └── ModelError           a detector network or the sample capture can't be installed or used
 """
 
 from collections.abc import Sequence
@@ -62,6 +62,6 @@ class InputError(PipelineError):
 
 
 class ModelError(PipelineError):
-    """A detector network can't be installed or used."""
+    """A detector network or the sample capture can't be installed or used."""
 
     code: ClassVar[str] = "model_error"

@@ -9,7 +9,7 @@ Stage = Literal["detect", "associate", "fit"]
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """``done`` of ``total`` steps of a stage; frames of all cameras for ``detect``, people for ``fit``."""
+    """``done`` of ``total`` steps of a stage: frames of all cameras for ``detect``, the whole for the others."""
 
     stage: Stage
     done: int

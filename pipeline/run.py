@@ -1,16 +1,16 @@
 """The whole way on one machine: a capture session to people in motion.
 
-The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, ``assemble`` the
-reduce. The result does not depend on how the frames are cut or how many processes work on them.
+The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, ``associate`` and
+``fit`` are the reduce. The result does not depend on how the frames are cut or how many processes work on them.
 """
 
 import multiprocessing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Reconstruction
+from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
 from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.errors import PipelineError
@@ -48,44 +48,52 @@ def reconstruct(
         If the detector is not installed.
     """
     detector = open_detector(config.detector)
-    spans = chunk_ranges(session_timebase(session.times), config.chunk_frames)
+    timebase = session_timebase(session.times)
+    spans = chunk_ranges(timebase, config.chunk_frames or _chunk_frames(timebase.num_frames, config.processes))
     chunks = (
         _map_here(session, spans, detector, on_progress)
         if config.processes == 1
         else _map_in_processes(session, spans, config, on_progress)
     )
     detections = concatenate(chunks, [camera.name for camera in session.cameras], len(detector.joints.names))
-    return assemble(session, detections, detector.joints, on_progress)
-
-
-def assemble(
-    session: CaptureSession, detections: ChunkDetections, joints: JointSet, on_progress: OnProgress = silent
-) -> Reconstruction:
-    """Turn all cameras' detections into tracks and motions (the sequential reduce)."""
-    timebase = session_timebase(session.times)
-    on_progress(Progress("associate", 0, timebase.num_frames))
-    tracks, observations = reconstruct_tracks(
-        session.cameras,
-        session.times,
-        detections,
-        timebase,
-        derive_parameters(session.cameras, timebase.frame_rate_hz),
-    )
-    on_progress(Progress("associate", timebase.num_frames, timebase.num_frames))
-    motions = []
-    for track in tracks:
-        on_progress(Progress("fit", len(motions), len(tracks)))
-        motions.append(motion_from_track(track, joints, timebase, f"person-{track.track_id}"))
-    on_progress(Progress("fit", len(tracks), len(tracks)))
+    on_progress(Progress("associate", 0, 1))
+    tracks, observations = associate(session, detections)
+    on_progress(Progress("associate", 1, 1))
+    on_progress(Progress("fit", 0, 1))
+    motions = fit(session, tracks, detector.joints)
+    on_progress(Progress("fit", 1, 1))
     return Reconstruction(
         cameras=session.cameras,
-        joints=joints,
+        joints=detector.joints,
         timebase=timebase,
         tracks=tracks,
         observations=observations,
-        motions=tuple(motions),
+        motions=motions,
         warnings=session.warnings,
     )
+
+
+def associate(
+    session: CaptureSession, detections: Mapping[str, Detections]
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order."""
+    timebase = session_timebase(session.times)
+    parameters = derive_parameters(session.cameras, timebase.frame_rate_hz)
+    return reconstruct_tracks(session.cameras, session.times, detections, timebase, parameters)
+
+
+def fit(session: CaptureSession, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:
+    """Animate one skeleton a person."""
+    timebase = session_timebase(session.times)
+    return tuple(motion_from_track(track, joints, timebase, f"person-{track.track_id}") for track in tracks)
+
+
+def _chunk_frames(num_frames: int, processes: int) -> int:
+    """Frames a chunk: at least two chunks a process, else long ones.
+
+    What lies between a border and the keyframe before it is decoded twice.
+    """
+    return min(100, num_frames if processes == 1 else -(-num_frames // (2 * processes)))
 
 
 def _num_frames(session: CaptureSession) -> int:

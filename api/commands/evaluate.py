@@ -1,5 +1,6 @@
 """`multicap evaluate`: accuracy against a known truth."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -9,8 +10,11 @@ from rich.table import Table
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
+from pipeline.metrics.datasets.shelf import FRAME_RATE_HZ, NUM_SCORED_ACTORS, load_shelf, score_shelf
 from pipeline.run import reconstruct
 from pipeline.session import open_session
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
@@ -37,5 +41,38 @@ def rendered(
         return
     table = Table("measure", "value")
     for name, value in scores.items():
-        table.add_row(name, f"{value:.4g}")
+        table.add_row(name, "-" if value is None else f"{value:.4g}")
     console.print(table)
+
+
+@app.command()
+def shelf(
+    data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
+    detections: Annotated[Path | None, typer.Option(help="Other 2D keypoints of the same images.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
+    with reporting(as_json):
+        benchmark = load_shelf(data, detections)
+        parameters = derive_parameters(benchmark.cameras, FRAME_RATE_HZ)
+        started_s = time.perf_counter()
+        tracks, _ = reconstruct_tracks(
+            benchmark.cameras, benchmark.times, benchmark.detections, benchmark.timebase, parameters
+        )
+        elapsed_s = time.perf_counter() - started_s
+    result = {
+        "method": "tracking",
+        **score_shelf(tracks, benchmark),
+        "fps": benchmark.timebase.num_frames / elapsed_s,
+    }
+    if as_json:
+        emit(result)
+        return
+    pcp = result["pcp"]
+    table = Table("part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS)))
+    for name, values in [*pcp["parts"].items(), ("all", pcp["actors"])]:
+        table.add_row(name, *(f"{value:.2f}" for value in values))
+    console.print(table)
+    rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
+    console.print(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
+    console.print(f"Identity switches {result['switches']}, {result['fps']:.0f} frames a second")

@@ -1,18 +1,18 @@
 """`multicap reconstruct`: videos and a calibration to people in motion, no service needed."""
 
-import os
-import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
-from pipeline.errors import InputError, Problem
+from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export.results import result_files
 from pipeline.metrics.quality import quality_report
 from pipeline.run import reconstruct
@@ -20,38 +20,52 @@ from pipeline.session import open_session
 
 
 def write_results(reconstruction: Reconstruction, folder: Path) -> list[Path]:
-    """Write all result files, each under a temporary name first, so that a half-written file never bears its name."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write all result files into a folder, which is made if it is missing.
+
+    Each is written under a temporary name first, so that a half-written file never bears its name.
+
+    Raises
+    ------
+    PipelineError
+        If the folder can't be written to or the disk is full.
+    """
     paths = []
-    for name, content in result_files(reconstruction):
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}.", delete=False) as file:
-            file.write(content)
-        Path(file.name).chmod(0o666 & ~_umask())
-        paths.append(Path(file.name).replace(folder / name))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in result_files(reconstruction):
+            part = folder / f".{name}.part"
+            part.write_bytes(content)
+            paths.append(part.replace(folder / name))
+    except OSError as error:
+        raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
     return paths
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def print_summary(reconstruction: Reconstruction, metrics: Mapping[str, Any]) -> None:
+    """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong."""
 
+    def shown(value: float | None, unit: str, digits: int) -> str:
+        return "-" if value is None else f"{value:.{digits}f} {unit}"
 
-def summary_table(reconstruction: Reconstruction, metrics: dict[str, Any]) -> Table:
-    """People, frames, reprojection error, coverage and bone length deviation."""
-    table = Table(title="People")
-    for column in ("person", "frames", "reprojection error", "coverage", "stature"):
-        table.add_column(column, justify="left" if column == "person" else "right")
+    table = Table("person", "frames", "reprojection error", "cameras a joint", "coverage", "stature")
     for person, motion in zip(metrics["people"], reconstruction.motions, strict=True):
-        error_px, stature_m = person["reprojection_error_px"], person["stature_m"]
+        first, length = person["start_frame"], person["num_frames"]
         table.add_row(
             motion.name,
-            f"{person['start_frame']} - {person['start_frame'] + person['num_frames'] - 1}",
-            "-" if error_px is None else f"{error_px:.1f} px",
-            f"{100 * person['coverage']:.1f} %",
-            "-" if stature_m is None else f"{stature_m:.2f} m",
+            f"{first} - {first + length - 1}",
+            shown(person["reprojection_error_px"], "px", 1),
+            shown(person["views_per_joint"], "", 1),
+            shown(100 * person["coverage"], "%", 1),
+            shown(person["stature_m"], "m", 2),
         )
-    return table
+    console.print(table)
+    console.print(
+        f"{metrics['num_frames']} frames at {metrics['frame_rate_hz']:g} Hz; "
+        f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}, "
+        f"bone length deviation {shown(metrics['bone_length_std_cm'], 'cm', 1)}"
+    )
+    for check in metrics["world_checks"]:
+        console.print(Text.assemble(("warning ", "yellow"), check["message"]))
 
 
 def command(
@@ -61,7 +75,9 @@ def command(
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
     method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
-    chunk_frames: Annotated[int, typer.Option(min=1, help="Frames that are decoded and detected as one piece.")] = 50,
+    chunk_frames: Annotated[
+        int | None, typer.Option(min=1, help="Frames that are decoded and detected as one piece.", show_default="100")
+    ] = None,
     processes: Annotated[int, typer.Option(min=1, max=64, help="Pieces worked on at once.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
@@ -76,7 +92,7 @@ def command(
         named = [*videos, *(more_videos or [])]
         session = open_session(named[0] if len(named) == 1 else named, calibration)
         for warning in session.warnings:
-            console.print(f"[yellow]warning[/] {warning}")
+            console.print(Text.assemble(("warning ", "yellow"), warning))
         reconstruction = reconstruct(session, config, bars.update)
         paths = write_results(reconstruction, out)
     metrics = quality_report(reconstruction)
@@ -94,6 +110,6 @@ def command(
             }
         )
         return
-    console.print(summary_table(reconstruction, metrics))
+    print_summary(reconstruction, metrics)
     for path in paths:
-        console.print(f"  {path}")
+        console.print(Text(f"  {path}"))

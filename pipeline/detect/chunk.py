@@ -51,7 +51,9 @@ def _as_detections(camera: str, bodies: Sequence[tuple[int, Bodies]], num_joints
     return Detections(
         camera=camera,
         frame=read_only(frame),
-        keypoints_px=read_only(np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for _, one in bodies)])),
+        keypoints_px=read_only(
+            np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for _, one in bodies)])
+        ),
         score=read_only(np.concatenate([np.empty((0, num_joints)), *(one.score for _, one in bodies)])),
         box_px=read_only(np.concatenate([np.empty((0, 4)), *(one.box_px for _, one in bodies)])),
     )

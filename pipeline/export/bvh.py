@@ -60,11 +60,8 @@ def _hierarchy(name: str, offsets: list[list[str]], depth: int) -> Iterator[str]
     """Lines of a joint and all below it."""
     indent = "\t" * depth
     children = CHILDREN[name]
-    if not children:
-        head = "End Site"
-    else:
-        head = f"JOINT {name}" if depth else f"ROOT {name}"
-    yield f"{indent}{head}"
+    kind = "JOINT" if depth else "ROOT"
+    yield f"{indent}{kind} {name}" if children else f"{indent}End Site"
     yield f"{indent}{{"
     yield f"{indent}\tOFFSET {' '.join(offsets[INDEX[name]])}"
     if children:

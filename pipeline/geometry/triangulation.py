@@ -11,8 +11,9 @@ from jaxtyping import Float
 
 # Scales (metres) of the Geman-McClure weights, from forgiving to strict: graduated non-convexity.
 _ANNEALED_SCALES_M = (0.40, 0.20, 0.10, 0.06)
-# Rays closer to parallel than this leave the depth open: smallest over largest eigenvalue of the normal matrix.
-_MIN_CONDITION = 1e-4
+# Rays closer to parallel than this leave the depth open: determinant of the normal matrix over its trace cubed. Two
+# rays at the angle phi have some phi^2 / 32: this is 1 degree.
+_MIN_DETERMINANT = 1e-5
 
 
 def plane_rows(
@@ -39,8 +40,8 @@ def _solve(
     weighted = np.where(used[..., None, None], rows, 0.0) * weights[..., None, None]
     normal = np.einsum("...cjra,...cjrb->...jab", weighted, weighted)
     left, right = normal[..., :3, :3], -normal[..., :3, 3]
-    eigenvalues = np.linalg.eigvalsh(left)
-    solvable = (used.sum(-2) >= 2) & (eigenvalues[..., 0] > _MIN_CONDITION * eigenvalues[..., 2])
+    size = np.trace(left, axis1=-2, axis2=-1)
+    solvable = (used.sum(-2) >= 2) & (np.linalg.det(left) > _MIN_DETERMINANT * size**3)
     safe = np.where(solvable[..., None, None], left, np.eye(3))
     points_m = np.linalg.solve(safe, right[..., None])[..., 0]
     return np.where(solvable[..., None], points_m, np.nan)

@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import solveh_banded
+from scipy.linalg import solve_banded
 from scipy.spatial.transform import Rotation, Slerp
 
 # Shorter than this (metres, or the sine of an angle), a vector has no direction worth using.
@@ -10,12 +10,12 @@ _NO_DIRECTION = 1e-6
 # Two axes of a frame must differ by more than this sine (3 degrees), else the frame's third axis is noise.
 _MIN_AXES_SINE = 0.05
 
-# A bend below about 12 degrees says nothing about the plane in which a limb bends: two centimetres of noise make as much.
+# A bend below about 12 degrees says little about the plane in which a limb bends: centimetres of noise make as much.
 _STRAIGHT_SINE = 0.2
 # Time over which the plane of a limb bent at a right angle is averaged; straighter limbs are averaged over longer.
 _TWIST_TIME_S = 0.02
-# Weight of the natural hinge axis, against 1 for a limb bent at a right angle.
-_NATURAL_WEIGHT = 0.01
+# Weight of no twist, against 1 for a limb bent at a right angle: a limb that is straight for half a second forgets.
+_NATURAL_WEIGHT = 0.002
 
 
 def unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -74,7 +74,7 @@ def align(start: Float[np.ndarray, "frames vectors 3"], end: Float[np.ndarray, "
     start, end
         NaN where unknown; such pairs don't count. Fewer than two independent pairs leave a frame's rotation arbitrary.
     """
-    known = (np.isfinite(start) & np.isfinite(end)).all(-1, keepdims=True)
+    known = np.isfinite(start + end).all(-1)[..., None]
     covariance = np.einsum("fvi,fvj->fij", np.where(known, end, 0.0), np.where(known, start, 0.0))
     left, _, right = np.linalg.svd(covariance)
     left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
@@ -120,9 +120,7 @@ def hinge_twist_rad(
     lower
         Direction of the lower limb in the upper limb's frame before twist, any length, NaN where unknown.
     """
-    normal = np.cross(bone, unit(lower))
-    known = np.isfinite(normal).all(-1)
-    normal = np.where(known[:, None], normal, 0.0)
+    normal = np.nan_to_num(np.cross(bone, unit(lower)))
     bend = normal @ hinge + 1j * (np.cross(hinge, normal) @ bone)
     sine = np.abs(bend)
     direction = bend / np.maximum(sine, _NO_DIRECTION)
@@ -132,9 +130,6 @@ def hinge_twist_rad(
     num_neighbours = np.full(len(lower), 2.0)
     num_neighbours[0] -= 1.0
     num_neighbours[-1] -= 1.0
-    bands = np.zeros((2, len(lower)))
-    bands[0, 1:] = -stiffness
+    bands = np.full((3, len(lower)), -stiffness)
     bands[1] = weight + _NATURAL_WEIGHT + stiffness * num_neighbours
-    target = weight * direction + _NATURAL_WEIGHT
-    real, imag = solveh_banded(bands, np.column_stack([target.real, target.imag])).T
-    return np.arctan2(imag, real)
+    return np.angle(solve_banded((1, 1), bands, weight * direction + _NATURAL_WEIGHT))

@@ -21,6 +21,8 @@ from pipeline.skeleton.trunk import solve_head, solve_torso
 # Axes about which a positive rotation bends a limb in the rest pose: forearms to the front, shins to the back.
 _ARM_HINGES = {"Left": np.array([0.0, 0.0, -1.0]), "Right": np.array([0.0, 0.0, 1.0])}
 _KNEE_HINGE = np.array([1.0, 0.0, 0.0])
+# A bone measured so much longer or shorter than it is, as a share of its length, was not measured: it isn't followed.
+_MAX_STRETCH = 0.5
 
 
 class _Pose:
@@ -47,6 +49,12 @@ class _Pose:
         parent = str(SKELETON[INDEX[name]].parent)
         return self._position_m[parent] + self._world_from_joint[parent].apply(self._offsets_m[INDEX[name]])
 
+    def _believed(self, child: str, bone_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+        """A measured bone from its parent to ``child``, world axes; NaN where its length can't be true."""
+        length_m = np.linalg.norm(self._offsets_m[INDEX[child]])
+        stretch_m = np.abs(np.linalg.norm(bone_m, axis=-1) - length_m)
+        return np.where(stretch_m[:, None] <= _MAX_STRETCH * length_m, bone_m, np.nan)
+
     def turn(self, name: str, parent_from_joint: Rotation) -> None:
         """Pose one joint."""
         self._position_m[name] = self.position_m(name)
@@ -61,8 +69,9 @@ class _Pose:
         before
             A rotation from the joint to its parent that the smallest rotation to the target follows.
         """
-        toward = (self.world_from_parent(name) * before).inv().apply(target_m - self.position_m(name))
-        turned, valid = swing(self._directions[INDEX[child]], toward)
+        bone_m = self._believed(child, target_m - self.position_m(name))
+        toward_m = (self.world_from_parent(name) * before).inv().apply(bone_m)
+        turned, valid = swing(self._directions[INDEX[child]], toward_m)
         self.turn(name, filled(before * turned, valid))
 
     def aim_limb(
@@ -87,8 +96,9 @@ class _Pose:
         upper, lower, end = names
         bone = self._directions[INDEX[lower]]
         world_from_parent = self.world_from_parent(upper)
-        turned, valid = swing(bone, world_from_parent.inv().apply(joint_m - self.position_m(upper)))
-        lower_direction = (world_from_parent * turned).inv().apply(end_m - joint_m)
+        upper_m = self._believed(lower, joint_m - self.position_m(upper))
+        turned, valid = swing(bone, world_from_parent.inv().apply(upper_m))
+        lower_direction = (world_from_parent * turned).inv().apply(self._believed(end, end_m - joint_m))
         twist_rad = hinge_twist_rad(bone, hinge, lower_direction, frame_rate_hz)
         self.turn(upper, filled(turned * Rotation.from_rotvec(twist_rad[:, None] * bone), valid))
         self.aim(lower, end, end_m, Rotation.identity(len(end_m)))
@@ -124,7 +134,7 @@ def motion_from_track(track: Track3D, joints: JointSet, timebase: Timebase, name
     lengths_m = bone_lengths_m(landmarks)
     offsets_m = rest_offsets_m(lengths_m)
     torso = solve_torso(landmarks, lengths_m)
-    head = solve_head(landmarks, torso.shoulders_m)
+    head = solve_head(landmarks, torso)
     rest = Rotation.identity(track.num_frames)
 
     pose = _Pose(lengths_m, torso.hips_m, torso.world_from_pelvis)

@@ -25,6 +25,10 @@ _FACE_M = {
 }
 # The direction from the base of the neck to the face counts like a landmark so far away: it steadies nods and tilts.
 _NECK_LEVER_M = 0.05
+# A face that misses its landmarks by more than this (root mean square, metres), or that is turned farther away from the
+# chest than a neck can turn it, was not measured well enough to believe.
+_MAX_FACE_MISFIT_M = 0.04
+_MAX_NECK_TURN = np.radians(90.0)
 # The centre between the ears as seen from the base of the neck, upright.
 _EARS_FROM_NECK_M = np.array([0.0, 0.0, 0.2])
 
@@ -83,29 +87,30 @@ def solve_torso(landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"
     )
 
 
-def solve_head(landmarks: Landmarks, neck_base_m: Float[np.ndarray, "frames 3"]) -> Head:
+def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
     """Lay a face of adult size onto whatever landmarks are known, at least two of nose, eyes and ears.
 
-    So a landmark that comes or goes doesn't make the head jump. The centre is NaN and the orientation arbitrary where
-    fewer are known.
+    So a landmark that comes or goes doesn't make the head jump. The head is unknown, its centre NaN and its orientation
+    arbitrary, where fewer are known or where they don't make a face that looks where this chest allows.
     """
     template = np.array(list(_FACE_M.values()))
     face = np.stack([landmarks[name] for name in _FACE_M], axis=1)
     known = np.isfinite(face).all(-1)
-    valid = known.sum(-1) >= 2
+    enough = known.sum(-1) >= 2
 
-    share = np.where(valid[:, None], known, np.nan) / np.where(valid, known.sum(-1), 1)[:, None]
+    share = np.where(enough[:, None], known, np.nan) / np.where(enough, known.sum(-1), 1)[:, None]
     center = np.einsum("fp,fpi->fi", share, np.where(known[..., None], face, 0.0))
     template_center = share @ template
     # Vectors from the centre of the known landmarks, and the one from the neck: rotation alone is left to find.
-    measured = np.concatenate([face - center[:, None], _NECK_LEVER_M * unit(center - neck_base_m)[:, None]], axis=1)
-    upright = np.concatenate(
-        [
-            template - template_center[:, None],
-            _NECK_LEVER_M * unit(template_center + _EARS_FROM_NECK_M)[:, None],
-        ],
-        axis=1,
-    )
+    neck = _NECK_LEVER_M * unit(center - torso.shoulders_m)
+    upright_neck = _NECK_LEVER_M * unit(template_center + _EARS_FROM_NECK_M)
+    measured = np.concatenate([face - center[:, None], neck[:, None]], axis=1)
+    upright = np.concatenate([template - template_center[:, None], upright_neck[:, None]], axis=1)
     world_from_head = align(upright, measured)
-    ears_m = center - world_from_head.apply(np.where(valid[:, None], template_center, 0.0))
-    return Head(ears_m, world_from_head, valid)
+
+    laid = np.einsum("fij,fpj->fpi", world_from_head.as_matrix(), upright)
+    misfit_m = np.sqrt((share * np.nan_to_num((laid - measured)[:, :-1] ** 2).sum(-1)).sum(-1))
+    turn = (torso.world_from_chest.inv() * world_from_head).magnitude()
+    valid = enough & (misfit_m < _MAX_FACE_MISFIT_M) & (turn < _MAX_NECK_TURN)
+    ears_m = center - world_from_head.apply(np.where(enough[:, None], template_center, 0.0))
+    return Head(np.where(valid[:, None], ears_m, np.nan), world_from_head, valid)

@@ -51,7 +51,7 @@ def observations_at(
     """
     first_s = min(one.time_s[0] for one in matched if len(one.time_s))
     last_s = max(one.time_s[-1] for one in matched if len(one.time_s))
-    half_s = parameters.period_s / 2
+    half_s = 0.5 / timebase.frame_rate_hz
     start = max(0, int(np.ceil((first_s - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
     stop = int(np.floor((last_s + half_s - timebase.start_time_s) * timebase.frame_rate_hz)) + 1
     stop = min(stop, timebase.num_frames)

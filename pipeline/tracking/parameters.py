@@ -38,8 +38,9 @@ class TrackingParameters:
         Span of the recent positions behind a joint's velocity (eq. 5).
     min_score
         Joints below are not used.
-    period_s
-        Time between two frames of a camera.
+    instant_s
+        Frames of two cameras that are less apart show one instant: over half a period, so that cameras in opposite
+        phase meet, and under a whole one, so that a camera's last frame is the past.
     confirm_instants
         A target is confirmed once two cameras saw it at so many instants.
     max_unseen_s, max_unseen_tentative_s
@@ -54,7 +55,7 @@ class TrackingParameters:
     alpha_epipolar_px: float
     lambda_a_hz: float
     lambda_t_hz: float
-    period_s: float
+    instant_s: float
     weight_2d: float = 0.4
     weight_3d: float = 0.6
     alpha_3d_m: float = 0.15
@@ -104,5 +105,5 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
         alpha_epipolar_px=0.15 * scale_px_m,
         lambda_a_hz=0.2 * frame_rate_hz,
         lambda_t_hz=0.4 * frame_rate_hz,
-        period_s=1.0 / frame_rate_hz,
+        instant_s=0.75 / frame_rate_hz,
     )

@@ -17,7 +17,7 @@ _MAX_GAP_S = 0.2
 _MIN_LIFE_S = 0.15
 # Frames on each side whose median says where a joint should be.
 _NEIGHBOURS = 2
-_BLOCK_FRAMES = 256
+_BLOCK_FRAMES = 64
 
 
 def locate(

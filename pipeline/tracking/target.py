@@ -92,7 +92,7 @@ class Target:
         self.xyz_m = np.where(seen[:, None], xyz_m, self.xyz_m)
         self.updated_s = np.where(seen, time_s, self.updated_s)
         self._fit_velocity(time_s, xyz_m, parameters.velocity_window_s)
-        if np.sum(age_s < parameters.period_s / 2) >= 2 and time_s > self.supported_s:
+        if np.sum(age_s < parameters.instant_s) >= 2 and time_s > self.supported_s:
             self.supported_s = time_s
             self.num_supported += 1
             self.confirmed |= self.num_supported >= parameters.confirm_instants

@@ -123,7 +123,7 @@ class Tracker:
         for claimed_camera, row, target_id in late:
             if claimed_camera == camera:
                 identities[row] = target_id
-        self._merge_duplicates()
+        self._merge_duplicates(time_s)
         self._confirmed.update(target.target_id for target in self._targets if target.confirmed)
         return identities, [claim for claim in late if claim[0] != camera]
 
@@ -167,9 +167,8 @@ class Tracker:
 
     def _start_targets(self, time_s: float) -> list[tuple[int, int, int]]:
         """New targets from what is unmatched in every camera's most recent frame."""
-        # A frame older than the cameras' period is not the present any more.
         pool = [
-            one for view in self._views for one in view.unmatched if time_s - one.time_s < self._parameters.period_s
+            one for view in self._views for one in view.unmatched if time_s - one.time_s < self._parameters.instant_s
         ]
         if len({one.camera for one in pool}) < 2:
             return []
@@ -210,15 +209,26 @@ class Tracker:
                 kept.append(target)
         self._targets = kept
 
-    def _merge_duplicates(self) -> None:
-        """Two targets in one place are one person: the one that was seen more often stays."""
-        by_merit = sorted(self._targets, key=lambda target: (-target.num_supported, target.target_id))
+    def _merge_duplicates(self, time_s: float) -> None:
+        """Two targets in one place are one person: the one that is seen now, or was seen more often, stays.
+
+        A tentative target's detections go over to the one that stays. A confirmed one has a past of its own, such as
+        somebody who left and coasts into another's way: it ends there, and its past stays what it was.
+        """
+        by_merit = sorted(
+            self._targets,
+            key=lambda target: (
+                time_s - target.supported_s > self._parameters.velocity_window_s,
+                -target.num_supported,
+                target.target_id,
+            ),
+        )
         kept: list[Target] = []
         for target in by_merit:
             twin = next((other for other in kept if self._same_place(target, other)), None)
             if twin is None:
                 kept.append(target)
-            else:
+            elif not target.confirmed:
                 self._replaced[target.target_id] = twin.target_id
         self._targets = sorted(kept, key=lambda target: target.target_id)
 

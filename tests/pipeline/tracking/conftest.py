@@ -17,7 +17,9 @@ def ring_camera(name: str, angle_rad: float, radius_m: float = 4.0, height_m: fl
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     matrix = np.array([[800.0, 0.0, 639.5], [0.0, 800.0, 479.5], [0.0, 0.0, 1.0]])
-    return Camera(name, (1280, 960), matrix, np.array([-0.1, 0.02, 0.0, 0.0, 0.0]), Rigid3(rotation, -rotation @ center))
+    return Camera(
+        name, (1280, 960), matrix, np.array([-0.1, 0.02, 0.0, 0.0, 0.0]), Rigid3(rotation, -rotation @ center)
+    )
 
 
 @pytest.fixture

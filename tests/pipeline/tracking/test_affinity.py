@@ -12,7 +12,7 @@ from pipeline.tracking.parameters import TrackingParameters, derive_parameters, 
 @pytest.fixture
 def parameters() -> TrackingParameters:
     return TrackingParameters(
-        alpha_2d_px_s=500.0, alpha_epipolar_px=30.0, lambda_a_hz=5.0, lambda_t_hz=10.0, period_s=0.04
+        alpha_2d_px_s=500.0, alpha_epipolar_px=30.0, lambda_a_hz=5.0, lambda_t_hz=10.0, instant_s=0.03
     )
 
 

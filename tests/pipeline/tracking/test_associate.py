@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from tests.pipeline.tracking.conftest import body, detections_of
 
 from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
 from pipeline.geometry.camera import project
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from tests.pipeline.tracking.conftest import body, detections_of
 
 RATE_HZ = 25.0
 NUM_FRAMES = 50
@@ -62,7 +62,7 @@ def test_two_people_pass_each_other(ring: tuple[Camera, ...]) -> None:
 def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera, ...]) -> None:
     """Straight motion at constant speed, each camera at a phase of its own: interpolation is nearly exact."""
     times, detections = {}, {}
-    base_m, speed_m_s = body() + [-0.8, 0.0, 0.0], np.array([0.8, 0.3, 0.0])
+    base_m, speed_m_s = body() + np.array([-0.8, 0.0, 0.0]), np.array([0.8, 0.3, 0.0])
     for k, camera in enumerate(ring):
         time_s = np.arange(NUM_FRAMES + 1) / RATE_HZ - k * 0.011
         times[camera.name] = FrameTimes(time_s)
@@ -72,6 +72,24 @@ def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera,
     truth_m = base_m + instants_s[:, None, None] * speed_m_s
     inner = slice(1, NUM_FRAMES - 1)
     np.testing.assert_allclose(track.xyz_m[inner], truth_m[inner], atol=2e-3)
+
+
+def test_two_cameras_in_opposite_phase_and_at_half_the_rate_meet(ring: tuple[Camera, ...]) -> None:
+    """One camera at 25 Hz, one at 12.5 Hz that never takes a frame at the same time."""
+    pair, base_m, speed_m_s = ring[:2], body() + np.array([-0.5, 0.0, 0.0]), np.array([0.5, 0.2, 0.0])
+    times = {
+        "cam0": FrameTimes(np.arange(NUM_FRAMES) / RATE_HZ),
+        "cam1": FrameTimes(np.arange(NUM_FRAMES // 2) / (RATE_HZ / 2) + 0.02),
+    }
+    detections = {
+        camera.name: detections_of(camera, (base_m + times[camera.name].time_s[:, None, None] * speed_m_s)[None])
+        for camera in pair
+    }
+    (track,) = run(pair, detections, times)
+    assert track.num_frames >= NUM_FRAMES - 4
+    instants_s = (track.start_frame + np.arange(track.num_frames)) / RATE_HZ
+    truth_m = base_m + instants_s[:, None, None] * speed_m_s
+    np.testing.assert_allclose(track.xyz_m[1:-1], truth_m[1:-1], atol=5e-3)
 
 
 def test_a_wrong_wrist_in_one_view_does_not_pull_the_joint(ring: tuple[Camera, ...]) -> None:
@@ -134,7 +152,7 @@ def test_a_doubled_detection_makes_no_second_person(ring: tuple[Camera, ...]) ->
 def test_false_positives_without_a_second_view_make_nobody(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {camera.name: detections_of(camera, people_m) for camera in ring}
-    lamp_px = project(ring[0], body() + [1.5, 1.5, 0.0])
+    lamp_px = project(ring[0], body() + np.array([1.5, 1.5, 0.0]))
     one = detections["cam0"]
     detections["cam0"] = Detections(
         "cam0",

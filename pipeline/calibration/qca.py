@@ -1,0 +1,89 @@
+"""Qualisys QCA calibration (XML).
+
+Intrinsics are in 1/64 pixel, lengths in millimetres. The transform holds the camera's orientation with y up and z
+backwards, ``x_cv = diag(1, -1, -1) R (x - c)``, and the camera's centre c.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import ParseError, fromstring
+
+from pipeline.calibration.validate import RawCamera, build_cameras
+from pipeline.data import Camera
+from pipeline.errors import InputError, Problem
+
+_SUBPIXELS = 64.0
+_CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
+
+
+def read(content: bytes, file: str) -> tuple[Camera, ...]:
+    """Read a QCA file; ``InputError`` with everything that is wrong."""
+    try:
+        root = fromstring(content)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        raise InputError(
+            [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
+        ) from error
+    problems: list[Problem] = []
+    raw = [_raw(element, file, problems) for element in root.findall("./cameras/camera")]
+    return build_cameras(raw, file, problems)
+
+
+def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
+    name = element.get("serial")
+
+    def number(tag: str, attribute: str) -> float:
+        part = element.find(tag)
+        try:
+            return float("" if part is None else part.get(attribute, ""))
+        except ValueError:
+            problems.append(
+                Problem(
+                    "invalid_number",
+                    f"The attribute {attribute} of {tag} is missing or no number.",
+                    file=file,
+                    camera=name,
+                    field=attribute,
+                )
+            )
+            # Finite, so that one missing number is said once.
+            return 0.0
+
+    def intrinsic(attribute: str) -> float:
+        return number("intrinsic", attribute)
+
+    if element.get("model") not in {None, "none"} or not math.isclose(intrinsic("skew"), 0.0):
+        problems.append(
+            Problem("unsupported_lens", "Only the standard lens model without skew is read.", file=file, camera=name)
+        )
+    rotation = np.array([[number("transform", f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)])
+    center_m = np.array([number("transform", axis) for axis in "xyz"]) / 1000.0
+    cv_from_world = _CV_FROM_QUALISYS @ rotation
+    return RawCamera(
+        name=name,
+        size_px=[
+            number("fov_video", "right") - number("fov_video", "left") + 1,
+            number("fov_video", "bottom") - number("fov_video", "top") + 1,
+        ],
+        matrix=[
+            [intrinsic("focalLengthU") / _SUBPIXELS, 0.0, intrinsic("centerPointU") / _SUBPIXELS],
+            [0.0, intrinsic("focalLengthV") / _SUBPIXELS, intrinsic("centerPointV") / _SUBPIXELS],
+            [0.0, 0.0, 1.0],
+        ],
+        distortion=[
+            intrinsic(attribute)
+            for attribute in (
+                "radialDistortion1",
+                "radialDistortion2",
+                # Spelled so in the format.
+                "tangentalDistortion1",
+                "tangentalDistortion2",
+                "radialDistortion3",
+            )
+        ],
+        rotation=cv_from_world,
+        translation_m=-cv_from_world @ center_m,
+    )

@@ -1,0 +1,60 @@
+"""Which reader reads a calibration file."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from pipeline.calibration import json_formats, qca, toml_format
+from pipeline.data import Camera
+from pipeline.errors import InputError, Problem
+
+# 128 cameras take some 200 kB in the wordiest format.
+MAX_BYTES = 4 * 2**20
+
+_BY_ENDING: Mapping[str, Callable[[bytes, str], tuple[Camera, ...]]] = {
+    ".toml": toml_format.read,
+    ".json": json_formats.read,
+    ".xml": qca.read,
+    ".qca": qca.read,
+}
+
+
+def _reader(name: str, content: bytes) -> Callable[[bytes, str], tuple[Camera, ...]] | None:
+    """The reader that fits the ending, or else the first character (Qualisys ends its XML in .txt)."""
+    head = content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
+    return _BY_ENDING.get(Path(name).suffix.lower()) or {b"<": qca.read, b"{": json_formats.read}.get(head)
+
+
+def read_calibration(path: Path) -> tuple[Camera, ...]:
+    """Read cameras from a file in any of the formats that Multicap knows.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong with the file.
+    """
+    file = path.name
+
+    def refuse(code: str, message: str, hint: str | None = None) -> InputError:
+        return InputError([Problem(code, message, file=file, hint=hint)])
+
+    try:
+        if not path.is_file():
+            raise refuse("calibration_missing", "There is no such calibration file.")
+        num_bytes = path.stat().st_size
+        if num_bytes > MAX_BYTES:
+            raise refuse(
+                "calibration_too_large",
+                f"The file has {num_bytes / 2**20:.0f} MiB; a calibration has at most {MAX_BYTES // 2**20}.",
+                "Is it another file?",
+            )
+        content = path.read_bytes()
+    except OSError as error:
+        raise refuse("calibration_unreadable", "The file can't be read.", "Check its permissions.") from error
+    reader = _reader(file, content)
+    if reader is None:
+        raise refuse(
+            "calibration_format",
+            "This is no calibration format that Multicap knows.",
+            "Use Qualisys QCA (XML), Caliscope/anipose TOML, or JSON.",
+        )
+    return reader(content, file)

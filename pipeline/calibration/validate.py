@@ -1,0 +1,164 @@
+"""From numbers in a file to cameras: everything that can be wrong with them, said at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.data import Camera, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.rigid import Rigid3
+
+MAX_CAMERAS = 128
+_MAX_NAME_LENGTH = 64
+_MAX_SIDE_PX = 20_000
+_DISTORTION_LENGTHS = (0, 4, 5, 8, 12)
+# Files carry 5-7 digits; a real rotation is far closer than this, a mistake far off.
+_ROTATION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class RawCamera:
+    """A camera as a file has it: unchecked values under the names that our messages use."""
+
+    name: Any
+    size_px: Any
+    matrix: Any
+    distortion: Any
+    rotation: Any
+    translation_m: Any
+
+
+def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
+    """The value as a finite array of one of the shapes, or what is wrong with it."""
+    wanted = " or ".join(" x ".join(str(n) for n in shape) for shape in shapes)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return f"is not a list of {wanted} numbers."
+    if array.shape not in shapes:
+        return f"has {' x '.join(str(n) for n in array.shape) or 'one'} numbers where {wanted} are needed."
+    if not np.isfinite(array).all():
+        return "has a number that is not finite."
+    return array
+
+
+def _matrix_problem(matrix: np.ndarray) -> str | None:
+    if abs(np.linalg.det(matrix)) < 1e-9:
+        return "is singular."
+    if not np.allclose(matrix[2], [0.0, 0.0, 1.0], atol=1e-9) or matrix[1, 0] != 0:
+        return "is no camera matrix: it must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]."
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+        return "has a focal length that is not positive."
+    return None
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray | str:
+    """The rotation nearest to a matrix that is nearly one, or what is wrong with it."""
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROTATION_TOLERANCE:
+        return "is not a rotation: its rows are not orthonormal."
+    if np.linalg.det(matrix) < 0:
+        return "is not a rotation: it mirrors (determinant -1)."
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
+
+
+def _name_problem(name: Any) -> str | None:
+    if not isinstance(name, str) or not name.strip():
+        return "is missing or no text."
+    if len(name) > _MAX_NAME_LENGTH or not name.isprintable() or "/" in name or "\\" in name:
+        return f"must be at most {_MAX_NAME_LENGTH} printable characters without slashes."
+    return None
+
+
+def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem] = ()) -> tuple[Camera, ...]:
+    """Check all cameras of a file and build them.
+
+    Raises
+    ------
+    InputError
+        With all problems of all cameras, ``earlier`` ones first.
+    """
+    problems = list(earlier)
+    if not raw:
+        problems.append(Problem("calibration_empty", "There is no camera in the calibration.", file=file))
+    if len(raw) > MAX_CAMERAS:
+        problems.append(Problem("too_many_cameras", f"More than {MAX_CAMERAS} cameras.", file=file))
+    cameras: list[Camera] = []
+    for position, one in enumerate(raw[:MAX_CAMERAS]):
+        camera, found = _build(one, position, file)
+        problems.extend(found)
+        if camera is not None:
+            cameras.append(camera)
+    names = [str(one.name) for one in raw]
+    problems.extend(
+        Problem("duplicate_camera", "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
+        for name in sorted({name for name in names if names.count(name) > 1})
+    )
+    if problems:
+        raise InputError(problems)
+    return tuple(cameras)
+
+
+def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
+    problems: list[Problem] = []
+    fault = _name_problem(one.name)
+    label = f"number {position + 1}" if fault else str(one.name)
+
+    def complain(field: str, message: str) -> None:
+        problems.append(Problem(f"invalid_{field}", f"The {field} {message}", file=file, camera=label, field=field))
+
+    if fault:
+        complain("name", fault)
+    values: dict[str, np.ndarray] = {}
+    for field, value, shapes in (
+        ("size", one.size_px, [(2,)]),
+        ("matrix", one.matrix, [(3, 3)]),
+        ("distortion", one.distortion, [(n,) for n in _DISTORTION_LENGTHS]),
+        ("rotation", one.rotation, [(3, 3)]),
+        ("translation", one.translation_m, [(3,)]),
+    ):
+        checked = _numbers(value, shapes)
+        if isinstance(checked, str):
+            complain(field, checked)
+        else:
+            values[field] = checked
+    if "size" in values and not ((values["size"] >= 1) & (values["size"] <= _MAX_SIDE_PX)).all():
+        complain("size", f"must be between 1 and {_MAX_SIDE_PX} pixels.")
+    if "matrix" in values and (message := _matrix_problem(values["matrix"])):
+        complain("matrix", message)
+    if "rotation" in values:
+        rotation = nearest_rotation(values["rotation"])
+        if isinstance(rotation, str):
+            complain("rotation", rotation)
+        else:
+            values["rotation"] = rotation
+    if problems:
+        return None, problems
+    return (
+        Camera(
+            name=one.name,
+            size_px=(int(values["size"][0]), int(values["size"][1])),
+            matrix=read_only(values["matrix"]),
+            distortion=read_only(values["distortion"]),
+            cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
+        ),
+        [],
+    )
+
+
+def unknown_fields(found: Any, known: frozenset[str], file: str, camera: str | None) -> list[Problem]:
+    """One problem a field that the format does not have."""
+    return [
+        Problem(
+            "unknown_field",
+            f"There is no field '{str(field)[:40]}' in this format.",
+            file=file,
+            camera=camera,
+            field=str(field)[:40],
+            hint="Remove it, or correct its name.",
+        )
+        for field in found
+        if field not in known
+    ]

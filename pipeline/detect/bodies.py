@@ -1,0 +1,28 @@
+"""What a detector finds in one image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bodies:
+    """Bodies in one image, the surest first.
+
+    Parameters
+    ----------
+    keypoints_px
+        Joints; pixel (0, 0) is the centre of the first pixel. NaN where the detector found none.
+    score
+        The detector's confidence in [0, 1], 0 where the joint is NaN.
+    box_px
+        x0, y0, x1, y1 around the joints that were found.
+    center_score
+        The detector's confidence in [0, 1] that there is a body.
+    """
+
+    keypoints_px: Float[np.ndarray, "n joints 2"]
+    score: Float[np.ndarray, "n joints"]
+    box_px: Float[np.ndarray, "n 4"]
+    center_score: Float[np.ndarray, " n"]

@@ -1,0 +1,82 @@
+"""A detector: an image in, bodies in its pixels out."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from pipeline.data import read_only
+from pipeline.detect.bodies import Bodies
+from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
+from pipeline.detect.models import verify
+from pipeline.detect.movenet import decode_movenet
+from pipeline.detect.registry import Head, NetworkInput, entry_of
+from pipeline.detect.session import Network, open_network
+from pipeline.joints import JointSet
+
+__all__ = ["Bodies", "Detector", "open_detector"]
+
+_DECODERS: Mapping[Head, Callable[[Mapping[str, np.ndarray]], Bodies]] = {Head.MOVENET_MULTIPOSE: decode_movenet}
+
+
+@dataclass(frozen=True, slots=True)
+class Detector:
+    """Finds bodies in images, one at a time.
+
+    Parameters
+    ----------
+    network
+        Runs the network: a session, or a stand-in with a known answer.
+    input, head, joints
+        What the network takes and gives, as in the registry.
+    long_side_px
+        Size that the long side of an image is scaled to.
+    """
+
+    network: Network
+    input: NetworkInput
+    head: Head
+    joints: JointSet
+    long_side_px: int = 512
+
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+        """Find all bodies in an image, in its pixels."""
+        tensor, letterbox = self.prepare(image_rgb)
+        return self.decode(self.run_network(tensor), letterbox)
+
+    def prepare(
+        self, image_rgb: UInt8[np.ndarray, "height width 3"]
+    ) -> tuple[Float32[np.ndarray, "1 3 padded_height padded_width"], LetterBox]:
+        """Fit an image into the network's input."""
+        height, width = image_rgb.shape[:2]
+        letterbox = fit_letterbox((width, height), self.long_side_px, self.input.multiple)
+        padded = apply_letterbox(image_rgb, letterbox)
+        channels = padded if self.input.channels == "rgb" else padded[..., ::-1]
+        return np.ascontiguousarray(channels.transpose(2, 0, 1)[None], np.float32), letterbox
+
+    def run_network(self, tensor: Float32[np.ndarray, "1 3 height width"]) -> Mapping[str, np.ndarray]:
+        """Run the network alone."""
+        return self.network(tensor)
+
+    def decode(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> Bodies:
+        """Turn a network's outputs into bodies in the pixels of the image."""
+        bodies = _DECODERS[self.head](outputs)
+        corners_px = letterbox.image_from_network(bodies.box_px.reshape(-1, 2, 2))
+        return replace(
+            bodies,
+            keypoints_px=read_only(letterbox.image_from_network(bodies.keypoints_px)),
+            box_px=read_only(corners_px.reshape(-1, 4)),
+        )
+
+
+def open_detector(name: str = "movenet-multipose") -> Detector:
+    """Open an installed network of the registry.
+
+    Raises
+    ------
+    ModelError
+        If the network is unknown, not installed, or its file was changed.
+    """
+    entry = entry_of(name)
+    return Detector(open_network(verify(name)), entry.input, entry.head, entry.joints)

@@ -1,0 +1,125 @@
+"""Read a TensorFlow Lite model into plain records: tensors, operators, options."""
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import tflite
+
+from pipeline.errors import ModelError
+
+_DTYPES = {
+    tflite.TensorType.FLOAT32: np.float32,
+    tflite.TensorType.FLOAT16: np.float16,
+    tflite.TensorType.INT32: np.int32,
+}
+_OPERATOR_KINDS = {code: kind for kind, code in vars(tflite.BuiltinOperator).items() if isinstance(code, int)}
+_OPTION_KINDS = {code: kind for kind, code in vars(tflite.BuiltinOptions).items() if isinstance(code, int) and code}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tensor:
+    """A tensor's name, its shape (NHWC; 1 where open) and its value if it is a constant of a known type."""
+
+    name: str
+    shape: tuple[int, ...]
+    value: np.ndarray | None
+
+
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """An operator.
+
+    Parameters
+    ----------
+    kind
+        Such as ``CONV_2D``.
+    inputs, outputs
+        Indices of tensors; an input that is left out is -1.
+    options
+        The schema's table of options for this kind, such as ``tflite.Conv2DOptions``; ``None`` for most kinds.
+    """
+
+    kind: str
+    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    options: Any
+
+
+@dataclass(frozen=True)
+class Graph:
+    """The main graph of a model; operators refer to tensors by index."""
+
+    tensors: tuple[Tensor, ...]
+    operators: tuple[Operator, ...]
+
+    @cached_property
+    def producers(self) -> dict[int, Operator]:
+        """The operator that makes a tensor, by the tensor's index."""
+        return {index: operator for operator in self.operators for index in operator.outputs}
+
+    @cached_property
+    def activations(self) -> dict[str, int]:
+        """What depends on the input, by name up to the first semicolon (the rest was fused into it)."""
+        variable = [index for index in range(len(self.tensors)) if self.constant(index) is None]
+        return {self.tensors[index].name.partition(";")[0]: index for index in variable}
+
+    def constant(self, index: int) -> np.ndarray | None:
+        """Value of a constant, half precision widened; ``None`` for what depends on the input."""
+        value = self.tensors[index].value
+        if value is not None:
+            return value.astype(np.float32) if value.dtype == np.float16 else value
+        producer = self.producers.get(index)
+        return self.constant(producer.inputs[0]) if producer and producer.kind == "DEQUANTIZE" else None
+
+
+def read_model(model: bytes) -> Graph:
+    """Read a TensorFlow Lite flatbuffer.
+
+    Raises
+    ------
+    ModelError
+        If it is none, or is damaged.
+    """
+    try:
+        root = tflite.Model.GetRootAs(model)
+        graph = root.Subgraphs(0)
+        return Graph(
+            tuple(_tensor(root, graph.Tensors(k)) for k in range(graph.TensorsLength())),
+            tuple(_operator(root, graph.Operators(k)) for k in range(graph.OperatorsLength())),
+        )
+    except (struct.error, IndexError, ValueError, TypeError, AttributeError, KeyError) as error:
+        raise ModelError("The TensorFlow Lite model is damaged, or is none.") from error
+
+
+def _tensor(root: tflite.Model, tensor: tflite.Tensor) -> Tensor:
+    shape = tuple(tensor.ShapeAsNumpy().tolist()) if tensor.ShapeLength() else ()
+    buffer = root.Buffers(tensor.Buffer())
+    dtype = _DTYPES.get(tensor.Type())
+    known = dtype is not None and buffer.DataLength() > 0
+    value = np.frombuffer(buffer.DataAsNumpy(), dtype).reshape(shape) if known else None
+    return Tensor(tensor.Name().decode(), shape, value)
+
+
+def _operator(root: tflite.Model, operator: tflite.Operator) -> Operator:
+    code = root.OperatorCodes(operator.OpcodeIndex())
+    # Codes below 127 stand in the old field; newer ones have that field saturated.
+    kind = _OPERATOR_KINDS[max(code.BuiltinCode(), code.DeprecatedBuiltinCode())]
+    return Operator(
+        kind,
+        tuple(operator.InputsAsNumpy().tolist()) if operator.InputsLength() else (),
+        tuple(operator.OutputsAsNumpy().tolist()) if operator.OutputsLength() else (),
+        _options(operator),
+    )
+
+
+def _options(operator: tflite.Operator) -> Any:
+    kind = _OPTION_KINDS.get(operator.BuiltinOptionsType())
+    if kind is None:
+        return None
+    table = operator.BuiltinOptions()
+    options = getattr(tflite, kind)()
+    options.Init(table.Bytes, table.Pos)
+    return options

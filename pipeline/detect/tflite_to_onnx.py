@@ -1,0 +1,213 @@
+"""Convert the convolutional part of a float TensorFlow Lite model to ONNX, without TensorFlow.
+
+Activations change from NHWC to NCHW, weights from half to single precision, which is exact; height and width stay open.
+Only what lies between the chosen inputs and outputs is converted: a model's own decoding is left out.
+What operators do: the TensorFlow Lite schema, and https://onnx.ai/onnx/operators/.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import onnx
+import tflite
+from onnx import TensorProto, helper, numpy_helper
+
+from pipeline.detect.tflite_model import Graph, Operator, read_model
+from pipeline.errors import ModelError
+
+# Pinned, so that the same weights give the same bytes whatever release of onnx writes them.
+_OPSET = 13
+_IR_VERSION = 8
+_NCHW_FROM_NHWC = (0, 3, 1, 2)
+
+
+def convert(model: bytes, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> bytes:
+    """Convert the part of a model that lies between some of its tensors.
+
+    Parameters
+    ----------
+    model
+        A TensorFlow Lite flatbuffer.
+    inputs, outputs
+        Names in ONNX by names in TensorFlow Lite, up to the first semicolon.
+
+    Returns
+    -------
+        The ONNX model, float32, NCHW; the same bytes for the same arguments.
+
+    Raises
+    ------
+    ModelError
+        If the model is damaged, lacks a tensor, or needs an operator that is not supported.
+    """
+    return convert_graph(read_model(model), inputs, outputs)
+
+
+def convert_graph(graph: Graph, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> bytes:
+    """Convert the part of a graph that lies between some of its tensors; see ``convert``."""
+    conversion = _Conversion(graph, {_index(graph, name): onnx_name for name, onnx_name in inputs.items()})
+    ends = {_index(graph, name): onnx_name for name, onnx_name in outputs.items()}
+    for index, onnx_name in ends.items():
+        conversion.emit("Identity", [conversion.activation(index)], onnx_name)
+    body = helper.make_graph(
+        conversion.nodes,
+        "network",
+        [_value_info(graph, index, onnx_name) for index, onnx_name in conversion.starts.items()],
+        [_value_info(graph, index, onnx_name) for index, onnx_name in ends.items()],
+        list(conversion.constants.values()),
+    )
+    converted = helper.make_model(body, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION)
+    onnx.checker.check_model(converted)
+    return bytes(converted.SerializeToString(deterministic=True))
+
+
+def _index(graph: Graph, name: str) -> int:
+    if name not in graph.activations:
+        raise ModelError(f"The TensorFlow Lite model has no tensor {name}: it is not the version that is needed.")
+    return graph.activations[name]
+
+
+def _value_info(graph: Graph, index: int, onnx_name: str) -> onnx.ValueInfoProto:
+    shape: list[str | int | None] = [
+        "batch",
+        graph.tensors[index].shape[-1],
+        f"{onnx_name}_height",
+        f"{onnx_name}_width",
+    ]
+    return helper.make_tensor_value_info(onnx_name, TensorProto.FLOAT, shape)
+
+
+class _Conversion:
+    """Nodes and constants so far; operators are converted when something asks for what they make."""
+
+    def __init__(self, graph: Graph, starts: dict[int, str]) -> None:
+        self.graph = graph
+        self.starts = starts
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: dict[str, onnx.TensorProto] = {}
+        self._names = dict(starts)
+
+    def emit(self, kind: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        """Append a node; returns the name of its output."""
+        self.nodes.append(helper.make_node(kind, inputs, [output], **attributes))
+        return output
+
+    def add_constant(self, name: str, value: np.ndarray) -> str:
+        """Add a constant under its name; returns the name."""
+        self.constants[name] = numpy_helper.from_array(np.ascontiguousarray(value), name)
+        return name
+
+    def activation(self, index: int) -> str:
+        """Name of a tensor that depends on the input."""
+        if index not in self._names:
+            operator = self.graph.producers.get(index)
+            handler = _HANDLERS.get(operator.kind) if operator else None
+            if operator is None or handler is None:
+                what = operator.kind if operator else "a tensor that nothing makes"
+                raise ModelError(f"The TensorFlow Lite model needs {what}, which is not supported.")
+            self._names[index] = handler(self, operator, f"t{index}")
+        return self._names[index]
+
+    def weights(self, index: int) -> np.ndarray:
+        """Value of a constant."""
+        value = self.graph.constant(index)
+        if value is None:
+            raise ModelError("The TensorFlow Lite model has weights of a kind that is not supported.")
+        return value
+
+    def operand(self, index: int) -> str:
+        """Name of an operand of elementwise arithmetic, constant or not."""
+        value = self.graph.constant(index)
+        if value is None:
+            return self.activation(index)
+        four_axes = value.reshape((1,) * (4 - value.ndim) + value.shape)
+        return self.add_constant(f"t{index}", four_axes.transpose(_NCHW_FROM_NHWC))
+
+    def activate(self, name: str, function: int) -> str:
+        """Apply the activation function that is fused into an operator."""
+        if function == tflite.ActivationFunctionType.NONE:
+            return name
+        if function == tflite.ActivationFunctionType.RELU:
+            return self.emit("Relu", [name], f"{name}_relu")
+        if function == tflite.ActivationFunctionType.RELU6:
+            bounds = [
+                self.add_constant("zero", np.array(0, np.float32)),
+                self.add_constant("six", np.array(6, np.float32)),
+            ]
+            return self.emit("Clip", [name, *bounds], f"{name}_relu6")
+        raise ModelError(f"The TensorFlow Lite model needs activation {function}, which is not supported.")
+
+
+def _convolution(conversion: _Conversion, operator: Operator, name: str) -> str:
+    """Weights: output channels, height, width, input channels."""
+    weights = conversion.weights(operator.inputs[1]).transpose(_NCHW_FROM_NHWC)
+    return _emit_convolution(conversion, operator, name, weights, num_groups=1)
+
+
+def _depthwise_convolution(conversion: _Conversion, operator: Operator, name: str) -> str:
+    """Weights: 1, height, width, channels."""
+    if operator.options.DepthMultiplier() != 1:
+        raise ModelError("The TensorFlow Lite model needs a depth multiplier, which is not supported.")
+    weights = conversion.weights(operator.inputs[1]).transpose(3, 0, 1, 2)
+    return _emit_convolution(conversion, operator, name, weights, num_groups=len(weights))
+
+
+def _emit_convolution(
+    conversion: _Conversion, operator: Operator, name: str, weights: np.ndarray, num_groups: int
+) -> str:
+    options = operator.options
+    if (options.DilationHFactor(), options.DilationWFactor()) != (1, 1):
+        raise ModelError("The TensorFlow Lite model needs a dilated convolution, which is not supported.")
+    inputs = [conversion.activation(operator.inputs[0]), conversion.add_constant(f"{name}_weights", weights)]
+    if len(operator.inputs) > 2 and operator.inputs[2] >= 0:
+        inputs.append(conversion.add_constant(f"{name}_bias", conversion.weights(operator.inputs[2])))
+    conversion.emit(
+        "Conv",
+        inputs,
+        name,
+        group=num_groups,
+        kernel_shape=list(weights.shape[2:]),
+        strides=[options.StrideH(), options.StrideW()],
+        dilations=[1, 1],
+        # TensorFlow's SAME pads the odd pixel at the end.
+        auto_pad="SAME_UPPER" if options.Padding() == tflite.Padding.SAME else "VALID",
+    )
+    return conversion.activate(name, options.FusedActivationFunction())
+
+
+def _elementwise(kind: str) -> "_Handler":
+    def handle(conversion: _Conversion, operator: Operator, name: str) -> str:
+        conversion.emit(kind, [conversion.operand(index) for index in operator.inputs], name)
+        return conversion.activate(name, operator.options.FusedActivationFunction())
+
+    return handle
+
+
+def _sigmoid(conversion: _Conversion, operator: Operator, name: str) -> str:
+    return conversion.emit("Sigmoid", [conversion.activation(operator.inputs[0])], name)
+
+
+def _resize_bilinear(conversion: _Conversion, operator: Operator, name: str) -> str:
+    """Upsampling by a constant factor: the new size is the old one, times a constant."""
+    new_size = conversion.graph.producers.get(operator.inputs[1])
+    factors = conversion.graph.constant(new_size.inputs[1]) if new_size and new_size.kind == "MUL" else None
+    if factors is None or not operator.options.HalfPixelCenters():
+        raise ModelError("The TensorFlow Lite model resizes in a way that is not supported.")
+    scales = conversion.add_constant(f"{name}_scales", np.array([1, 1, *factors], np.float32))
+    source = conversion.activation(operator.inputs[0])
+    return conversion.emit(
+        "Resize", [source, "", scales], name, mode="linear", coordinate_transformation_mode="half_pixel"
+    )
+
+
+_Handler = Callable[[_Conversion, Operator, str], str]
+_HANDLERS: dict[str, _Handler] = {
+    "CONV_2D": _convolution,
+    "DEPTHWISE_CONV_2D": _depthwise_convolution,
+    "ADD": _elementwise("Add"),
+    "SUB": _elementwise("Sub"),
+    "MUL": _elementwise("Mul"),
+    "LOGISTIC": _sigmoid,
+    "RESIZE_BILINEAR": _resize_bilinear,
+}

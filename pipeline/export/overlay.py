@@ -1,0 +1,94 @@
+"""Pictures of skeletons drawn over a camera's frame."""
+
+import colorsys
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from pipeline.data import Camera, Track3D
+from pipeline.geometry.camera import project
+from pipeline.joints import JointSet
+
+Rgb = tuple[int, int, int]
+
+_BLACK: Rgb = (0, 0, 0)
+# cv2 draws with this many fractional bits.
+_SHIFT = 4
+# The golden ratio spreads hues evenly however many people there are.
+_HUE_STEP = 0.618034
+
+
+def color_rgb(track_id: int) -> Rgb:
+    """A bright colour of a person, far from those of the next numbers."""
+    red, green, blue = colorsys.hsv_to_rgb(track_id * _HUE_STEP % 1.0, 0.85, 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def _drawable(points_px: Float[np.ndarray, "joints 2"], size_px: tuple[int, int]) -> dict[int, tuple[int, int]]:
+    """Points in the image or within one image's size of it, in cv2's fixed-point numbers, by joint.
+
+    Farther away lens models fold over, and fixed-point numbers overflow.
+    """
+    size = np.array(size_px)
+    with np.errstate(invalid="ignore"):
+        near = ((points_px > -size) & (points_px < 2 * size)).all(-1)
+    return {
+        int(joint): (round(points_px[joint, 0] * 2**_SHIFT), round(points_px[joint, 1] * 2**_SHIFT))
+        for joint in np.flatnonzero(near)
+    }
+
+
+def draw_skeletons(
+    image_rgb: UInt8[np.ndarray, "height width 3"],
+    camera: Camera,
+    tracks: Sequence[Track3D],
+    frame: int,
+    joints: JointSet,
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Draw all people of an output frame over a camera's picture, each in a colour with the number above.
+
+    Parameters
+    ----------
+    image_rgb
+        The camera's picture of that instant, of ``camera.size_px``; it is not changed.
+    frame
+        Output frame; tracks that don't live then are left out.
+    """
+    image = np.ascontiguousarray(image_rgb).copy()
+    thickness = max(2, round(np.hypot(*camera.size_px) / 600))
+    for track in tracks:
+        row = frame - track.start_frame
+        if not 0 <= row < track.num_frames:
+            continue
+        points = _drawable(project(camera, track.xyz_m[row]), camera.size_px)
+        color = color_rgb(track.track_id)
+        for start, end in ((joints.index(a), joints.index(b)) for a, b in joints.bones):
+            if start in points and end in points:
+                # A dark rim keeps the line visible on any background.
+                cv2.line(image, points[start], points[end], _BLACK, thickness + 2, cv2.LINE_AA, _SHIFT)
+                cv2.line(image, points[start], points[end], color, thickness, cv2.LINE_AA, _SHIFT)
+        for point in points.values():
+            cv2.circle(image, point, (thickness + 1) << _SHIFT, _BLACK, -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(image, point, thickness << _SHIFT, color, -1, cv2.LINE_AA, _SHIFT)
+        if points:
+            _label(image, str(track.track_id), min(points.values(), key=lambda point: point[1]), color, thickness)
+    return image
+
+
+def _label(
+    image: UInt8[np.ndarray, "height width 3"], text: str, above: tuple[int, int], color: Rgb, thickness: int
+) -> None:
+    """Write a number centred above a point, in place."""
+    scale = 0.35 * thickness
+    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
+    origin = ((above[0] >> _SHIFT) - width // 2, (above[1] >> _SHIFT) - 5 * thickness)
+    cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, _BLACK, thickness + 3, cv2.LINE_AA)
+    cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, color, thickness, cv2.LINE_AA)
+
+
+def encode_png(image_rgb: UInt8[np.ndarray, "height width 3"]) -> bytes:
+    """Compress a picture as PNG."""
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(image_rgb, cv2.COLOR_RGB2BGR))
+    return bytes(encoded)

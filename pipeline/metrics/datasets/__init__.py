@@ -1,0 +1,1 @@
+"""Readers of captures with a known truth, and their scores."""

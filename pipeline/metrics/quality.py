@@ -1,0 +1,171 @@
+"""Quality of a reconstruction without ground truth: the contents of ``metrics.json``.
+
+- *Reprojection error*: distance between every matched 2D observation with a score of at least 0.2, inlier or not, and
+  the projection of the joint's final position, in pixels of the full image, distortion included.
+- *Coverage*: share of a track's joints and frames, from its first frame to its last, that were measured.
+- *Views a joint*: matched observations behind each joint that has a position; *joints a frame*: joints with a position.
+  They stand beside the error because dropping views or joints would lower it.
+- *Bone length deviation*: standard deviation over time of a limb's length in one track, mean over limbs and tracks,
+  weighted by frames.
+- *Jitter*: mean length of the second difference of a joint's position times the squared frame rate.
+- *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of it (Drillis and Contini 1966).
+
+A figure without any data is null (``None``).
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.data import Camera, Observations, Reconstruction, Source, Track3D
+from pipeline.geometry.camera import project
+from pipeline.joints import LIMBS, JointSet
+from pipeline.metrics.world_checks import world_checks
+
+SCHEMA_VERSION = 1
+MIN_SCORE = 0.2
+"""Observations below this score don't count."""
+
+_SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
+
+
+def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
+    """Compute ``metrics.json`` as a dictionary of plain Python values, rounded.
+
+    ``world_checks`` lists only what looks wrong, each with ``code`` and ``message``: empty when all is well.
+    """
+    tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
+    frame_rate_hz = reconstruction.timebase.frame_rate_hz
+    observed = {observations.track_id: observations for observations in reconstruction.observations}
+    errors_px = [reprojection_error_px(track, observed[track.track_id], cameras) for track in tracks]
+    statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "num_frames": reconstruction.timebase.num_frames,
+        "frame_rate_hz": frame_rate_hz,
+        "reprojection_error_px": _summarise_error(errors_px, cameras, joints),
+        "coverage": _rounded(np.mean(_known(track.source == Source.MEASURED for track in tracks)), 4),
+        "bone_length_std_cm": _rounded(bone_length_std_cm(tracks, joints), 3),
+        "jitter_m_s2": _rounded(np.mean(_known(acceleration_m_s2(track, frame_rate_hz) for track in tracks)), 3),
+        "people": [
+            {
+                "id": track.track_id,
+                "start_frame": track.start_frame,
+                "num_frames": track.num_frames,
+                "coverage": _rounded(np.mean(track.source == Source.MEASURED), 4),
+                "stature_m": _rounded(statures_m[track.track_id], 3),
+                "reprojection_error_px": _rounded(np.median(_known([error_px])), 3),
+                "views_per_joint": _rounded(views_per_joint(track, observed[track.track_id]), 2),
+                "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
+            }
+            for track, error_px in zip(tracks, errors_px, strict=True)
+        ],
+        "world_checks": world_checks(reconstruction, statures_m),
+    }
+
+
+def encode(report: dict[str, Any]) -> bytes:
+    """Write a report as ``metrics.json``: strict JSON, the same bytes for the same report."""
+    return (json.dumps(report, allow_nan=False, indent=2) + "\n").encode("ascii")
+
+
+def _known(arrays: Iterable[np.ndarray]) -> np.ndarray:
+    """All values that are not NaN, flat; one NaN if there are none, so that a mean or a median of them is NaN."""
+    flat = np.concatenate([np.zeros(0), *(array[np.isfinite(array)] for array in arrays)])
+    return flat if len(flat) else np.array([np.nan])
+
+
+def _rounded(value: float, decimals: int) -> float | None:
+    return round(float(value), decimals) if np.isfinite(value) else None
+
+
+def _summarise_error(
+    errors_px: list[Float[np.ndarray, "_ cameras joints"]], cameras: tuple[Camera, ...], joints: JointSet
+) -> dict[str, Any]:
+    def median_px(arrays: Iterable[np.ndarray]) -> float | None:
+        return _rounded(np.median(_known(arrays)), 3)
+
+    return {
+        "median": median_px(errors_px),
+        "p95": _rounded(np.percentile(_known(errors_px), 95), 3),
+        "by_camera": {
+            camera.name: median_px(error_px[:, index] for error_px in errors_px) for index, camera in enumerate(cameras)
+        },
+        "by_joint": {
+            name: median_px(error_px[:, :, index] for error_px in errors_px) for index, name in enumerate(joints.names)
+        },
+        "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
+    }
+
+
+def _has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:
+    return np.isfinite(track.xyz_m).all(-1)
+
+
+def _counts(observations: Observations) -> Bool[np.ndarray, "frames cameras joints"]:
+    return (observations.score >= MIN_SCORE) & np.isfinite(observations.points_px).all(-1)
+
+
+def reprojection_error_px(
+    track: Track3D, observations: Observations, cameras: tuple[Camera, ...]
+) -> Float[np.ndarray, "frames cameras joints"]:
+    """Distance of each observation to the projection of the final position, in pixels of the full image.
+
+    NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
+    """
+    projected_px = np.stack([project(camera, track.xyz_m) for camera in cameras], axis=1)
+    distance_px = np.linalg.norm(projected_px - observations.points_px, axis=-1)
+    return np.where(_counts(observations), distance_px, np.nan)
+
+
+def views_per_joint(track: Track3D, observations: Observations) -> float:
+    """Mean number of observations with enough score behind a joint that has a position; NaN without any."""
+    positions = _has_position(track)
+    return float(np.mean(_known([_counts(observations).sum(1)[positions].astype(float)])))
+
+
+def bone_length_std_cm(tracks: Sequence[Track3D], joints: JointSet) -> float:
+    """Standard deviation of a limb's length in a track, mean over limbs and tracks weighted by frames, in cm.
+
+    NaN if no limb was ever seen in two frames of a track.
+    """
+    num_frames, weighted_cm = 0, 0.0
+    for track in tracks:
+        for start, end in LIMBS:
+            if start not in joints.names or end not in joints.names:
+                continue
+            bones_m = track.xyz_m[:, joints.index(end)] - track.xyz_m[:, joints.index(start)]
+            lengths_cm = _known([100.0 * np.linalg.norm(bones_m, axis=-1)])
+            if len(lengths_cm) > 1:
+                num_frames += len(lengths_cm)
+                weighted_cm += len(lengths_cm) * float(np.std(lengths_cm))
+    return weighted_cm / num_frames if num_frames else np.nan
+
+
+def acceleration_m_s2(track: Track3D, frame_rate_hz: float) -> Float[np.ndarray, "triples joints"]:
+    """Length of each joint's second difference over time; NaN where one of the three frames has no position.
+
+    Empty for tracks of fewer than three frames.
+    """
+    return np.linalg.norm(np.diff(track.xyz_m, n=2, axis=0), axis=-1) * frame_rate_hz**2
+
+
+def estimate_stature_m(track: Track3D, joints: JointSet) -> float:
+    """Estimate a person's height in metres; NaN if shin, thigh or trunk was never seen whole."""
+    kinds = ("shoulder", "hip", "knee", "ankle")
+    if not {f"{side}_{kind}" for side in ("left", "right") for kind in kinds} <= set(joints.names):
+        return np.nan
+    left, right = (
+        {kind: track.xyz_m[:, joints.index(f"{side}_{kind}")] for kind in kinds} for side in ("left", "right")
+    )
+    trunk_m = (left["shoulder"] + right["shoulder"] - left["hip"] - right["hip"]) / 2
+    segments = (
+        [left["ankle"] - left["knee"], right["ankle"] - right["knee"]],
+        [left["knee"] - left["hip"], right["knee"] - right["hip"]],
+        [trunk_m],
+    )
+    lengths_m = [np.median(_known(np.linalg.norm(bone_m, axis=-1) for bone_m in bones_m)) for bones_m in segments]
+    return float(sum(lengths_m)) / _SHIN_THIGH_TRUNK_SHARE

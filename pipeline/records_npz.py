@@ -1,0 +1,115 @@
+"""Records as files between stages: NumPy archives, byte-identical for equal records.
+
+Only plain arrays are written and read (no pickles): a file that was tampered with can't run code.
+"""
+
+import io
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pipeline.data import Detections, Observations, SkeletonMotion, Track3D
+
+
+def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    return file.getvalue()
+
+
+def _decode(content: bytes) -> dict[str, np.ndarray]:
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        return dict(archive)
+
+
+def encode_detections(detections: Mapping[str, Detections]) -> bytes:
+    """Write all cameras' detections."""
+    arrays: dict[str, np.ndarray] = {"cameras": np.array(list(detections), dtype=np.str_)}
+    for k, one in enumerate(detections.values()):
+        arrays |= {
+            f"frame_{k}": one.frame,
+            f"keypoints_px_{k}": one.keypoints_px,
+            f"score_{k}": one.score,
+            f"box_px_{k}": one.box_px,
+        }
+    return _encode(arrays)
+
+
+def decode_detections(content: bytes) -> dict[str, Detections]:
+    """Read what ``encode_detections`` wrote."""
+    arrays = _decode(content)
+    return {
+        str(camera): Detections(
+            str(camera), arrays[f"frame_{k}"], arrays[f"keypoints_px_{k}"], arrays[f"score_{k}"], arrays[f"box_px_{k}"]
+        )
+        for k, camera in enumerate(arrays["cameras"])
+    }
+
+
+def encode_tracks(tracks: Sequence[Track3D], observations: Sequence[Observations]) -> bytes:
+    """Write tracks with the observations behind them."""
+    arrays: dict[str, np.ndarray] = {
+        "track_id": np.array([track.track_id for track in tracks], np.int64),
+        "start_frame": np.array([track.start_frame for track in tracks], np.int64),
+    }
+    for k, (track, seen) in enumerate(zip(tracks, observations, strict=True)):
+        arrays |= {
+            f"xyz_m_{k}": track.xyz_m,
+            f"score_{k}": track.score,
+            f"source_{k}": track.source,
+            f"error_px_{k}": track.error_px,
+            f"views_{k}": track.views,
+            f"points_px_{k}": seen.points_px,
+            f"point_score_{k}": seen.score,
+        }
+    return _encode(arrays)
+
+
+def decode_tracks(content: bytes) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Read what ``encode_tracks`` wrote."""
+    arrays = _decode(content)
+    numbers = [int(number) for number in arrays["track_id"]]
+    tracks = tuple(
+        Track3D(
+            number,
+            int(arrays["start_frame"][k]),
+            *(arrays[f"{name}_{k}"] for name in ("xyz_m", "score", "source", "error_px", "views")),
+        )
+        for k, number in enumerate(numbers)
+    )
+    return tracks, tuple(
+        Observations(number, arrays[f"points_px_{k}"], arrays[f"point_score_{k}"]) for k, number in enumerate(numbers)
+    )
+
+
+def encode_motions(motions: Sequence[SkeletonMotion]) -> bytes:
+    """Write everybody's animation."""
+    arrays: dict[str, np.ndarray] = {
+        "track_id": np.array([motion.track_id for motion in motions], np.int64),
+        "name": np.array([motion.name for motion in motions], dtype=np.str_),
+        "start_frame": np.array([motion.start_frame for motion in motions], np.int64),
+        "frame_rate_hz": np.array([motion.frame_rate_hz for motion in motions], np.float64),
+    }
+    for k, motion in enumerate(motions):
+        arrays |= {
+            f"bone_length_m_{k}": motion.bone_length_m,
+            f"root_m_{k}": motion.root_m,
+            f"parent_from_joint_{k}": motion.parent_from_joint,
+            f"contacts_{k}": motion.contacts,
+        }
+    return _encode(arrays)
+
+
+def decode_motions(content: bytes) -> tuple[SkeletonMotion, ...]:
+    """Read what ``encode_motions`` wrote."""
+    arrays = _decode(content)
+    return tuple(
+        SkeletonMotion(
+            int(number),
+            str(arrays["name"][k]),
+            int(arrays["start_frame"][k]),
+            float(arrays["frame_rate_hz"][k]),
+            *(arrays[f"{name}_{k}"] for name in ("bone_length_m", "root_m", "parent_from_joint", "contacts")),
+        )
+        for k, number in enumerate(arrays["track_id"])
+    )

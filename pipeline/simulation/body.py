@@ -1,0 +1,185 @@
+"""A small articulated body: segment lengths, and joints from a pose.
+
+Trunk and head are rigid and turned by angles, arms and legs reach for wrist and ankle targets with two segments. So
+bone lengths are constant by construction, and a foot that is told to stand stays where it stands. Lengths are shares
+of stature (Drillis and Contini 1966, table of body segment lengths; the face after adult means).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+STANDING_LEG = 0.985
+"""Height of the hips above the ankles in standing, as a share of the leg's length."""
+
+# Knees and elbows never lock, nor fold up altogether: there the bend would have no direction.
+_STRAIGHTEST = 0.995
+_MOST_BENT = 0.25
+# Which way elbows and knees point, in the trunk's axes (ahead, left, up) of the left side.
+_ELBOW_POLE = np.array([-0.4, 0.5, -0.75])
+_KNEE_POLE = np.array([1.0, 0.15, 0.0])
+# The neck takes part of a bow back, so that people look ahead.
+_HEAD_LEAN = 0.4
+_SIDES = np.array([1.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Proportions:
+    """Segment lengths of one person in metres; joint centres, as detectors mark them."""
+
+    stature_m: float
+    shin_m: float
+    thigh_m: float
+    hip_width_m: float
+    trunk_m: float
+    shoulder_width_m: float
+    upper_arm_m: float
+    forearm_m: float
+    neck_m: float
+    ankle_height_m: float
+
+    @property
+    def leg_m(self) -> float:
+        """Length of a stretched leg."""
+        return self.thigh_m + self.shin_m
+
+    @property
+    def arm_m(self) -> float:
+        """Length of a stretched arm."""
+        return self.upper_arm_m + self.forearm_m
+
+    @property
+    def shoulder_height_m(self) -> float:
+        """Height of the shoulders of somebody who stands."""
+        return self.ankle_height_m + STANDING_LEG * self.leg_m + self.trunk_m
+
+
+def random_proportions(rng: np.random.Generator) -> Proportions:
+    """Somebody between 1.50 m and 1.95 m tall, whose segments differ from the mean by a few percent."""
+    stature_m = float(np.clip(rng.normal(1.72, 0.10), 1.50, 1.95))
+
+    def segment(share: float) -> float:
+        return float(stature_m * share * np.clip(rng.normal(1.0, 0.03), 0.92, 1.08))
+
+    return Proportions(
+        stature_m=stature_m,
+        shin_m=segment(0.246),
+        thigh_m=segment(0.245),
+        hip_width_m=segment(0.130),
+        trunk_m=segment(0.288),
+        shoulder_width_m=segment(0.215),
+        upper_arm_m=segment(0.172),
+        forearm_m=segment(0.150),
+        neck_m=segment(0.118),
+        ankle_height_m=segment(0.050),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """What a body does, over time.
+
+    Parameters
+    ----------
+    hips_m
+        Centre of the hips in the world.
+    yaw_rad
+        Where the hips face; 0 is along X, positive to the left.
+    lean_rad
+        The trunk's bow forward.
+    twist_rad
+        How far the shoulders are turned to the left of the hips.
+    gaze_rad
+        The head's turn to the left, and its nod.
+    ankles_m
+        Where the left and the right ankle shall be in the world.
+    wrists
+        Where the left and the right wrist shall be, from the shoulder, in lengths of the arm, along the upright axes
+        (ahead, left, up) of somebody who faces as the shoulders do.
+    """
+
+    hips_m: Float[np.ndarray, "times 3"]
+    yaw_rad: Float[np.ndarray, " times"]
+    lean_rad: Float[np.ndarray, " times"]
+    twist_rad: Float[np.ndarray, " times"]
+    gaze_rad: Float[np.ndarray, "times 2"]
+    ankles_m: Float[np.ndarray, "times 2 3"]
+    wrists: Float[np.ndarray, "times 2 3"]
+
+
+def turned(yaw_rad: Float[np.ndarray, " times"], pitch_rad: Float[np.ndarray, " times"]) -> np.ndarray:
+    """Rotations (times, 3, 3) that turn left about Z after bowing forward about Y."""
+    cos_yaw, sin_yaw, cos_pitch, sin_pitch = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    zero = np.zeros_like(cos_yaw)
+    return np.stack(
+        [
+            np.stack([cos_yaw * cos_pitch, -sin_yaw, cos_yaw * sin_pitch], axis=-1),
+            np.stack([sin_yaw * cos_pitch, cos_yaw, sin_yaw * sin_pitch], axis=-1),
+            np.stack([-sin_pitch, zero, cos_pitch], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def reach(
+    origin_m: Float[np.ndarray, "*batch 3"],
+    target_m: Float[np.ndarray, "*batch 3"],
+    upper_m: float,
+    lower_m: float,
+    pole: Float[np.ndarray, "*batch 3"],
+) -> tuple[Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch 3"]]:
+    """Middle and end of two segments that reach from an origin for a target and bend towards a pole.
+
+    A target out of reach is pointed at.
+    """
+    towards = target_m - origin_m
+    length_m = upper_m + lower_m
+    asked_m = np.linalg.norm(towards, axis=-1, keepdims=True)
+    direction = towards / np.maximum(asked_m, 1e-9)
+    distance_m = np.clip(asked_m, _MOST_BENT * length_m, _STRAIGHTEST * length_m)
+    along_m = (upper_m**2 - lower_m**2 + distance_m**2) / (2 * distance_m)
+    aside = pole - (pole * direction).sum(-1, keepdims=True) * direction
+    aside = aside / np.linalg.norm(aside, axis=-1, keepdims=True)
+    middle_m = origin_m + along_m * direction + np.sqrt(upper_m**2 - along_m**2) * aside
+    return middle_m, origin_m + distance_m * direction
+
+
+def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
+    """World positions of the joints of ``COCO_17``."""
+    heading_rad = pose.yaw_rad + pose.twist_rad
+    pelvis = turned(pose.yaw_rad, np.zeros_like(pose.yaw_rad))
+    upright = turned(heading_rad, np.zeros_like(heading_rad))
+    trunk = turned(heading_rad, pose.lean_rad)
+    head = turned(heading_rad + pose.gaze_rad[:, 0], _HEAD_LEAN * pose.lean_rad + pose.gaze_rad[:, 1])
+
+    neck_m = pose.hips_m + body.trunk_m * trunk[:, :, 2]
+    shoulders_m = _both_sides(neck_m, trunk, body.shoulder_width_m)
+    hips_m = _both_sides(pose.hips_m, pelvis, body.hip_width_m)
+    elbows_m, wrists_m = reach(
+        shoulders_m,
+        shoulders_m + body.arm_m * np.einsum("tab,tsb->tsa", upright, pose.wrists),
+        body.upper_arm_m,
+        body.forearm_m,
+        _mirrored(upright, _ELBOW_POLE),
+    )
+    knees_m, ankles_m = reach(hips_m, pose.ankles_m, body.thigh_m, body.shin_m, _mirrored(pelvis, _KNEE_POLE))
+    # The ears lie above the neck's upper end, the face ahead of them.
+    ears_m = neck_m + body.neck_m * trunk[:, :, 2]
+    face = np.array(
+        [[0.062, 0.0, -0.012], [0.052, 0.018, 0.012], [0.052, -0.018, 0.012], [0, 0.044, 0], [0, -0.044, 0]]
+    )
+    face_m = ears_m[:, None] + body.stature_m * np.einsum("tab,kb->tka", head, face)
+    pairs = [shoulders_m, elbows_m, wrists_m, hips_m, knees_m, ankles_m]
+    return np.concatenate([face_m, *pairs], axis=1)
+
+
+def _both_sides(center_m: np.ndarray, axes: np.ndarray, width_m: float) -> Float[np.ndarray, "times 2 3"]:
+    """Points half a width to the left and to the right."""
+    return center_m[:, None] + width_m / 2 * _SIDES[:, None] * axes[:, None, :, 1]
+
+
+def _mirrored(axes: np.ndarray, left_pole: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
+    """A direction in the body's axes, for the left side and mirrored for the right."""
+    poles = left_pole * np.stack([np.ones(2), _SIDES, np.ones(2)], axis=-1)
+    return np.einsum("tab,sb->tsa", axes, poles)

@@ -1,0 +1,39 @@
+"""When cameras take their frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.data import FrameTimes, read_only
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The cameras' common clock, and how far each strays from it.
+
+    Parameters
+    ----------
+    frame_rate_hz
+        Rate of the output, and of cameras that are synchronised.
+    camera_rates_hz
+        Rates that cameras take in turn instead; empty if all have the common one.
+    random_phase
+        Whether each camera begins anywhere within its first period.
+    dropped
+        Share of frames that never arrive.
+    """
+
+    frame_rate_hz: float = 25.0
+    camera_rates_hz: tuple[float, ...] = ()
+    random_phase: bool = False
+    dropped: float = 0.0
+
+
+def frame_times(clock: Clock, number: int, duration_s: float, rng: np.random.Generator) -> FrameTimes:
+    """Times of one camera's frames in [0, duration); the number of the camera decides its rate."""
+    rate_hz = (
+        clock.camera_rates_hz[number % len(clock.camera_rates_hz)] if clock.camera_rates_hz else clock.frame_rate_hz
+    )
+    phase, fate = rng.random(), rng.random(int(np.ceil(duration_s * rate_hz)) + 1)
+    time_s = (np.arange(len(fate)) + (phase if clock.random_phase else 0.0)) / rate_hz
+    return FrameTimes(read_only(time_s[(fate >= clock.dropped) & (time_s < duration_s - 1e-9)]))

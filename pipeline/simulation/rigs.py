@@ -1,0 +1,130 @@
+"""Camera rigs: rings, ceilings and domes."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Camera, read_only
+from pipeline.geometry.rigid import Rigid3
+
+
+class Layout(Enum):
+    """How cameras are placed."""
+
+    RING = "ring"
+    CEILING = "ceiling"
+    DOME = "dome"
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """Cameras around the origin.
+
+    Parameters
+    ----------
+    layout
+        ``RING``: on an ellipse at one height. ``CEILING``: in rows under a ceiling, looking down the aisles and
+        across. ``DOME``: spread over a hemisphere.
+    num_cameras
+        How many.
+    extent_m
+        Half axes of the ellipse or of the ceiling along X and Y; of a dome the first is the radius.
+    height_m
+        Of the ring or the ceiling; of the dome's lowest cameras.
+    target_height_m
+        Height of the point at which cameras look.
+    size_px, focal_px
+        Of the image.
+    distortion
+        OpenCV's k1, k2, p1, p2, k3; each camera's differs from it by up to a tenth.
+    """
+
+    layout: Layout
+    num_cameras: int
+    extent_m: tuple[float, float]
+    height_m: float
+    size_px: tuple[int, int] = (1280, 720)
+    focal_px: float = 800.0
+    target_height_m: float = 1.0
+    distortion: tuple[float, float, float, float, float] = (-0.10, 0.03, 0.0005, -0.0004, 0.0)
+
+
+def build_cameras(rig: Rig, rng: np.random.Generator) -> tuple[Camera, ...]:
+    """Cameras of a rig, named ``cam_00``, ``cam_01`` and so on around the scene.
+
+    Lenses differ by a few percent, places by some centimetres; the records are exact.
+    """
+    centers_m, targets_m = _PLACES[rig.layout](rig)
+    around = np.argsort(np.arctan2(centers_m[:, 1], centers_m[:, 0]) % (2 * np.pi))
+    centers_m, targets_m = centers_m[around], targets_m[around]
+    centers_m = centers_m + rng.uniform(-0.05, 0.05, centers_m.shape)
+    targets_m = targets_m + rng.uniform(-0.2, 0.2, targets_m.shape)
+    return tuple(
+        _camera(f"cam_{number:02d}", center_m, target_m, rig, rng)
+        for number, (center_m, target_m) in enumerate(zip(centers_m, targets_m, strict=True))
+    )
+
+
+def look_at(center_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Rigid3:
+    """``cam_from_world`` of an upright camera that looks at a point; not straight up or down."""
+    forward = (target_m - center_m) / np.linalg.norm(target_m - center_m)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Rigid3(read_only(rotation), read_only(-rotation @ center_m))
+
+
+def _camera(name: str, center_m: np.ndarray, target_m: np.ndarray, rig: Rig, rng: np.random.Generator) -> Camera:
+    width_px, height_px = rig.size_px
+    focal_px = rig.focal_px * rng.uniform(0.98, 1.02)
+    center_px = np.array([(width_px - 1) / 2, (height_px - 1) / 2]) + rng.uniform(-0.01, 0.01, 2) * width_px
+    matrix = np.array([[focal_px, 0.0, center_px[0]], [0.0, focal_px, center_px[1]], [0.0, 0.0, 1.0]])
+    distortion = np.array(rig.distortion) * rng.uniform(0.9, 1.1, 5)
+    return Camera(name, rig.size_px, read_only(matrix), read_only(distortion), look_at(center_m, target_m))
+
+
+def choose_views(num_cameras: int, num_views: int) -> list[int]:
+    """Which cameras of a rig to keep: evenly spread, and two at a right angle rather than face to face."""
+    if num_views == 2:
+        return [0, max(1, num_cameras // 4)]
+    return [view * num_cameras // num_views for view in range(num_views)]
+
+
+def _ring(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    # A quarter step off the axes, so that no two cameras face each other along a wall.
+    angle = 2 * np.pi * (np.arange(rig.num_cameras) + 0.25) / rig.num_cameras
+    centers_m = np.column_stack(
+        [rig.extent_m[0] * np.cos(angle), rig.extent_m[1] * np.sin(angle), np.full(rig.num_cameras, rig.height_m)]
+    )
+    return centers_m, np.tile([0.0, 0.0, rig.target_height_m], (rig.num_cameras, 1))
+
+
+def _ceiling(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """One half along the walls, looking to the middle; the other inside, looking to the opposite half."""
+    outer = (rig.num_cameras + 1) // 2
+    angle = 2 * np.pi * (np.arange(outer) + 0.25) / outer
+    ring_m = np.column_stack([rig.extent_m[0] * np.cos(angle), rig.extent_m[1] * np.sin(angle)])
+    inner = 2 * np.pi * np.arange(rig.num_cameras - outer) / max(rig.num_cameras - outer, 1)
+    inside_m = 0.55 * np.column_stack([rig.extent_m[0] * np.cos(inner), rig.extent_m[1] * np.sin(inner)])
+    places_m = np.concatenate([ring_m, inside_m])
+    targets_m = np.concatenate([0.1 * ring_m, -0.5 * inside_m])
+    heights = np.ones((len(places_m), 1))
+    return np.hstack([places_m, heights * rig.height_m]), np.hstack([targets_m, heights * rig.target_height_m])
+
+
+def _dome(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Evenly around, and evenly from the lowest cameras up to 60 degrees of elevation, neighbours far from level."""
+    number = np.arange(rig.num_cameras)
+    radius_m = rig.extent_m[0]
+    lowest, highest = rig.height_m / radius_m, np.sin(np.deg2rad(60.0))
+    # Multiples of the golden ratio, modulo 1, fill an interval evenly (equal areas on a sphere have equal rises).
+    rise = lowest + (highest - lowest) * (number * (np.sqrt(5) - 1) / 2 % 1)
+    angle = 2 * np.pi * number / rig.num_cameras
+    flat = np.sqrt(1 - rise**2)
+    centers_m = radius_m * np.column_stack([flat * np.cos(angle), flat * np.sin(angle), rise])
+    return centers_m, np.tile([0.0, 0.0, rig.target_height_m], (rig.num_cameras, 1))
+
+
+_PLACES = {Layout.RING: _ring, Layout.CEILING: _ceiling, Layout.DOME: _dome}

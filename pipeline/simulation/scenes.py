@@ -1,0 +1,249 @@
+"""Named scenes, and their simulation with exact truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.joints import COCO_17, JointSet
+from pipeline.simulation.clocks import Clock, frame_times
+from pipeline.simulation.detector import Detector, detect
+from pipeline.simulation.director import Cast, improvise
+from pipeline.simulation.faults import Faults
+from pipeline.simulation.occlusion import Box
+from pipeline.simulation.people import joints_at, perform
+from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
+from pipeline.simulation.script import Gesture, Role, Stay, Turn, Walk
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Everything that a simulation needs but the seed.
+
+    Parameters
+    ----------
+    rig, clock, detector
+        What records it.
+    cast
+        People who improvise, or the roles of people who don't.
+    boxes
+        Furniture that hides people; they walk around it.
+    duration_s
+        Length.
+    """
+
+    rig: Rig
+    cast: Cast | tuple[Role, ...]
+    clock: Clock = field(default_factory=Clock)
+    detector: Detector = field(default_factory=Detector)
+    boxes: tuple[Box, ...] = ()
+    duration_s: float = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A recorded scene and its truth.
+
+    Parameters
+    ----------
+    cameras
+        Exactly as they recorded.
+    times, detections
+        By camera's name: when it took its frames, and what its detector found in them.
+    identities
+        By camera's name: the person (row of ``truth_m``) that each detection is, ``NOBODY`` for false positives.
+    joints
+        Of detections and truth.
+    timebase
+        The truth's frames.
+    truth_m
+        World positions, NaN while somebody is absent.
+    present
+        Who is there, in sight or not.
+    """
+
+    cameras: tuple[Camera, ...]
+    times: Mapping[str, FrameTimes]
+    detections: Mapping[str, Detections]
+    identities: Mapping[str, Int[np.ndarray, " _"]]
+    joints: JointSet
+    timebase: Timebase
+    truth_m: Float[np.ndarray, "people frames joints 3"]
+    present: Bool[np.ndarray, "people frames"]
+
+
+def _greeting(x: float, y: float, hand_s: float) -> tuple[Role, Role]:
+    """Two people who walk up to each other, shake hands, talk, and part."""
+    meeting = (x, y, 1.02)
+    return (
+        Role(
+            (x - 2.5, y), 0.0,
+            (Walk((x - 0.38, y)), Turn(0.0), Stay(hand_s, Gesture.SHAKE_HANDS, meeting), Stay(5.0, Gesture.TALK),
+             Stay(3.0), Stay(hand_s, Gesture.SHAKE_HANDS, meeting), Walk((x - 2.0, y - 1.2))),
+        ),
+        Role(
+            (x + 2.5, y), np.pi,
+            (Walk((x + 0.38, y)), Turn(np.pi), Stay(hand_s, Gesture.SHAKE_HANDS, meeting), Stay(3.0),
+             Stay(5.0, Gesture.TALK), Stay(hand_s, Gesture.SHAKE_HANDS, meeting), Walk((x + 2.0, y + 1.2))),
+        ),
+    )  # fmt: skip
+
+
+_ACTIVE = (
+    Gesture.IDLE, Gesture.TALK, Gesture.WAVE, Gesture.POINT, Gesture.CROUCH, Gesture.JUMP, Gesture.PUNCH,
+    Gesture.SWING,
+)  # fmt: skip
+_SHELVES = (Box((-3.5, 1.2, 0.0), (-1.0, 1.7, 1.5)), Box((1.0, -1.7, 0.0), (3.5, -1.2, 1.5)))
+_LONG_SHELVES = (
+    Box((-6.0, 2.0, 0.0), (-2.0, 2.6, 1.6)),
+    Box((2.0, 2.0, 0.0), (6.0, 2.6, 1.6)),
+    Box((-6.0, -2.6, 0.0), (-2.0, -2.0, 1.6)),
+    Box((2.0, -2.6, 0.0), (6.0, -2.0, 1.6)),
+)
+_ROOM_RIG = Rig(Layout.RING, 4, (4.0, 4.0), 2.2, focal_px=760.0)
+
+SCENES: Mapping[str, Scene] = {
+    "room": Scene(_ROOM_RIG, Cast(3, (3.0, 3.0), gestures=_ACTIVE)),
+    "store": Scene(
+        Rig(Layout.CEILING, 12, (5.0, 4.0), 3.2, focal_px=650.0, target_height_m=0.8),
+        Cast(4, (8.0, 5.0), walking=0.7),
+        Clock(10.0),
+        boxes=_SHELVES,
+    ),
+    "store-large": Scene(
+        Rig(Layout.CEILING, 28, (8.5, 6.5), 3.6, focal_px=700.0, target_height_m=0.8),
+        Cast(16, (14.0, 10.0), walking=0.7),
+        Clock(10.0),
+        Detector(faults=Faults(miss_body=0.10)),
+        boxes=_LONG_SHELVES,
+    ),
+    "outdoor": Scene(
+        Rig(Layout.RING, 6, (14.0, 11.0), 3.0, (1920, 1080), 1500.0, distortion=(-0.05, 0.01, 0.0002, 0.0, 0.0)),
+        Cast(5, (10.0, 8.0), walking=0.8, gestures=_ACTIVE),
+        Clock(50.0),
+    ),
+    "unsynchronised": Scene(
+        _ROOM_RIG,
+        Cast(3, (3.0, 3.0), gestures=_ACTIVE),
+        Clock(30.0, camera_rates_hz=(30.0, 25.0, 24.0, 30.0), random_phase=True, dropped=0.03),
+    ),
+    "crowd": Scene(
+        Rig(Layout.DOME, 31, (4.5, 4.5), 0.9, (1920, 1080), 1000.0),
+        Cast(7, (2.4, 2.4), gap_m=0.5, walking=0.25, gestures=(*_ACTIVE[:4], Gesture.CROUCH)),
+    ),
+    "handshake": Scene(
+        Rig(Layout.RING, 6, (5.0, 5.0), 2.4),
+        (*_greeting(0.0, -1.2, 3.0), *_greeting(0.3, 1.2, 4.0)),
+        duration_s=20.0,
+    ),
+    "noisy": Scene(
+        Rig(Layout.RING, 5, (4.5, 4.5), 2.3),
+        Cast(4, (4.0, 4.0), gestures=_ACTIVE),
+        detector=Detector(
+            noise_m=0.025,
+            tail=3.0,
+            faults=Faults(
+                miss_joint=0.08, miss_body=0.12, swap=0.06, mix=0.15, duplicate=0.05, false_positives=0.2, memory_s=0.2
+            ),
+        ),
+    ),
+    "comings-and-goings": Scene(
+        Rig(Layout.RING, 6, (5.5, 5.0), 2.6),
+        Cast(6, (5.0, 4.0), walking=0.7, doors_m=((-4.5, -3.0), (4.5, 3.0), (0.0, 4.2))),
+        duration_s=60.0,
+    ),
+}
+"""What ``simulate`` knows, by name."""
+
+
+def find_scene(name: str) -> Scene:
+    """Look a scene up.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene.
+    """
+    if name not in SCENES:
+        problem = Problem("unknown_scene", f"There is no scene {name!r}.", hint=f"Known are {', '.join(SCENES)}.")
+        raise InputError([problem])
+    return SCENES[name]
+
+
+def simulate(scene_name: str, seed: int, num_views: int | None = None) -> Simulation:
+    """Simulate a named scene.
+
+    Parameters
+    ----------
+    seed
+        Not negative; the same seed gives the same bytes.
+    num_views
+        How many of the scene's cameras to keep, evenly spread; ``None`` for all. What a camera records does not depend
+        on the others.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene, or it has not so many cameras.
+    """
+    return record(find_scene(scene_name), seed, num_views)
+
+
+def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
+    """Simulate a scene; see ``simulate``."""
+    num_cameras = scene.rig.num_cameras
+    num_views = num_cameras if num_views is None else num_views
+    problems = []
+    if not 1 <= num_views <= num_cameras:
+        message = f"There are {num_cameras} cameras, not {num_views}."
+        problems.append(Problem("wrong_number_of_views", message, field="views", hint="Ask for 1 to all of them."))
+    if seed < 0:
+        problems.append(Problem("negative_seed", "A seed can't be negative.", field="seed"))
+    if problems:
+        raise InputError(problems)
+
+    # Streams of their own for cast, every person, the rig and every camera: nothing depends on what else is drawn.
+    cast_seed, people_seed, rig_seed, cameras_seed = np.random.SeedSequence(seed).spawn(4)
+    roles = (
+        improvise(scene.cast, scene.boxes, scene.duration_s, np.random.default_rng(cast_seed))
+        if isinstance(scene.cast, Cast)
+        else scene.cast
+    )
+    people = [
+        perform(role, scene.duration_s, np.random.default_rng(person_seed))
+        for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)
+    ]
+
+    def truth_at(time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "people times joints 3"]:
+        return np.stack([joints_at(person, time_s) for person in people])
+
+    cameras = build_cameras(scene.rig, np.random.default_rng(rig_seed))
+    streams = [np.random.default_rng(camera_seed) for camera_seed in cameras_seed.spawn(num_cameras)]
+    chosen = choose_views(num_cameras, num_views)
+    times: dict[str, FrameTimes] = {}
+    detections: dict[str, Detections] = {}
+    identities: dict[str, np.ndarray] = {}
+    for number in chosen:
+        camera, rng = cameras[number], streams[number]
+        times[camera.name] = frame_times(scene.clock, number, scene.duration_s, rng)
+        time_s = times[camera.name].time_s
+        period_s = float(np.median(np.diff(time_s)))
+        detections[camera.name], identities[camera.name] = detect(
+            camera, period_s, truth_at(time_s), scene.boxes, scene.detector, rng
+        )
+    rate_hz = scene.clock.frame_rate_hz
+    timebase = Timebase(0.0, rate_hz, round(scene.duration_s * rate_hz))
+    truth_m = truth_at(np.arange(timebase.num_frames) / rate_hz)
+    return Simulation(
+        cameras=tuple(cameras[number] for number in chosen),
+        times=times,
+        detections=detections,
+        identities=identities,
+        joints=COCO_17,
+        timebase=timebase,
+        truth_m=read_only(truth_m),
+        present=read_only(np.isfinite(truth_m).all((2, 3))),
+    )

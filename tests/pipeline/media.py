@@ -1,0 +1,55 @@
+"""Small videos for tests, made with the encoders that PyAV brings."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+
+
+def picture(number: int, size_px: tuple[int, int]) -> np.ndarray:
+    """A picture whose grey level says its number, with a bright square that wanders."""
+    width, height = size_px
+    image = np.full((height, width, 3), 20 + 2 * number % 200, np.uint8)
+    left = number * 3 % (width - 8)
+    image[4:12, left : left + 8] = 255
+    return image
+
+
+def write_video(
+    path: Path,
+    num_frames: int = 30,
+    size_px: tuple[int, int] = (64, 48),
+    codec: str = "libx264",
+    options: dict[str, str] | None = None,
+    stamps: Sequence[int] | None = None,
+    rate_hz: int = 25,
+) -> Path:
+    """Encode ``num_frames`` pictures; ``stamps`` are timestamps in 1/1000 s where the rate is not constant."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=rate_hz, options=options or {})
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = size_px
+        stream.pix_fmt = "yuv420p"
+        if stamps is not None:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for number in range(num_frames):
+            frame = av.VideoFrame.from_ndarray(picture(number, size_px), format="rgb24")
+            if stamps is not None:
+                frame.pts, frame.time_base = stamps[number], Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def write_audio(path: Path) -> Path:
+    """A file with sound and no picture."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=44100)
+        assert isinstance(stream, av.AudioStream)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 44100), np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 44100
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path

@@ -1,0 +1,127 @@
+"""Sessions from good and bad folders: every problem is said at once, with the file or camera that has it."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.errors import InputError
+from pipeline.session import open_session
+from tests.pipeline.media import write_audio, write_video
+
+
+def calibration(path: Path, names: list[str], size_px: tuple[int, int] = (64, 48), **changes: Any) -> Path:
+    cameras = [
+        {
+            "name": name,
+            "size_px": list(size_px),
+            "matrix": [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]],
+            "distortion": [],
+            "rotation": np.eye(3).tolist(),
+            "translation_m": [float(k), 0.0, 3.0],
+        }
+        | changes
+        for k, name in enumerate(names)
+    ]
+    path.write_text(json.dumps({"schema_version": 1, "cameras": cameras}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_video(tmp_path_factory.mktemp("clip") / "clip.mp4", 10)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, clip: Path) -> Path:
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    for name in ("a", "b"):
+        shutil.copy(clip, videos / f"{name}.mp4")
+    return videos
+
+
+def problems_of(videos: Any, cameras: Path) -> set[tuple[str, str | None]]:
+    """Codes, each with its camera or else its file."""
+    with pytest.raises(InputError) as error:
+        open_session(videos, cameras)
+    for problem in error.value.problems:
+        assert str(cameras.parent) not in str(problem)
+    return {(problem.code, problem.camera or problem.file) for problem in error.value.problems}
+
+
+def test_videos_match_cameras_by_name_in_the_calibrations_order(folder: Path, tmp_path: Path) -> None:
+    session = open_session(folder, calibration(tmp_path / "c.json", ["b", "a"]))
+    assert [camera.name for camera in session.cameras] == ["b", "a"]
+    assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
+    assert len(session.times["a"].time_s) == 10
+    assert session.warnings == ()
+
+
+def test_without_common_names_the_sorted_order_decides_and_is_said(folder: Path, tmp_path: Path) -> None:
+    session = open_session(folder, calibration(tmp_path / "c.json", ["right", "left"]))
+    pairs = {camera.name: video.path.name for camera, video in zip(session.cameras, session.videos, strict=True)}
+    assert pairs == {"left": "a.mp4", "right": "b.mp4"}
+    (warning,) = session.warnings
+    assert "left: a, right: b" in warning
+
+
+def test_never_half_by_name_half_by_order(folder: Path, tmp_path: Path) -> None:
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a", "other"])) == {
+        ("camera_without_video", "other"),
+        ("video_without_camera", "b"),
+    }
+
+
+def test_calibration_with_a_camera_too_few_or_too_many(folder: Path, tmp_path: Path) -> None:
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a"])) == {("video_without_camera", "b")}
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a", "b", "c"])) == {("camera_without_video", "c")}
+
+
+def test_other_files_in_the_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
+    (folder / "notes.txt").write_text("hello")
+    session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
+    assert session.warnings == ("notes.txt is ignored: it is no video.",)
+
+
+def test_no_video_and_one_video(folder: Path, tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b"])
+    (folder / "b.mp4").unlink()
+    assert ("too_few_videos", None) in problems_of(folder, cameras)
+    (folder / "a.mp4").unlink()
+    assert ("too_few_videos", None) in problems_of(folder, cameras)
+
+
+def test_two_videos_with_the_same_name(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "a.mp4", folder / "a.mov")
+    cameras = calibration(tmp_path / "c.json", ["a", "b"])
+    assert problems_of(folder, cameras) == {("duplicate_video", "a")}
+    same = [folder / "a.mp4", folder / "a.mp4", folder / "b.mp4"]
+    assert problems_of(same, cameras) == {("duplicate_video", "a")}
+
+
+def test_video_and_calibration_of_different_size(folder: Path, tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b"], size_px=(48, 64))
+    assert problems_of(folder, cameras) == {("size_mismatch", "a"), ("size_mismatch", "b")}
+
+
+def test_everything_wrong_is_said_at_once(folder: Path, tmp_path: Path) -> None:
+    write_audio(folder / "c.mp4")
+    (folder / "d.mp4").write_text("no video")
+    content = (folder / "b.mp4").read_bytes()
+    (folder / "b.mp4").write_bytes(content[: len(content) // 2])
+    cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"], rotation=np.diag([1.0, 1.0, 2.0]).tolist())
+    assert problems_of(folder, cameras) == {
+        ("no_video_stream", "c.mp4"),
+        ("video_unreadable", "d.mp4"),
+        ("video_unreadable", "b.mp4"),
+        *(("invalid_rotation", name) for name in "abcd"),
+    }
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b"])
+    assert ("video_missing", "nowhere") in problems_of(tmp_path / "nowhere", cameras)
