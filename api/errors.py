@@ -191,7 +191,7 @@ def install(app: FastAPI) -> None:
 def _methods_at(request: Request) -> Iterator[str]:
     """What the address of a request does take; the framework names the methods of one of its routes only."""
     for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"):
-        scope = request.scope | {"method": method}
+        scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
             yield method
 

@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api import examples
 from api.bodies import SmallBodyRoute
-from api.contract import answer, form_body, problems
+from api.contract import Responses, answer, form_body, problems
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.intake import MANIFEST, SPEC, take_in
 from api.routes.sessions import remove_session
@@ -23,7 +23,7 @@ small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
 
 _POLL_AFTER_S = 1
 _ONE = answer("Job")
-_ACCEPTED = {
+_ACCEPTED: Responses = {
     202: _ONE
     | {
         "headers": {

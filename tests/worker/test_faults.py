@@ -11,11 +11,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-from worker.jobs.queue import WorkQueue
 
 from tests.worker.conftest import RESULT, Bench, open_bench
 from worker import embedded
 from worker.jobs.model import FINISHED, Job, JobState
+from worker.jobs.queue import WorkQueue
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents, and looks into /proc")
 
