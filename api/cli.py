@@ -3,6 +3,7 @@
 import typer
 
 from api.commands import benchmark, demo, evaluate, models, reconstruct, samples
+from pipeline.memory import give_pictures_back
 
 app = typer.Typer(
     name="multicap",
@@ -21,4 +22,5 @@ app.add_typer(samples.app, name="samples")
 
 def main() -> None:
     """Run the command line."""
+    give_pictures_back()
     app()
