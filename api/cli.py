@@ -3,6 +3,7 @@
 import typer
 
 from api.commands import benchmark, demo, evaluate, models, reconstruct, samples, serve
+from pipeline.memory import give_pictures_back
 
 app = typer.Typer(
     name="multicap",
@@ -22,4 +23,5 @@ app.add_typer(samples.app, name="samples")
 
 def main() -> None:
     """Run the command line."""
+    give_pictures_back()
     app()

@@ -15,6 +15,7 @@ from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.errors import PipelineError
 from pipeline.joints import JointSet
+from pipeline.memory import give_pictures_back
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.session import CaptureSession
 from pipeline.skeleton.solve import motion_from_track
@@ -123,6 +124,7 @@ class _Worker:
 
     @classmethod
     def start(cls, session: CaptureSession, detector_name: str) -> None:
+        give_pictures_back()
         cls.session = session
         cls.detector = open_detector(detector_name)
 

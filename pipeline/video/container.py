@@ -1,6 +1,5 @@
 """Open a stranger's video: container formats only, this one file only, one thread."""
 
-import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,12 +22,8 @@ DECODE_ERRORS = (FFmpegError, OSError, ValueError, EOFError)
 def open_container(path: Path) -> Iterator[InputContainer]:
     """Open a video file; raises one of ``DECODE_ERRORS`` if it is none."""
     # The prefix keeps a file called 'concat:...' from being taken for a protocol.
-    try:
-        with av.open(f"file:{path.absolute()}", options=_OPTIONS) as container:
-            yield container
-    finally:
-        # Containers and their streams refer to each other: uncollected, decoders with all their pictures pile up.
-        gc.collect()
+    with av.open(f"file:{path.absolute()}", options=_OPTIONS) as container:
+        yield container
 
 
 def first_video(container: InputContainer) -> VideoStream | None:

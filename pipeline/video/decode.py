@@ -1,10 +1,12 @@
 """Decode ranges of frames: exactly the frames asked for, whatever the cut."""
 
+import gc
 from collections.abc import Iterator
 
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
@@ -27,6 +29,17 @@ def decode(
     InputError
         If a frame can't be decoded.
     """
+    try:
+        yield from _decode(video, start_frame, stop_frame)
+    finally:
+        # A container and its streams refer to each other: uncollected, decoders with all their pictures pile up.
+        # Only out here does nothing else hold them.
+        gc.collect()
+
+
+def _decode(
+    video: VideoInfo, start_frame: int, stop_frame: int
+) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
     stop_frame = min(stop_frame, video.num_frames)
     wanted = max(start_frame, 0)
     if wanted >= stop_frame:
@@ -36,13 +49,14 @@ def decode(
             stream = first_video(container)
             if stream is None:
                 raise _undecodable(video, wanted)
+            to_rgb = VideoReformatter()
             for frame in _frames_from(container, stream, video, wanted):
                 number = _number(video, frame)
                 if number is None or number < wanted:
                     continue
                 if number > wanted:
                     raise _undecodable(video, wanted)
-                yield number, _upright(frame, video, number)
+                yield number, _upright(to_rgb.reformat(frame, format="rgb24"), video, number)
                 wanted += 1
                 if wanted == stop_frame:
                     return
@@ -82,8 +96,11 @@ def _number(video: VideoInfo, frame: VideoFrame) -> int | None:
     return number if number < video.num_frames and video.pts[number] == stamp else None
 
 
-def _upright(frame: VideoFrame, video: VideoInfo, number: int) -> UInt8[np.ndarray, "height width 3"]:
-    image_rgb = frame.to_ndarray(format="rgb24")
+def _upright(frame_rgb: VideoFrame, video: VideoInfo, number: int) -> UInt8[np.ndarray, "height width 3"]:
+    plane = frame_rgb.planes[0]
+    # No copy of the frame: a view of its rows, which may be padded.
+    rows = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)  # type: ignore[call-overload]
+    image_rgb = rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3)
     turned = np.rot90(image_rgb, k=video.rotation_deg // 90) if video.rotation_deg else image_rgb
     if (turned.shape[1], turned.shape[0]) != video.size_px:
         raise InputError(
@@ -96,7 +113,7 @@ def _upright(frame: VideoFrame, video: VideoInfo, number: int) -> UInt8[np.ndarr
                 )
             ]
         )
-    return np.ascontiguousarray(turned)
+    return turned
 
 
 def _undecodable(video: VideoInfo, number: int) -> InputError:

@@ -132,7 +132,7 @@ def running(settings: Settings) -> Iterator[Live]:
         thread.join(20)
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(autouse=True)
 def quiet_log() -> Iterator[None]:
     structlog.configure(
         logger_factory=structlog.ReturnLoggerFactory(), processors=[structlog.processors.JSONRenderer()]

@@ -1,6 +1,5 @@
 import json
 import sqlite3
-import uuid
 from typing import Any
 
 import pytest
@@ -8,7 +7,7 @@ from sqlalchemy.exc import OperationalError
 
 from tests.api.conftest import Live, problem_of
 
-UNKNOWN = str(uuid.uuid4())
+UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,28 @@
 """Requests made from the contract, right and wrong ones: no answer may be one that the contract does not know."""
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, settings
+from schemathesis.specs.openapi.checks import positive_data_acceptance
 
 from api.openapi import COMMITTED
-from tests.api.conftest import Live
+from api.settings import KIB, Settings
+from tests.api.conftest import Live, running
 
 schema = schemathesis.openapi.from_path(COMMITTED)
 CASES_EACH = 40
 
 cases = 0
+
+
+@pytest.fixture(scope="module")
+def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+    """Limits above what a schema can say, so that nothing is too large before it is wrong."""
+    with running(make_settings(max_json_bytes=64 * KIB)) as live:
+        yield live
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +49,9 @@ def test_contract_is_kept(case: schemathesis.Case[Any], service: Live, known: di
     cases += 1
     if cases % 2 and case.method != "DELETE":
         case.path_parameters.update({name: known[name] for name in case.path_parameters if name in known})
-    case.call_and_validate(base_url=str(service.client.base_url))
+    # Schemathesis gives all files of a form one name, which no schema can forbid and the service refuses.
+    excluded = [positive_data_acceptance] if case.media_type == "multipart/form-data" else []
+    case.call_and_validate(base_url=str(service.client.base_url), excluded_checks=excluded)
 
 
 def test_contract_was_tried_often_enough() -> None:

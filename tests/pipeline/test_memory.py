@@ -1,0 +1,32 @@
+import subprocess
+import sys
+
+import pytest
+
+# Pictures come and go while small things between them stay.
+PROGRAM = """
+import gc, psutil, sys
+import numpy as np
+from pipeline.memory import give_pictures_back
+
+if sys.argv[1] == "given back":
+    give_pictures_back()
+kept = []
+for _ in range(2):
+    pictures = []
+    for _ in range(20):
+        pictures.append(np.ones(6_000_000, np.uint8))
+        kept.append(bytearray(100_000))
+    del pictures
+print(psutil.Process().memory_info().rss)
+"""
+
+
+def resident_bytes(mode: str) -> int:
+    command = [sys.executable, "-c", PROGRAM, mode]
+    return int(subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="an allocator of other systems")
+def test_pictures_that_were_freed_take_no_memory() -> None:
+    assert resident_bytes("kept") - resident_bytes("given back") > 60_000_000
