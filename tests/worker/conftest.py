@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 import uuid_utils
-from worker.jobs.artifacts import LocalArtifacts
-from worker.jobs.store import JobStore
 
 from worker.execution import Outcome, ResultFile, Work
+from worker.jobs.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
 from worker.jobs.spec import JobSpec
+from worker.jobs.store import JobStore
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
 from worker.runner import Runner
 

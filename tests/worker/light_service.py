@@ -11,12 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from worker.jobs.store import JobStore
-
 from tests.worker.conftest import associate, detect, export, fit
 from worker import __main__ as worker_main
 from worker import embedded
 from worker.execution import Outcome, Work
+from worker.jobs.store import JobStore
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
 from worker.settings import WorkerSettings
 from worker.supervisor import Supervisor
