@@ -61,7 +61,7 @@ class Settings(BaseSettings):
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
     max_cameras: int = Field(default=64, gt=0, description="Videos of a session.")
 
-    chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a map.")
+    chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
 
     preflight_command: tuple[str, ...] = Field(
         default=(sys.executable, "-m", "pipeline.preflight"),

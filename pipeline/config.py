@@ -17,13 +17,12 @@ class ReconstructionConfig:
     detector
         A network of ``pipeline.detect.models``.
     chunk_frames
-        Output frames that one call of the map decodes and detects, in all cameras; by default 100, or fewer where that
-        would leave a process idle.
+        Output frames of one chunk: what is decoded and detected as one piece, of one camera.
     processes
-        How many of these run at once, each with a single-threaded network of its own.
+        How many chunks are worked on at once, each with a single-threaded network of its own.
     """
 
     method: Method = "tracking"
     detector: str = "movenet-multipose"
-    chunk_frames: int | None = None
+    chunk_frames: int = 100
     processes: int = 1

@@ -5,6 +5,7 @@ Only plain arrays are written and read (no pickles): a file that was tampered wi
 
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 import numpy as np
 
@@ -22,28 +23,16 @@ def _decode(content: bytes) -> dict[str, np.ndarray]:
         return dict(archive)
 
 
-def encode_detections(detections: Mapping[str, Detections]) -> bytes:
-    """Write all cameras' detections."""
-    arrays: dict[str, np.ndarray] = {"cameras": np.array(list(detections), dtype=np.str_)}
-    for k, one in enumerate(detections.values()):
-        arrays |= {
-            f"frame_{k}": one.frame,
-            f"keypoints_px_{k}": one.keypoints_px,
-            f"score_{k}": one.score,
-            f"box_px_{k}": one.box_px,
-        }
-    return _encode(arrays)
+def encode_detections(detections: Detections) -> bytes:
+    """Write the detections of one camera."""
+    return _encode({field.name: np.asarray(getattr(detections, field.name)) for field in fields(detections)})
 
 
-def decode_detections(content: bytes) -> dict[str, Detections]:
+def decode_detections(content: bytes) -> Detections:
     """Read what ``encode_detections`` wrote."""
     arrays = _decode(content)
-    return {
-        str(camera): Detections(
-            str(camera), arrays[f"frame_{k}"], arrays[f"keypoints_px_{k}"], arrays[f"score_{k}"], arrays[f"box_px_{k}"]
-        )
-        for k, camera in enumerate(arrays["cameras"])
-    }
+    camera = str(arrays["camera"])
+    return Detections(camera, arrays["frame"], arrays["keypoints_px"], arrays["score"], arrays["box_px"])
 
 
 def encode_tracks(tracks: Sequence[Track3D], observations: Sequence[Observations]) -> bytes:

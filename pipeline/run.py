@@ -24,7 +24,7 @@ from pipeline.tracking.parameters import derive_parameters
 from pipeline.video.timeline import chunk_ranges, session_timebase
 
 Span = tuple[float, float]
-ChunkDetections = dict[str, Detections]
+Chunk = tuple[str, Span]  # of a camera
 
 
 def reconstruct(
@@ -50,13 +50,14 @@ def reconstruct(
     """
     detector = open_detector(config.detector)
     timebase = session_timebase(session.times)
-    spans = chunk_ranges(timebase, config.chunk_frames or _chunk_frames(timebase.num_frames, config.processes))
-    chunks = (
-        _map_here(session, spans, detector, on_progress)
+    cameras = [camera.name for camera in session.cameras]
+    chunks = [(camera, span) for span in chunk_ranges(timebase, config.chunk_frames) for camera in cameras]
+    detected = (
+        _map_here(session, chunks, detector, on_progress)
         if config.processes == 1
-        else _map_in_processes(session, spans, config, on_progress)
+        else _map_in_processes(session, chunks, config, on_progress)
     )
-    detections = concatenate(chunks, [camera.name for camera in session.cameras], len(detector.joints.names))
+    detections = concatenate(detected, cameras, len(detector.joints.names))
     on_progress(Progress("associate", 0, 1))
     tracks, observations = associate(session, detections)
     on_progress(Progress("associate", 1, 1))
@@ -89,21 +90,13 @@ def fit(session: CaptureSession, tracks: Sequence[Track3D], joints: JointSet) ->
     return tuple(motion_from_track(track, joints, timebase, f"person-{track.track_id}") for track in tracks)
 
 
-def _chunk_frames(num_frames: int, processes: int) -> int:
-    """Frames a chunk: at least two chunks a process, else long ones.
-
-    What lies between a border and the keyframe before it is decoded twice.
-    """
-    return min(100, num_frames if processes == 1 else -(-num_frames // (2 * processes)))
-
-
 def _num_frames(session: CaptureSession) -> int:
     return sum(len(times.time_s) for times in session.times.values())
 
 
 def _map_here(
-    session: CaptureSession, spans: Sequence[Span], detector: Detector, on_progress: OnProgress
-) -> Iterator[ChunkDetections]:
+    session: CaptureSession, chunks: Sequence[Chunk], detector: Detector, on_progress: OnProgress
+) -> Iterator[Detections]:
     total, done = _num_frames(session), 0
     on_progress(Progress("detect", 0, total))
 
@@ -112,8 +105,8 @@ def _map_here(
         done += 1
         on_progress(Progress("detect", done, total))
 
-    for span in spans:
-        yield detect_chunk(session, span, detector, on_frame)
+    for camera, span_s in chunks:
+        yield detect_chunk(session, camera, span_s, detector, on_frame)
 
 
 class _Worker:
@@ -129,14 +122,14 @@ class _Worker:
         cls.detector = open_detector(detector_name)
 
     @classmethod
-    def run(cls, span: Span) -> ChunkDetections:
-        return detect_chunk(cls.session, span, cls.detector)
+    def run(cls, chunk: Chunk) -> Detections:
+        return detect_chunk(cls.session, *chunk, cls.detector)
 
 
 def _map_in_processes(
-    session: CaptureSession, spans: Sequence[Span], config: ReconstructionConfig, on_progress: OnProgress
-) -> Iterator[ChunkDetections]:
-    done, total = 0, len(spans)
+    session: CaptureSession, chunks: Sequence[Chunk], config: ReconstructionConfig, on_progress: OnProgress
+) -> Iterator[Detections]:
+    done, total = 0, len(chunks)
     on_progress(Progress("detect", 0, _num_frames(session)))
     pool = ProcessPoolExecutor(
         config.processes,
@@ -145,10 +138,10 @@ def _map_in_processes(
         initargs=(session, config.detector),
     )
     try:
-        for chunk in pool.map(_Worker.run, spans):
+        for detections in pool.map(_Worker.run, chunks):
             done += 1
             on_progress(Progress("detect", _num_frames(session) * done // total, _num_frames(session)))
-            yield chunk
+            yield detections
     except BrokenProcessPool as error:
         raise PipelineError(
             "A detection process was ended from outside, most likely for lack of memory. Try fewer processes."

@@ -18,7 +18,7 @@ DETECT, ASSOCIATE, FIT, EXPORT = "detect", "associate", "fit", "export"
 # A stage's number goes up with every change of its code that changes what it leaves.
 CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, ASSOCIATE: 1, FIT: 1, EXPORT: 1}
 
-DEFAULT_CHUNK_FRAMES = 25
+DEFAULT_CHUNK_FRAMES = 100
 
 
 def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
@@ -31,8 +31,9 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
     spec
         What was asked for.
     chunk_frames
-        Output frames of one chunk of the map. Chunks begin at its multiples, so two jobs of a session cut alike. No key
-        of a reduce depends on it.
+        Output frames of one chunk of the map, which is of one camera: the frames between a chunk's start and the
+        keyframe before are decoded in vain, so few long chunks are better than many short ones of all cameras. Chunks
+        begin at its multiples, so two jobs of a session cut alike. No key of a reduce depends on it.
 
     Returns
     -------
@@ -51,24 +52,22 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
 
 
 def _map_chunks(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
-    num_frames = int(session.preflight["timebase"]["num_frames"])
-    starts = range(0, num_frames, chunk_frames)
+    timebase = session.preflight["timebase"]
+    pieces = (
+        (camera, start, min(start + chunk_frames, timebase["num_frames"]))
+        for start in range(0, timebase["num_frames"], chunk_frames)
+        for camera in session.preflight["cameras"]
+    )
     return tuple(
         ChunkPlan(
             index=index,
-            payload={"start_frame": start, "stop_frame": stop},
-            unit_count=_units(session, start, stop),
-            output_key=_hash([stage_key, start, stop]),
+            payload={"camera": camera["name"], "start_frame": start, "stop_frame": stop},
+            # About as many frames as the camera took meanwhile.
+            unit_count=max(1, round((stop - start) / timebase["frame_rate_hz"] * camera["frame_rate_hz"])),
+            output_key=_hash([stage_key, camera["name"], start, stop]),
         )
-        for index, start in enumerate(starts)
-        for stop in [min(start + chunk_frames, num_frames)]
+        for index, (camera, start, stop) in enumerate(pieces)
     )
-
-
-def _units(session: Session, start_frame: int, stop_frame: int) -> int:
-    """About how many frames all cameras took during some output frames; at least 1."""
-    duration_s = (stop_frame - start_frame) / session.preflight["timebase"]["frame_rate_hz"]
-    return max(1, round(sum(duration_s * camera["frame_rate_hz"] for camera in session.preflight["cameras"])))
 
 
 def _reduce(stage_key: str) -> tuple[ChunkPlan, ...]:

@@ -20,7 +20,6 @@ class WorkerSettings(BaseSettings):
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
     lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
     heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
-    chunk_frames: int = Field(default=25, gt=0, description="Output frames of one chunk of a map.")
     reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for what was lost.")
     claim_for_s: float = Field(default=300.0, gt=0, description="How long one message keeps a worker claiming.")
 

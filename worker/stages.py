@@ -9,7 +9,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from pipeline.data import Reconstruction, SkeletonMotion, Timebase
+from pipeline.data import Reconstruction, SkeletonMotion
 from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.export.results import result_files
@@ -23,7 +23,7 @@ from pipeline.records_npz import (
 )
 from pipeline.run import associate, fit
 from pipeline.session import CaptureSession, open_session
-from pipeline.video.timeline import session_timebase
+from pipeline.video.timeline import session_timebase, span_s
 from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.model import Session
@@ -67,27 +67,12 @@ def _capture_of(work: Work) -> tuple[CaptureSession, Detector]:
     return _open.capture(work.session, work.artifacts), _detector(work.claim.spec.detector)
 
 
-def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float, float]:
-    """Range ``[t0, t1)`` of some output frames; borders half-way between two of them, the outer ones at infinity.
-
-    Frames between two output frames belong to one of them, so consecutive ranges miss none and double none.
-    """
-
-    def border_s(frame: int) -> float:
-        return timebase.start_time_s + (frame - 0.5) / timebase.frame_rate_hz
-
-    return (
-        border_s(start_frame) if start_frame > 0 else float("-inf"),
-        border_s(stop_frame) if stop_frame < timebase.num_frames else float("inf"),
-    )
-
-
 def detect(work: Work) -> Outcome:
-    """Find all bodies in a range of frames of all cameras."""
+    """Find all bodies in a range of a camera's frames."""
     session, detector = _capture_of(work)
-    start, stop = work.claim.payload["start_frame"], work.claim.payload["stop_frame"]
-    span = span_s(session_timebase(session.times), start, stop)
-    return Outcome(encode_detections(detect_chunk(session, span, detector, work.on_unit)))
+    chunk = work.claim.payload
+    span = span_s(session_timebase(session.times), chunk["start_frame"], chunk["stop_frame"])
+    return Outcome(encode_detections(detect_chunk(session, chunk["camera"], span, detector, work.on_unit)))
 
 
 def associate_people(work: Work) -> Outcome:

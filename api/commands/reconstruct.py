@@ -76,8 +76,8 @@ def command(
     method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
     chunk_frames: Annotated[
-        int | None, typer.Option(min=1, help="Frames that are decoded and detected as one piece.", show_default="100")
-    ] = None,
+        int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
+    ] = 100,
     processes: Annotated[int, typer.Option(min=1, max=64, help="Pieces worked on at once.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:

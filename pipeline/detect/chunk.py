@@ -1,4 +1,4 @@
-"""Decode and detect one range of time in all cameras: the map of a reconstruction."""
+"""Decode and detect one range of one camera's frames: the map of a reconstruction."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -13,11 +13,12 @@ from pipeline.video.timeline import frames_in
 
 def detect_chunk(
     session: CaptureSession,
+    camera: str,
     span_s: tuple[float, float],
     detector: Detector,
     on_frame: Callable[[], None] = lambda: None,
-) -> dict[str, Detections]:
-    """Detect bodies in exactly the frames whose time is in ``[t0, t1)``.
+) -> Detections:
+    """Detect bodies in exactly those frames of a camera whose time is in ``[t0, t1)``.
 
     Parameters
     ----------
@@ -28,22 +29,20 @@ def detect_chunk(
 
     Returns
     -------
-        Detections by camera; frames are numbered from the start of each video.
+        Detections; frames are numbered from the start of the video.
 
     Raises
     ------
     InputError
         If a frame can't be decoded.
     """
-    found = {}
-    for camera, video in zip(session.cameras, session.videos, strict=True):
-        frames = frames_in(session.times[camera.name], *span_s)
-        bodies: list[tuple[int, Bodies]] = []
-        for frame, image_rgb in decode(video, frames.start, frames.stop):
-            bodies.append((frame, detector.detect(image_rgb)))
-            on_frame()
-        found[camera.name] = _as_detections(camera.name, bodies, len(detector.joints.names))
-    return found
+    video = session.videos[[one.name for one in session.cameras].index(camera)]
+    frames = frames_in(session.times[camera], *span_s)
+    bodies: list[tuple[int, Bodies]] = []
+    for frame, image_rgb in decode(video, frames.start, frames.stop):
+        bodies.append((frame, detector.detect(image_rgb)))
+        on_frame()
+    return _as_detections(camera, bodies, len(detector.joints.names))
 
 
 def _as_detections(camera: str, bodies: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:
@@ -59,20 +58,18 @@ def _as_detections(camera: str, bodies: Sequence[tuple[int, Bodies]], num_joints
     )
 
 
-def concatenate(
-    chunks: Iterable[dict[str, Detections]], cameras: Sequence[str], num_joints: int
-) -> dict[str, Detections]:
-    """Join the detections of consecutive chunks, camera by camera."""
-    everything = list(chunks)
+def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints: int) -> dict[str, Detections]:
+    """Join the detections of chunks, camera by camera; each camera's chunks come in the order of time."""
+    of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}
+    for chunk in chunks:
+        of_camera[chunk.camera].append(chunk)
     return {
         camera: Detections(
             camera=camera,
-            frame=np.concatenate([np.empty(0, np.int64), *(chunk[camera].frame for chunk in everything)]),
-            keypoints_px=np.concatenate(
-                [np.empty((0, num_joints, 2)), *(chunk[camera].keypoints_px for chunk in everything)]
-            ),
-            score=np.concatenate([np.empty((0, num_joints)), *(chunk[camera].score for chunk in everything)]),
-            box_px=np.concatenate([np.empty((0, 4)), *(chunk[camera].box_px for chunk in everything)]),
+            frame=np.concatenate([np.empty(0, np.int64), *(one.frame for one in found)]),
+            keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for one in found)]),
+            score=np.concatenate([np.empty((0, num_joints)), *(one.score for one in found)]),
+            box_px=np.concatenate([np.empty((0, 4)), *(one.box_px for one in found)]),
         )
-        for camera in cameras
+        for camera, found in of_camera.items()
     }

@@ -1,7 +1,6 @@
 """The clock that the cameras of a session share, and how it is cut into pieces."""
 
 from collections.abc import Mapping
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,16 +16,26 @@ def session_timebase(times: Mapping[str, FrameTimes]) -> Timebase:
     return Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1)
 
 
-def chunk_ranges(timebase: Timebase, chunk_frames: int) -> list[tuple[float, float]]:
-    """Ranges ``[t0, t1)`` of ``chunk_frames`` output frames each, without gap or overlap.
+def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float, float]:
+    """Range ``[t0, t1)`` of some output frames.
 
     Borders lie half-way between two output frames, so that rounding never moves a frame; the first range begins at
-    minus infinity and the last one ends at infinity, so that no frame is outside.
+    minus infinity and the last one ends at infinity, so that consecutive ranges miss no frame and double none.
     """
-    starts = np.arange(0, timebase.num_frames, chunk_frames)
-    borders_s = timebase.start_time_s + (starts - 0.5) / timebase.frame_rate_hz
-    edges_s = [-np.inf, *borders_s[1:].tolist(), np.inf]
-    return list(pairwise(edges_s))
+
+    def border_s(frame: int) -> float:
+        return timebase.start_time_s + (frame - 0.5) / timebase.frame_rate_hz
+
+    return (
+        border_s(start_frame) if start_frame > 0 else -np.inf,
+        border_s(stop_frame) if stop_frame < timebase.num_frames else np.inf,
+    )
+
+
+def chunk_ranges(timebase: Timebase, chunk_frames: int) -> list[tuple[float, float]]:
+    """Ranges ``[t0, t1)`` of ``chunk_frames`` output frames each, without gap or overlap."""
+    starts = range(0, timebase.num_frames, chunk_frames)
+    return [span_s(timebase, start, start + chunk_frames) for start in starts]
 
 
 def frames_in(times: FrameTimes, start_s: float, stop_s: float) -> range:

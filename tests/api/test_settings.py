@@ -24,9 +24,7 @@ def test_listens_beyond_loopback_where_told_to() -> None:
 
 def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("MULTICAP_DATA_DIR", str(tmp_path))
-    monkeypatch.setenv("MULTICAP_CHUNK_FRAMES", "7")
     api, worker = Settings(), WorkerSettings()
     assert api.resolved_database_url == worker.resolved_database_url
     assert api.artifacts_dir == worker.artifacts_dir
     assert api.broker_url == worker.broker_url
-    assert api.chunk_frames == worker.chunk_frames == 7

@@ -87,12 +87,12 @@ def open_bench(data_dir: Path) -> Bench:
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
     session_id = str(uuid_utils.uuid7())
-    names = [("left.mp4", "video", "a"), ("right.mp4", "video", "b"), ("rig.toml", "calibration", "c")]
+    names = [("left.mp4", "video", "a"), ("rig.toml", "calibration", "c")]
     files = [
         InputFile(name, kind, f"sessions/{session_id}/inputs/{name}", 1, digit * 64) for name, kind, digit in names
     ]
     preflight = {
-        "cameras": [{"name": name, "frame_rate_hz": 25.0} for name in ("left", "right")],
+        "cameras": [{"name": "left", "frame_rate_hz": 25.0}],
         "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": NUM_FRAMES},
         "warnings": [],
     }

@@ -48,23 +48,26 @@ def keys(session: Session, spec: JobSpec | None = None, chunk_frames: int = 25) 
 
 
 @given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
-def test_chunks_cover_each_frame_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
+def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
     chunks = plan(make_session(num_frames), JobSpec(), chunk_frames)[0].chunks
-    frames = [k for chunk in chunks for k in range(chunk.payload["start_frame"], chunk.payload["stop_frame"])]
-    assert frames == list(range(num_frames))
-    assert all(chunk.payload["start_frame"] == chunk.index * chunk_frames for chunk in chunks)
+    assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
+    for camera in ("0", "1"):
+        of_camera = [chunk for chunk in chunks if chunk.payload["camera"] == camera]
+        frames = [k for chunk in of_camera for k in range(chunk.payload["start_frame"], chunk.payload["stop_frame"])]
+        assert frames == list(range(num_frames))
+        assert all(chunk.payload["start_frame"] == k * chunk_frames for k, chunk in enumerate(of_camera))
     assert all(chunk.unit_count >= 1 for chunk in chunks)
 
 
 def test_the_stages_and_their_sizes() -> None:
     stages = plan(make_session(60), JobSpec(), 25)
-    assert [(stage.name, len(stage.chunks)) for stage in stages] == [(DETECT, 3), (ASSOCIATE, 1), (FIT, 1), (EXPORT, 1)]
-    assert [chunk.unit_count for chunk in stages[0].chunks] == [50, 50, 20]
+    assert [(stage.name, len(stage.chunks)) for stage in stages] == [(DETECT, 6), (ASSOCIATE, 1), (FIT, 1), (EXPORT, 1)]
+    assert [chunk.unit_count for chunk in stages[0].chunks] == [25, 25, 25, 25, 10, 10]
 
 
-def test_units_are_the_frames_of_all_cameras_at_their_own_rates() -> None:
-    (chunk,) = plan(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
-    assert chunk.unit_count == 50 + 25 + 30
+def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
+    chunks = plan(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
+    assert [chunk.unit_count for chunk in chunks] == [50, 25, 30]
 
 
 @given(chunk_frames=st.integers(1, 300))

@@ -86,10 +86,10 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlan:
-    """One unit of work. ``unit_count`` is what its progress counts: frames of all cameras, or 1."""
+    """One unit of work. ``unit_count`` is what its progress counts: a camera's frames, or 1."""
 
     index: int
-    payload: Mapping[str, Any]  # JSON: {"start_frame", "stop_frame"} for a map; {} for a reduce
+    payload: Mapping[str, Any]  # JSON: {"camera", "start_frame", "stop_frame"} for a map; {} for a reduce
     unit_count: int
     output_key: str  # content-addressed key of what it will leave, without a tenant's or session's prefix
 
