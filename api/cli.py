@@ -25,3 +25,7 @@ def main() -> None:
     """Run the command line."""
     give_pictures_back()
     app()
+
+
+if __name__ == "__main__":
+    main()

@@ -22,7 +22,7 @@ EXIT_BAD_INPUT = 2
 
 console = Console(stderr=True, highlight=False)
 
-_LABELS = {"detect": "Detect 2D joints", "associate": "Track people", "fit": "Fit skeletons"}
+_LABELS = {"detect": "Detect 2D joints", "associate": "Track people", "fit": "Fit skeletons", "export": "Write files"}
 
 
 def emit(value: Mapping[str, Any]) -> None:
@@ -77,6 +77,12 @@ class StageBars:
 
     def __exit__(self, *_: object) -> None:
         self._bars.stop()
+
+    def update_job(self, job: Mapping[str, Any]) -> None:
+        """Take in a job of the service as it is now."""
+        for stage in job["stages"]:
+            if stage["started_at"]:
+                self.update(Progress(stage["name"], stage["done"], stage["total"]))
 
     def update(self, progress: Progress) -> None:
         """Take in a step of ``pipeline.run.reconstruct``."""

@@ -41,17 +41,17 @@ def write_results(reconstruction: Reconstruction, folder: Path) -> list[Path]:
     return paths
 
 
-def print_summary(reconstruction: Reconstruction, metrics: Mapping[str, Any]) -> None:
+def print_summary(metrics: Mapping[str, Any]) -> None:
     """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong."""
 
     def shown(value: float | None, unit: str, digits: int) -> str:
         return "-" if value is None else f"{value:.{digits}f} {unit}"
 
     table = Table("person", "frames", "reprojection error", "cameras a joint", "coverage", "stature")
-    for person, motion in zip(metrics["people"], reconstruction.motions, strict=True):
+    for person in metrics["people"]:
         first, length = person["start_frame"], person["num_frames"]
         table.add_row(
-            motion.name,
+            f"person-{person['id']}",
             f"{first} - {first + length - 1}",
             shown(person["reprojection_error_px"], "px", 1),
             shown(person["views_per_joint"], "", 1),
@@ -110,6 +110,6 @@ def command(
             }
         )
         return
-    print_summary(reconstruction, metrics)
+    print_summary(metrics)
     for path in paths:
         console.print(Text(f"  {path}"))

@@ -20,6 +20,9 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.supervisor import Program, Supervisor
 
+# What it prints, before its address, as soon as it can be used.
+READY = "Multicap is ready at "
+
 _HOST = "127.0.0.1"
 
 
@@ -52,7 +55,7 @@ def _announce(url: str) -> None:
             except httpx2.TransportError:
                 pass
             time.sleep(0.1)
-    typer.echo(f"Multicap is ready at {url}")
+    typer.echo(f"{READY}{url}")
     console.print("Ctrl-C stops it.")
 
 

@@ -1,13 +1,13 @@
 """Pictures of skeletons drawn over a camera's frame."""
 
 import colorsys
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data import Camera, Track3D
+from pipeline.data import Camera
 from pipeline.geometry.camera import project
 from pipeline.joints import JointSet
 
@@ -43,27 +43,23 @@ def _drawable(points_px: Float[np.ndarray, "joints 2"], size_px: tuple[int, int]
 def draw_skeletons(
     image_rgb: UInt8[np.ndarray, "height width 3"],
     camera: Camera,
-    tracks: Sequence[Track3D],
-    frame: int,
+    people_m: Mapping[int, Float[np.ndarray, "joints 3"]],
     joints: JointSet,
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Draw all people of an output frame over a camera's picture, each in a colour with the number above.
+    """Draw the people of an instant over a camera's picture, each in a colour with the number above.
 
     Parameters
     ----------
     image_rgb
         The camera's picture of that instant, of ``camera.size_px``; it is not changed.
-    frame
-        Output frame; tracks that don't live then are left out.
+    people_m
+        Joint positions in the world by the person's number; NaN joints are left out.
     """
     image = np.ascontiguousarray(image_rgb).copy()
     thickness = max(2, round(np.hypot(*camera.size_px) / 600))
-    for track in tracks:
-        row = frame - track.start_frame
-        if not 0 <= row < track.num_frames:
-            continue
-        points = _drawable(project(camera, track.xyz_m[row]), camera.size_px)
-        color = color_rgb(track.track_id)
+    for number, xyz_m in people_m.items():
+        points = _drawable(project(camera, xyz_m), camera.size_px)
+        color = color_rgb(number)
         for start, end in ((joints.index(a), joints.index(b)) for a, b in joints.bones):
             if start in points and end in points:
                 # A dark rim keeps the line visible on any background.
@@ -73,7 +69,7 @@ def draw_skeletons(
             cv2.circle(image, point, (thickness + 1) << _SHIFT, _BLACK, -1, cv2.LINE_AA, _SHIFT)
             cv2.circle(image, point, thickness << _SHIFT, color, -1, cv2.LINE_AA, _SHIFT)
         if points:
-            _label(image, str(track.track_id), min(points.values(), key=lambda point: point[1]), color, thickness)
+            _label(image, str(number), min(points.values(), key=lambda point: point[1]), color, thickness)
     return image
 
 

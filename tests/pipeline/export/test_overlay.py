@@ -6,7 +6,7 @@ from pipeline.export.overlay import color_rgb, draw_skeletons, encode_png
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
-from tests.pipeline.skeleton.people import track_of, walker, without
+from tests.pipeline.skeleton.people import walker, without
 
 GREY = np.full((480, 640, 3), 90, dtype=np.uint8)
 # Looks along the world's +Y from 4 m behind the origin, 1 m up, through a lens with distortion.
@@ -24,39 +24,36 @@ def standing(x_m: float) -> np.ndarray:
 
 
 def test_bones_are_drawn_where_the_camera_sees_them() -> None:
-    track = track_of(standing(0.0))
-    image = draw_skeletons(GREY, CAMERA, [track], 1, COCO_17)
-    hip, knee = (project(CAMERA, track.xyz_m[1, COCO_17.index(name)]) for name in ("left_hip", "left_knee"))
+    person_m = standing(0.0)[1]
+    image = draw_skeletons(GREY, CAMERA, {1: person_m}, COCO_17)
+    hip, knee = (project(CAMERA, person_m[COCO_17.index(name)]) for name in ("left_hip", "left_knee"))
     for share in (0.0, 0.3, 0.5, 0.7, 1.0):
         column, row = np.round(hip + share * (knee - hip)).astype(int)
         np.testing.assert_array_equal(image[row, column], color_rgb(1))
     changed = np.argwhere((image != GREY).any(-1))
-    points_px = project(CAMERA, track.xyz_m[1])
+    points_px = project(CAMERA, person_m)
     assert np.abs(changed[:, 0].max() - points_px[:, 1].max()) < 8
     assert (GREY == 90).all()
 
 
-def test_people_have_different_colours_and_live_only_in_their_frames() -> None:
-    here, there = track_of(standing(-0.7), 1), track_of(standing(0.7), 2, start_frame=2)
-    both = draw_skeletons(GREY, CAMERA, [here, there], 2, COCO_17)
-    for track, row in ((here, 2), (there, 0)):
-        column, line = np.round(project(CAMERA, track.xyz_m[row, COCO_17.index("right_hip")])).astype(int)
-        np.testing.assert_array_equal(both[line, column], color_rgb(track.track_id))
-    first = draw_skeletons(GREY, CAMERA, [here, there], 1, COCO_17)
-    np.testing.assert_array_equal(first[:, 320:], GREY[:, 320:])
+def test_people_have_different_colours() -> None:
+    people_m = {1: standing(-0.7)[2], 2: standing(0.7)[0]}
+    both = draw_skeletons(GREY, CAMERA, people_m, COCO_17)
+    for number, xyz_m in people_m.items():
+        column, line = np.round(project(CAMERA, xyz_m[COCO_17.index("right_hip")])).astype(int)
+        np.testing.assert_array_equal(both[line, column], color_rgb(number))
     colors = np.array([color_rgb(number) for number in range(1, 9)], dtype=float)
     apart = np.linalg.norm(colors[:, None] - colors[None], axis=-1) + 1e3 * np.eye(8)
     assert apart.min() > 50
 
 
 def test_unseen_joints_and_people_behind_the_camera_are_left_out() -> None:
-    unseen = track_of(np.full((1, 17, 3), np.nan))
-    behind = track_of(standing(0.0) - np.array([0.0, 10.0, 0.0]))
-    beside = track_of(standing(0.0) - np.array([0.0, 4.0 - 1e-5, 0.0]))
-    np.testing.assert_array_equal(draw_skeletons(GREY, CAMERA, [unseen, behind], 0, COCO_17), GREY)
-    draw_skeletons(GREY, CAMERA, [beside], 0, COCO_17)
-    armless = track_of(without(standing(0.0), "left_wrist"))
-    image = draw_skeletons(GREY, CAMERA, [armless], 0, COCO_17)
+    unseen = np.full((17, 3), np.nan)
+    behind = standing(0.0)[0] - np.array([0.0, 10.0, 0.0])
+    beside = standing(0.0)[0] - np.array([0.0, 4.0 - 1e-5, 0.0])
+    np.testing.assert_array_equal(draw_skeletons(GREY, CAMERA, {1: unseen, 2: behind}, COCO_17), GREY)
+    draw_skeletons(GREY, CAMERA, {1: beside}, COCO_17)
+    image = draw_skeletons(GREY, CAMERA, {1: without(standing(0.0), "left_wrist")[0]}, COCO_17)
     column, row = np.round(project(CAMERA, standing(0.0)[0, COCO_17.index("left_wrist")])).astype(int)
     np.testing.assert_array_equal(image[row, column], GREY[row, column])
 

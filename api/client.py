@@ -1,0 +1,135 @@
+"""A running service from outside, as our own commands use it: start one, send a session, follow the job, download."""
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx2
+
+from api.commands.serve import READY
+from pipeline.errors import PipelineError
+from worker.lifeline import tied
+
+Json = Mapping[str, Any]
+
+_POLL_S = 0.25
+_STOP_S = 30.0
+_FINISHED = frozenset({"succeeded", "failed", "canceled", "expired"})
+
+
+class ServiceError(PipelineError):
+    """The service refused, failed or did not start; the text says why."""
+
+    code = "service_error"
+
+
+@dataclass(frozen=True, slots=True)
+class Client:
+    """Calls of a service at an address."""
+
+    http: httpx2.Client
+
+    @property
+    def url(self) -> str:
+        """Where the service is."""
+        return str(self.http.base_url)
+
+    def submit(self, videos: Sequence[Path], calibration: Path) -> Json:
+        """Send a session and have it reconstructed; returns the job."""
+        with contextlib.ExitStack() as opened:
+            parts = [("videos", path) for path in videos] + [("calibration", calibration)]
+            files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
+            return self._call("POST", "/v1/jobs", files=files)
+
+    def follow(self, job: Json, on_job: Callable[[Json], None] = lambda _: None) -> Json:
+        """Poll a job until it ends; ``on_job`` is called with every answer.
+
+        Raises
+        ------
+        ServiceError
+            If it does not succeed.
+        """
+        while job["state"] not in _FINISHED:
+            time.sleep(_POLL_S)
+            job = self._call("GET", job["links"]["self"])
+            on_job(job)
+        if job["state"] != "succeeded":
+            raise ServiceError(f"The job {job['state']}. {_words(job['error'] or {})}".strip())
+        return job
+
+    def download(self, job: Json, folder: Path) -> list[Path]:
+        """Save all result files of a job into a folder, which is made if it is missing."""
+        folder.mkdir(parents=True, exist_ok=True)
+        return [self._save(result, folder) for result in self._call("GET", job["links"]["results"])["results"]]
+
+    def _save(self, result: Json, folder: Path) -> Path:
+        path = folder / result["name"]
+        part = folder / f".{result['name']}.part"
+        with self.http.stream("GET", result["link"]) as answer, part.open("wb") as file:
+            if answer.is_error:
+                answer.read()
+                raise _refusal(answer)
+            file.writelines(answer.iter_bytes())
+        return part.replace(path)
+
+    def _call(self, method: str, path: str, **options: Any) -> Json:
+        try:
+            answer = self.http.request(method, path, **options)
+        except httpx2.TransportError as error:
+            raise ServiceError(f"The service at {self.url} does not answer.") from error
+        if answer.is_error:
+            raise _refusal(answer)
+        return dict(answer.json())
+
+
+def _refusal(answer: httpx2.Response) -> ServiceError:
+    return ServiceError(_words(answer.json()))
+
+
+def _words(problem: Json) -> str:
+    """A problem, or a job's error, as sentences."""
+    items = [": ".join(filter(None, [item["file"], item["message"]])) for item in problem.get("errors", ())]
+    return " ".join(filter(None, [problem.get("detail"), *items, problem.get("hint")]))
+
+
+@contextlib.contextmanager
+def served(data_dir: Path, workers: int) -> Iterator[Client]:
+    """A service of our own on a free port, for the time of the block.
+
+    Raises
+    ------
+    ServiceError
+        If it does not start.
+    """
+    data_dir.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-P", "-m", "api.cli", "serve", "--port", "0"]
+    log = data_dir / "serve.log"
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(  # noqa: S603 - the command is ours
+            tied([*command, "--data", str(data_dir), "--workers", str(workers)]),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=output,
+            text=True,
+            start_new_session=True,  # Ctrl-C reaches us alone, and we stop it
+        ) as process,
+    ):
+        try:
+            line = process.stdout.readline() if process.stdout else ""
+            if not line.startswith(READY):
+                raise ServiceError(f"The service did not start. {log.read_text(encoding='utf-8').strip()}")
+            url = line.removeprefix(READY).strip()
+            with httpx2.Client(base_url=url, timeout=300.0, trust_env=False) as http:
+                yield Client(http)
+        finally:
+            process.terminate()
+            try:
+                process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
