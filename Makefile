@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format lock clean
+.PHONY: help setup demo serve browser test check benchmark format lock clean
 
 help:  ## Say what there is
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -18,28 +18,47 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-demo: setup  ## Reconstruct a real four-camera capture into demo-output/
+demo: setup  ## Start the service, send it a real four-camera capture, leave the results in demo-output/
 	$(BIN)/multicap demo
 
-test: setup  ## Run the tests
+serve: setup  ## Run the service on this machine until Ctrl-C
+	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap serve
+
+browser:  ## Install Chromium for the tests of the page, where Debian's packages are at hand
+	@command -v chromium google-chrome >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium >/dev/null; } \
+		|| echo "There is no Chromium, and it can't be installed here: the tests of the page are skipped."
+
+test: setup browser  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap samples install
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark"
 
-check: setup  ## What CI runs: format, lint, types, import contracts, tests
+check: setup  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m api.openapi --check
+	$(BIN)/hadolint docker/*.Dockerfile
 	$(MAKE) test
+
+benchmark: setup  ## Measure what the README states of the service; quiet machines only
+	$(BIN)/multicap benchmark pipeline
+	$(BIN)/multicap benchmark service
+	$(BIN)/python -m pytest -m benchmark
 
 format: setup  ## Format and mend what can be mended
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+LOCK := uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	--no-emit-index-url --no-emit-find-links
+
 lock:  ## Pin the dependencies anew (needs uv)
-	uv pip compile --quiet --universal --python-version 3.11 --extra dev --generate-hashes --no-header --no-annotate \
-		--no-emit-index-url --no-emit-find-links --output-file requirements.lock pyproject.toml
+	$(LOCK) --extra dev --output-file requirements.lock pyproject.toml
+	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove what the targets made
 	rm -rf $(VENV) demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,118 +1,16 @@
-"""`multicap serve` as a process: the real sample from POST to BVH, while parts of it are killed."""
+"""`multicap serve`: the real sample from POST to BVH, while parts of it are killed."""
 
-import hashlib
-import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import httpx2
-import psutil
 import pytest
 
 from pipeline.samples import Sample
+from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests, wait_for
 
-pytestmark = [
-    pytest.mark.xdist_group("sample"),
-    pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents"),
-]
-
-COMMAND = [sys.executable, "-c", "from api.cli import main; main()", "serve", "--port", "0", "--workers", "2"]
-# The supervisor, broker, worker with its two children, reaper and API.
-NUM_PROCESSES = 7
-READY = "Multicap is ready at "
-
-
-@dataclass
-class Served:
-    """A running service."""
-
-    process: subprocess.Popen[str]
-    data_dir: Path
-    client: httpx2.Client
-
-    def tree(self) -> list[psutil.Process]:
-        supervisor = psutil.Process(self.process.pid)
-        return [supervisor, *supervisor.children(recursive=True)]
-
-    def part(self, word: str) -> psutil.Process:
-        """The child of the supervisor whose command line has a word."""
-        (found,) = [one for one in psutil.Process(self.process.pid).children() if word in one.cmdline()]
-        return found
-
-    def post(self, sample: Sample) -> str:
-        with ExitStack() as opened:
-            files = [("videos", (path.name, opened.enter_context(path.open("rb")))) for path in sample.videos.values()]
-            calibration = (
-                "calibration",
-                (sample.calibration.name, opened.enter_context(sample.calibration.open("rb"))),
-            )
-            response = self.client.post("/v1/jobs", files=[*files, calibration])
-        assert response.status_code == 202, response.text
-        return str(response.json()["id"])
-
-    def job(self, job_id: str) -> dict[str, Any]:
-        return dict(self.client.get(f"/v1/jobs/{job_id}").raise_for_status().json())
-
-    def downloads(self, job_id: str) -> dict[str, str]:
-        """SHA-256 of each result file as downloaded."""
-        listed = self.client.get(f"/v1/jobs/{job_id}/results").raise_for_status().json()["results"]
-        contents = {
-            one["name"]: self.client.get(f"/v1/jobs/{job_id}/results/{one['name']}").raise_for_status().content
-            for one in listed
-        }
-        found = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-        assert found == {one["name"]: one["sha256"] for one in listed}
-        return found
-
-    def wait_for_end(self, job_id: str) -> dict[str, Any]:
-        wait_for(lambda: self.job(job_id)["state"] in {"succeeded", "failed", "canceled"}, timeout_s=240)
-        return self.job(job_id)
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "nothing happened in time"
-        time.sleep(0.1)
-
-
-def is_alive(process: psutil.Process) -> bool:
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """The service, and in the end that Ctrl-C leaves no process of it."""
-    data_dir = tmp_path_factory.mktemp("data")
-    with subprocess.Popen([*COMMAND, "--data", str(data_dir)], stdout=subprocess.PIPE, text=True) as process:
-        tree: list[psutil.Process] = []
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line.startswith(READY)
-            with httpx2.Client(base_url=line.removeprefix(READY).strip(), timeout=60.0, trust_env=False) as client:
-                running = Served(process, data_dir, client)
-                yield running
-                tree = running.tree()
-        finally:
-            process.send_signal(signal.SIGINT)
-            status = process.wait(30)
-    assert status == 0
-    assert len(tree) == NUM_PROCESSES
-    assert not any(is_alive(one) for one in tree)
+pytestmark = pytest.mark.xdist_group("sample")
 
 
 def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
@@ -147,9 +45,23 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
     assert served.downloads(again["id"]) == digests(results)
 
 
+def test_a_killed_worker_and_a_killed_broker_change_no_byte(served: Served, sample: Sample, results: Path) -> None:
+    job_id = served.post(sample)
+    wait_for(lambda: served.job(job_id)["progress"] > 0.1)
+    served.part("worker").kill()
+    wait_for(lambda: served.job(job_id)["progress"] > 0.3)
+    served.part("valkey-server").kill()
+    assert served.wait_for_end(job_id)["state"] == "succeeded"
+    assert served.downloads(job_id) == digests(results)
+
+
 def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:
     second = subprocess.run(
-        [*COMMAND, "--data", str(served.data_dir)], capture_output=True, text=True, timeout=60, check=False
+        [*COMMAND, "--port", "0", "--data", str(served.data_dir)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert second.returncode == 2
     assert "Another service runs on" in second.stderr
@@ -159,7 +71,7 @@ def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:
 
 def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None:
     port = str(served.client.base_url.port)
-    command = [*COMMAND[:4], "--port", port, "--data", str(tmp_path)]
+    command = [*COMMAND, "--port", port, "--data", str(tmp_path)]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert refused.returncode == 2
     assert f"Port {port} can't be had" in refused.stderr

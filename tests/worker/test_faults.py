@@ -124,6 +124,18 @@ def test_a_lost_message_is_made_good(service: Service) -> None:
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
+def test_a_message_lost_with_the_broker_is_made_good(service: Service) -> None:
+    worker = service.part("--worker")
+    worker.suspend()  # so that it can't take the message
+    job = service.start_job()
+    service.part("valkey-server").kill()
+    published_s = time.monotonic()
+    worker.resume()
+    wait_for(lambda: service.bench.store.job(job.id).state is not JobState.QUEUED, timeout_s=30)
+    assert time.monotonic() - published_s < 30
+    assert service.wait_for_end(job).state is JobState.SUCCEEDED
+
+
 def test_a_killed_child_costs_nothing_but_time(service: Service) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)

@@ -1,0 +1,26 @@
+# The web API. From the repository's root: docker build --file docker/api.Dockerfile --tag multicap-api .
+FROM python:3.11-slim-bookworm AS build
+WORKDIR /src
+RUN python -m venv /opt/multicap
+COPY docker/requirements.lock .
+RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
+COPY pyproject.toml README.md ./
+COPY api api
+COPY pipeline pipeline
+COPY worker worker
+RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
+
+FROM python:3.11-slim-bookworm
+RUN useradd --system --uid 10001 --create-home multicap && install --directory --owner multicap /data
+COPY --from=build /opt/multicap /opt/multicap
+ENV PATH=/opt/multicap/bin:$PATH \
+    MULTICAP_DATA_DIR=/data \
+    MULTICAP_HOST=0.0.0.0 \
+    MULTICAP_TRUST_NETWORK=true \
+    MULTICAP_READINESS_NEEDS_MODEL=false
+USER 10001
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=5s --start-period=20s \
+    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
+CMD ["python", "-m", "api"]

@@ -1,0 +1,25 @@
+# Workers and reaper. From the repository's root: docker build --file docker/worker.Dockerfile --tag multicap-worker .
+FROM python:3.11-slim-bookworm AS build
+WORKDIR /src
+RUN python -m venv /opt/multicap
+COPY docker/requirements.lock .
+RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
+COPY pyproject.toml README.md ./
+COPY api api
+COPY pipeline pipeline
+COPY worker worker
+RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
+# Detector networks come with the image: a worker needs no network to start.
+ENV MULTICAP_HOME=/opt/multicap-home
+RUN /opt/multicap/bin/multicap models install movenet-multipose
+
+FROM python:3.11-slim-bookworm
+RUN useradd --system --uid 10001 --create-home multicap && install --directory --owner multicap /data
+COPY --from=build /opt/multicap /opt/multicap
+COPY --from=build /opt/multicap-home /opt/multicap-home
+ENV PATH=/opt/multicap/bin:$PATH \
+    MULTICAP_DATA_DIR=/data \
+    MULTICAP_HOME=/opt/multicap-home
+USER 10001
+VOLUME /data
+CMD ["python", "-m", "worker", "--workers", "2"]

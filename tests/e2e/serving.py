@@ -1,0 +1,86 @@
+"""`multicap serve` as a process, and what tests do with it."""
+
+import hashlib
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from subprocess import Popen
+from typing import Any
+
+import httpx2
+import psutil
+
+from pipeline.samples import Sample
+
+COMMAND = [sys.executable, "-m", "api.cli", "serve", "--workers", "2"]
+# The supervisor, broker, worker with its two children, reaper and API.
+NUM_PROCESSES = 7
+
+
+@dataclass
+class Served:
+    """A running service."""
+
+    process: Popen[str]
+    data_dir: Path
+    client: httpx2.Client
+
+    def tree(self) -> list[psutil.Process]:
+        supervisor = psutil.Process(self.process.pid)
+        return [supervisor, *supervisor.children(recursive=True)]
+
+    def part(self, word: str) -> psutil.Process:
+        """The child of the supervisor that is called so, or whose command line has the word."""
+        children = psutil.Process(self.process.pid).children()
+        (found,) = [one for one in children if word in [one.name(), *one.cmdline()]]
+        return found
+
+    def post(self, sample: Sample) -> str:
+        with ExitStack() as opened:
+            files = [("videos", (path.name, opened.enter_context(path.open("rb")))) for path in sample.videos.values()]
+            calibration = (
+                "calibration",
+                (sample.calibration.name, opened.enter_context(sample.calibration.open("rb"))),
+            )
+            response = self.client.post("/v1/jobs", files=[*files, calibration])
+        assert response.status_code == 202, response.text
+        return str(response.json()["id"])
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        return dict(self.client.get(f"/v1/jobs/{job_id}").raise_for_status().json())
+
+    def downloads(self, job_id: str) -> dict[str, str]:
+        """SHA-256 of each result file as downloaded."""
+        listed = self.client.get(f"/v1/jobs/{job_id}/results").raise_for_status().json()["results"]
+        contents = {
+            one["name"]: self.client.get(f"/v1/jobs/{job_id}/results/{one['name']}").raise_for_status().content
+            for one in listed
+        }
+        found = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+        assert found == {one["name"]: one["sha256"] for one in listed}
+        return found
+
+    def wait_for_end(self, job_id: str) -> dict[str, Any]:
+        wait_for(lambda: self.job(job_id)["state"] in {"succeeded", "failed", "canceled"}, timeout_s=240)
+        return self.job(job_id)
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "nothing happened in time"
+        time.sleep(0.1)
+
+
+def is_alive(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}

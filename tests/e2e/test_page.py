@@ -1,0 +1,64 @@
+"""The page at ``/`` in a real browser: the real sample from the form to the downloaded files."""
+
+import hashlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect, sync_playwright
+
+from pipeline.samples import Sample
+from tests.e2e.serving import Served, digests
+
+pytestmark = pytest.mark.xdist_group("sample")
+
+# It looks for nothing outside, and root may start it.
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+
+
+@pytest.fixture
+def page(served: Served) -> Iterator[Page]:
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("there is no chromium (`make browser` installs it on Debian)")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        page = browser.new_page(base_url=str(served.client.base_url))
+        complaints: list[str] = []
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto("/")
+        yield page
+        browser.close()
+    assert complaints == []
+
+
+def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, results: Path) -> None:
+    page.get_by_label("Name").fill("<b>Take</b> 1")
+    page.get_by_label("Videos").set_input_files(list(sample.videos.values()))
+    page.get_by_label("Calibration").set_input_files(sample.calibration)
+    page.get_by_role("button", name="Send and reconstruct").click()
+    job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
+    expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
+    expect(job.get_by_text("Done", exact=True)).to_be_visible(timeout=240_000)
+    found = {}
+    for link in job.get_by_role("link").all():
+        with page.expect_download() as download:
+            link.click()
+        content = download.value.path().read_bytes()
+        found[download.value.suggested_filename] = hashlib.sha256(content).hexdigest()
+    assert found == digests(results)
+
+
+def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.mp4"
+    broken.write_bytes(b"no video")
+    calibration = tmp_path / "calibration.toml"
+    calibration.write_text("no calibration")
+    page.get_by_label("Videos").set_input_files([broken, sample.videos[min(sample.videos)]])
+    page.get_by_label("Calibration").set_input_files(calibration)
+    page.get_by_role("button", name="Send and reconstruct").click()
+    problems = page.locator("form").get_by_role("alert")
+    expect(problems).to_contain_text("broken.mp4", timeout=60_000)
+    expect(problems).to_contain_text("calibration.toml")
+    expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
