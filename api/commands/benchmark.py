@@ -4,15 +4,19 @@ import multiprocessing
 import resource
 import tempfile
 import time
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
+from datetime import datetime
 from itertools import repeat
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import av
 import typer
 from rich.table import Table
 
+from api.client import Json, served
+from api.commands.reconstruct import write_results
 from api.console import StageBars, console, emit, reporting
 from pipeline import samples
 from pipeline.config import ReconstructionConfig
@@ -21,8 +25,10 @@ from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError
 from pipeline.export.results import result_files
 from pipeline.run import reconstruct
+from pipeline.samples import Sample
 from pipeline.session import CaptureSession, open_session
 from pipeline.video.decode import decode
+from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
 
@@ -116,4 +122,69 @@ def pipeline(
     console.print(
         f"{result['frames']} frames in {wall_s:.1f} s, the network alone {network_s:.1f} s: "
         f"overhead {wall_s / network_s:.3f}, peak memory {peak_mib:.0f} MiB"
+    )
+
+
+def stage_seconds(job: Json) -> dict[str, float]:
+    """From the start of each stage's first chunk to the end of its last one."""
+    return {
+        stage["name"]: (
+            datetime.fromisoformat(stage["finished_at"]) - datetime.fromisoformat(stage["started_at"])
+        ).total_seconds()
+        for stage in job["stages"]
+    }
+
+
+def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
+    """Time a session through a fresh service: from the upload's first byte to the last download's last byte."""
+    with served(folder / "service", workers) as client:
+        started_s = time.perf_counter()
+        job = client.submit(list(sample.videos.values()), sample.calibration)
+        submitted_s = time.perf_counter()
+        job = client.follow(job)
+        followed_s = time.perf_counter()
+        client.download(job, folder / "results")
+        ended_s = time.perf_counter()
+    return {
+        "wall_s": ended_s - started_s,
+        "submit_s": submitted_s - started_s,
+        "job_s": followed_s - submitted_s,
+        "download_s": ended_s - followed_s,
+        "stages": stage_seconds(job),
+    }
+
+
+def time_library(sample: Sample, folder: Path) -> float:
+    """Time the library on one process, from the videos to the files on disk."""
+    started_s = time.perf_counter()
+    session = open_session(list(sample.videos.values()), sample.calibration)
+    write_results(reconstruct(session, ReconstructionConfig()), folder)
+    return time.perf_counter() - started_s
+
+
+@app.command()
+def service(
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time the sample through the service with one worker and with two, beside the library."""
+    with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        models.install(JobSpec().detector)
+        sample = samples.install()
+        library_s = time_library(sample, Path(folder) / "library")
+        one, two = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
+    result: Mapping[str, Any] = {
+        "library_s": library_s,
+        "one_worker": one,
+        "two_workers": two,
+        "added_s": one["wall_s"] - library_s,
+        "speedup": one["job_s"] / two["job_s"],
+        "detect_speedup": one["stages"]["detect"] / two["stages"]["detect"],
+    }
+    if as_json:
+        emit(result)
+        return
+    console.print(
+        f"Library {library_s:.1f} s; service with one worker {one['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
+        f"with two {two['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
+        f"detection {result['detect_speedup']:.2f} times"
     )
