@@ -2,11 +2,12 @@
 
 import gc
 from collections.abc import Iterator
+from fractions import Fraction
 
 import numpy as np
 from av.container import InputContainer
+from av.filter import Graph
 from av.video.frame import VideoFrame
-from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
@@ -49,14 +50,16 @@ def _decode(
             stream = first_video(container)
             if stream is None:
                 raise _undecodable(video, wanted)
-            to_rgb = VideoReformatter()
+            to_rgb: Graph | None = None
             for frame in _frames_from(container, stream, video, wanted):
                 number = _number(video, frame)
                 if number is None or number < wanted:
                     continue
                 if number > wanted:
                     raise _undecodable(video, wanted)
-                yield number, _upright(to_rgb.reformat(frame, format="rgb24"), video, number)
+                to_rgb = to_rgb or _rgb_converter(frame)
+                to_rgb.vpush(frame)
+                yield number, _upright(to_rgb.vpull(), video, number)
                 wanted += 1
                 if wanted == stop_frame:
                     return
@@ -94,6 +97,18 @@ def _number(video: VideoInfo, frame: VideoFrame) -> int | None:
         return None
     number = int(np.searchsorted(video.pts, stamp))
     return number if number < video.num_frames and video.pts[number] == stamp else None
+
+
+def _rgb_converter(frame: VideoFrame) -> Graph:
+    """A converter for frames like this one; a filter graph, for it reuses the memory of pictures that were let go."""
+    graph = Graph()
+    graph.threads = 1
+    source = graph.add_buffer(
+        width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base or Fraction(1, 1)
+    )
+    scale = graph.add("scale", "flags=bilinear")
+    rgb = graph.add("format", "pix_fmts=rgb24")
+    return graph.link_nodes(source, scale, rgb, graph.add("buffersink"))
 
 
 def _upright(frame_rgb: VideoFrame, video: VideoInfo, number: int) -> UInt8[np.ndarray, "height width 3"]:
