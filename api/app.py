@@ -65,6 +65,11 @@ def _start(settings: Settings) -> Services:
         store=store,
         artifacts=LocalArtifacts(settings.artifacts_dir),
         queue=WorkQueue(settings.broker_url),
-        preflight=Preflight(settings.preflight_command, settings.preflight_timeout_s, settings.max_preflight_bytes),
+        preflight=Preflight(
+            settings.preflight_command,
+            settings.preflight_timeout_s,
+            settings.max_preflight_bytes,
+            settings.max_record_bytes,
+        ),
         preflight_limiter=CapacityLimiter(settings.max_parallel_preflights),
     )

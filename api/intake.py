@@ -19,7 +19,7 @@ from api.form import Form, ReceivedFile
 from api.multipart import receive_form
 from api.preflight import InvalidFilesError
 from api.schemas import Manifest
-from worker.jobs.artifacts import input_key
+from worker.jobs.artifacts import input_key, record_key
 from worker.jobs.model import InputFile, Session
 from worker.jobs.spec import JobSpec
 
@@ -55,19 +55,21 @@ async def take_in(request: Request, services: Services, documents: frozenset[str
         spec, spec_errors = _document(form, SPEC, JobSpec)
         errors = [*form.errors, *manifest_errors, *spec_errors]
         preflight: Mapping[str, Any] = {}
+        record = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
         if form.calibration and form.videos and not form.errors:
             try:
                 preflight = await anyio.to_thread.run_sync(
                     services.preflight.check,
                     [video.path for video in form.videos],
                     form.calibration.path,
+                    record,
                     limiter=services.preflight_limiter,
                 )
             except InvalidFilesError as invalid:
                 errors.extend(_located(item, form) for item in invalid.errors)
         if errors or manifest is None or spec is None:
             raise unprocessable(errors)
-        session = await run_in_threadpool(_keep, services, form, manifest, preflight)
+        session = await run_in_threadpool(_keep, services, form, manifest, preflight, record)
     return Intake(session, spec)
 
 
@@ -99,7 +101,7 @@ def _located(item: ErrorItem, form: Form) -> ErrorItem:
     return item.model_copy(update={"pointer": pointers.get(item.file or "")})
 
 
-def _keep(services: Services, form: Form, manifest: Manifest, preflight: Mapping[str, Any]) -> Session:
+def _keep(services: Services, form: Form, manifest: Manifest, preflight: Mapping[str, Any], record: Path) -> Session:
     """Move the files to the artifact store, then say so in the database; neither without the other."""
     session_id = str(uuid_utils.uuid7())
     received = [("video", video) for video in form.videos]
@@ -110,6 +112,7 @@ def _keep(services: Services, form: Form, manifest: Manifest, preflight: Mapping
         undo.callback(services.artifacts.delete_prefix, f"sessions/{session_id}/")
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
+        services.artifacts.put_file(record_key(session_id), record)
         session = services.store.create_session(manifest.name, files, preflight, session_id)
         undo.pop_all()
     return session

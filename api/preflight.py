@@ -38,14 +38,22 @@ class Preflight:
         How long it may take; then it is killed with all its children.
     max_bytes
         How much it may say.
+    max_record_bytes
+        How much it may write.
     """
 
     command: tuple[str, ...]
     timeout_s: float
     max_bytes: int
+    max_record_bytes: int
 
-    def check(self, videos: Sequence[Path], calibration: Path) -> Mapping[str, Any]:
+    def check(self, videos: Sequence[Path], calibration: Path, record: Path) -> Mapping[str, Any]:
         """Find out what a session is.
+
+        Parameters
+        ----------
+        record
+            Where the program is to keep what the workers need to know of the files.
 
         Returns
         -------
@@ -58,11 +66,11 @@ class Preflight:
         ApiError
             500 if the program itself fails.
         """
-        arguments = ["--videos", *map(str, videos), "--calibration", str(calibration)]
+        arguments = ["--videos", *map(str, videos), "--calibration", str(calibration), "--record", str(record)]
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
             exit_code = self._run([*self.command, *arguments], output, log)
             said = _read(output, self.max_bytes)
-            if exit_code == 0 and (found := _parsed(said)) is not None:
+            if exit_code == 0 and record.is_file() and (found := _parsed(said)) is not None:
                 return found
             if exit_code == _EXIT_BAD_INPUT and (problems := _problems(said)):
                 raise InvalidFilesError(problems)
@@ -73,7 +81,7 @@ class Preflight:
         with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=log, start_new_session=True
         ) as child:
-            resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_bytes + 1, self.max_bytes + 1))
+            resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
             try:
                 return child.wait(self.timeout_s)
             except subprocess.TimeoutExpired:

@@ -69,6 +69,9 @@ class Settings(BaseSettings):
     )
     preflight_timeout_s: float = Field(default=300.0, gt=0, description="How long the check may take.")
     max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="How much the check may say.")
+    max_record_bytes: int = Field(
+        default=256 * MIB, gt=0, description="Of what the check keeps for the workers: times of all frames."
+    )
     max_parallel_preflights: int = Field(default=2, gt=0, description="Checks at the same time.")
 
     @model_validator(mode="after")

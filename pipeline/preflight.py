@@ -1,7 +1,8 @@
 """Check a session in a process of its own: ``python -m pipeline.preflight --videos FILE... --calibration FILE``.
 
 Prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the session is. So a caller that must not load
-the science, or must not be hurt by a stranger's file, can still know all about a session.
+the science, or must not be hurt by a stranger's file, can still know all about a session. ``--record FILE`` keeps what
+was found, so that nobody has to look through the videos again.
 """
 
 import argparse
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import InputError
+from pipeline.records_npz import encode_session
 from pipeline.session import CaptureSession, open_session
 from pipeline.video.timeline import session_timebase
 
@@ -41,9 +43,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Check a capture session.")
     parser.add_argument("--videos", nargs="+", type=Path, required=True)
     parser.add_argument("--calibration", type=Path, required=True)
+    parser.add_argument("--record", type=Path)
     arguments = parser.parse_args()
     try:
-        found = report(open_session(arguments.videos, arguments.calibration))
+        session = open_session(arguments.videos, arguments.calibration)
+        if arguments.record:
+            arguments.record.write_bytes(encode_session(session))
+        found = report(session)
     except InputError as error:
         found = {"problems": [asdict(problem) for problem in error.problems]}
     sys.stdout.write(json.dumps(found, allow_nan=False) + "\n")

@@ -4,12 +4,17 @@ Only plain arrays are written and read (no pickles): a file that was tampered wi
 """
 
 import io
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 
-from pipeline.data import Detections, Observations, SkeletonMotion, Track3D
+from pipeline.data import Camera, Detections, FrameTimes, Observations, SkeletonMotion, Track3D
+from pipeline.geometry.rigid import Rigid3
+from pipeline.session import CaptureSession
+from pipeline.video.info import VideoInfo
 
 
 def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -21,6 +26,71 @@ def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
 def _decode(content: bytes) -> dict[str, np.ndarray]:
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         return dict(archive)
+
+
+def encode_session(session: CaptureSession) -> bytes:
+    """Write what is known of a session's cameras and videos; of the videos' paths only the names."""
+    head = {
+        "cameras": [{"name": camera.name, "size_px": camera.size_px} for camera in session.cameras],
+        "videos": [
+            {
+                "file": video.path.name,
+                "codec": video.codec,
+                "size_px": video.size_px,
+                "rotation_deg": video.rotation_deg,
+                "frame_rate_hz": video.frame_rate_hz,
+            }
+            for video in session.videos
+        ],
+        "warnings": session.warnings,
+    }
+    arrays: dict[str, np.ndarray] = {"head": np.array(json.dumps(head))}
+    for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
+        arrays |= {
+            f"matrix_{k}": camera.matrix,
+            f"distortion_{k}": camera.distortion,
+            f"rotation_{k}": camera.cam_from_world.rotation,
+            f"translation_m_{k}": camera.cam_from_world.translation_m,
+            f"pts_{k}": video.pts,
+            f"keyframe_pts_{k}": video.keyframe_pts,
+            f"video_time_s_{k}": video.time_s,
+            f"time_s_{k}": session.times[camera.name].time_s,
+        }
+    return _encode(arrays)
+
+
+def decode_session(content: bytes, folder: Path) -> CaptureSession:
+    """Read what ``encode_session`` wrote; the videos are in ``folder`` by their names."""
+    arrays = _decode(content)
+    head = json.loads(str(arrays["head"]))
+    cameras = tuple(
+        Camera(
+            name=one["name"],
+            size_px=tuple(one["size_px"]),
+            matrix=arrays[f"matrix_{k}"],
+            distortion=arrays[f"distortion_{k}"],
+            cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
+        )
+        for k, one in enumerate(head["cameras"])
+    )
+    return CaptureSession(
+        cameras=cameras,
+        videos=tuple(
+            VideoInfo(
+                path=folder / one["file"],
+                codec=one["codec"],
+                size_px=tuple(one["size_px"]),
+                rotation_deg=one["rotation_deg"],
+                pts=arrays[f"pts_{k}"],
+                keyframe_pts=arrays[f"keyframe_pts_{k}"],
+                time_s=arrays[f"video_time_s_{k}"],
+                frame_rate_hz=one["frame_rate_hz"],
+            )
+            for k, one in enumerate(head["videos"])
+        ),
+        times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
+        warnings=tuple(head["warnings"]),
+    )
 
 
 def encode_detections(detections: Detections) -> bytes:

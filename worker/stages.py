@@ -12,21 +12,24 @@ from pathlib import Path
 from pipeline.data import Reconstruction, SkeletonMotion
 from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
+from pipeline.errors import ModelError
 from pipeline.export.results import result_files
 from pipeline.records_npz import (
     decode_detections,
     decode_motions,
+    decode_session,
     decode_tracks,
     encode_detections,
     encode_motions,
     encode_tracks,
 )
 from pipeline.run import associate, fit
-from pipeline.session import CaptureSession, open_session
+from pipeline.session import CaptureSession
 from pipeline.video.timeline import session_timebase, span_s
 from worker.execution import Outcome, ResultFile, Stages, Work
-from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.artifacts import ArtifactStore, record_key
 from worker.jobs.model import Session
+from worker.jobs.spec import JobSpec
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
 
 _detector = functools.cache(open_detector)
@@ -49,18 +52,22 @@ class _OpenSession:
         self._files.close()
         self._id = None
         folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
-        named: dict[str, list[Path]] = {"video": [], "calibration": []}
         for file in session.files:
-            path = folder / file.name
-            path.symlink_to(self._files.enter_context(artifacts.local_path(file.key)).absolute())
-            named[file.kind].append(path)
-        (calibration,) = named["calibration"]
-        self._capture = open_session(named["video"], calibration)
+            stored = self._files.enter_context(artifacts.local_path(file.key))
+            (folder / file.name).symlink_to(stored.absolute())
+        with artifacts.open(record_key(session.id)) as record:
+            self._capture = decode_session(record.read(), folder)
         self._id = session.id
         return self._capture
 
 
 _open = _OpenSession()
+
+
+def warm_up() -> None:
+    """Load the default network before it is needed; a chunk says if it is missing."""
+    with contextlib.suppress(ModelError):
+        _detector(JobSpec().detector)
 
 
 def _capture_of(work: Work) -> tuple[CaptureSession, Detector]:

@@ -51,6 +51,7 @@ if calibration.stat().st_size == 0:
 if problems:
     print(json.dumps({"problems": problems}))
     sys.exit(2)
+pathlib.Path(arguments[arguments.index("--record") + 1]).write_bytes(b"record")
 cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60}
            for video in videos]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
@@ -185,6 +186,14 @@ def live(service: Live) -> Iterator[Live]:
         database.execute("DELETE FROM sessions")
     for folder in ("sessions", "jobs"):
         shutil.rmtree(service.settings.artifacts_dir / folder, ignore_errors=True)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep Schemathesis's cases in one process, where they are counted; its tests don't take a module's marks."""
+    for item in items:
+        if item.path.name == "test_schemathesis.py":
+            item.add_marker(pytest.mark.xdist_group("schemathesis"))
 
 
 def raw(address: tuple[str, int], request: bytes) -> bytes:

@@ -15,8 +15,6 @@ from tests.api.conftest import Live, running
 schema = schemathesis.openapi.from_path(COMMITTED)
 CASES_EACH = 40
 
-pytestmark = pytest.mark.xdist_group("schemathesis")  # they are counted
-
 cases = 0
 
 

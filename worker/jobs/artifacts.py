@@ -3,6 +3,7 @@
 ::
 
     sessions/<session>/inputs/<number>-<name>
+    sessions/<session>/record
     sessions/<session>/stages/<output key>
     jobs/<job>/results/<name>
 """
@@ -34,6 +35,11 @@ _MODE = stat.S_IRUSR | stat.S_IWUSR  # as a new temporary file has it
 def input_key(session_id: str, number: int, name: str) -> str:
     """Where a session's file is; what a client calls it is kept as far as keys allow."""
     return f"sessions/{session_id}/inputs/{number}-{_UNSAFE.sub('_', name)[-_MAX_NAME:]}"
+
+
+def record_key(session_id: str) -> str:
+    """Where that is which the preflight found in a session's files, for the workers."""
+    return f"sessions/{session_id}/record"
 
 
 def stage_key(session_id: str, output_key: str) -> str:
