@@ -188,14 +188,6 @@ def live(service: Live) -> Iterator[Live]:
         shutil.rmtree(service.settings.artifacts_dir / folder, ignore_errors=True)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep Schemathesis's cases in one process, where they are counted; its tests don't take a module's marks."""
-    for item in items:
-        if item.path.name == "test_schemathesis.py":
-            item.add_marker(pytest.mark.xdist_group("schemathesis"))
-
-
 def raw(address: tuple[str, int], request: bytes) -> bytes:
     """Send bytes as they are, and read all of the answer."""
     with socket.create_connection(address[:2], timeout=10) as connection:
