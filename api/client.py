@@ -1,6 +1,7 @@
 """A running service from outside, as our own commands use it: start one, send a session, follow the job, download."""
 
 import contextlib
+import json
 import subprocess
 import sys
 import time
@@ -39,12 +40,13 @@ class Client:
         """Where the service is."""
         return str(self.http.base_url)
 
-    def submit(self, videos: Sequence[Path], calibration: Path) -> Json:
+    def submit(self, name: str, videos: Sequence[Path], calibration: Path) -> Json:
         """Send a session and have it reconstructed; returns the job."""
+        manifest = ("manifest", (None, json.dumps({"name": name}), "application/json"))
         with contextlib.ExitStack() as opened:
             parts = [("videos", path) for path in videos] + [("calibration", calibration)]
             files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
-            return self._call("POST", "/v1/jobs", files=files)
+            return self._call("POST", "/v1/jobs", files=[manifest, *files])
 
     def follow(self, job: Json, on_job: Callable[[Json], None] = lambda _: None) -> Json:
         """Poll a job until it ends; ``on_job`` is called with every answer.

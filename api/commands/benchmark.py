@@ -139,7 +139,7 @@ def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
     """Time a session through a fresh service: from the upload's first byte to the last download's last byte."""
     with served(folder / "service", workers) as client:
         started_s = time.perf_counter()
-        job = client.submit(list(sample.videos.values()), sample.calibration)
+        job = client.submit("Sample capture", list(sample.videos.values()), sample.calibration)
         submitted_s = time.perf_counter()
         job = client.follow(job)
         followed_s = time.perf_counter()

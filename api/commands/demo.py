@@ -66,7 +66,7 @@ def command(
         videos = list(sample.videos.values())
         with served(Path(data_dir), workers=os.cpu_count() or 1) as client:
             console.print(f"The service runs at {client.url}. Sending {len(videos)} videos.")
-            job = client.submit(videos, sample.calibration)
+            job = client.submit("Sample capture", videos, sample.calibration)
             with StageBars(visible=True) as bars:
                 job = client.follow(job, bars.update_job)
             paths = client.download(job, out)
