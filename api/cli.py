@@ -2,7 +2,7 @@
 
 import typer
 
-from api.commands import benchmark, demo, evaluate, models, reconstruct, samples, serve
+from api.commands import benchmark, demo, evaluate, models, reconstruct, samples, serve, simulate
 from pipeline.memory import give_pictures_back
 
 app = typer.Typer(
@@ -15,6 +15,7 @@ app = typer.Typer(
 app.command("demo")(demo.command)
 app.command("reconstruct")(reconstruct.command)
 app.command("serve")(serve.command)
+app.command("simulate")(simulate.command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(benchmark.app, name="benchmark")
 app.add_typer(models.app, name="models")

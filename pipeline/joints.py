@@ -67,6 +67,72 @@ COCO_17 = JointSet(
     ),
 )
 
+_OPENPOSE_BONES = (*COCO_17.bones, ("nose", "neck"))
+_OPENPOSE_FEET = tuple(
+    bone
+    for side in ("left", "right")
+    for bone in (
+        (f"{side}_ankle", f"{side}_heel"),
+        (f"{side}_ankle", f"{side}_big_toe"),
+        (f"{side}_big_toe", f"{side}_small_toe"),
+    )
+)
+
+# OpenPose's two models, in the order of its output.
+BODY_25 = JointSet(
+    names=(
+        "nose",
+        "neck",
+        "right_shoulder",
+        "right_elbow",
+        "right_wrist",
+        "left_shoulder",
+        "left_elbow",
+        "left_wrist",
+        "mid_hip",
+        "right_hip",
+        "right_knee",
+        "right_ankle",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "right_eye",
+        "left_eye",
+        "right_ear",
+        "left_ear",
+        "left_big_toe",
+        "left_small_toe",
+        "left_heel",
+        "right_big_toe",
+        "right_small_toe",
+        "right_heel",
+    ),
+    bones=(*_OPENPOSE_BONES, ("neck", "mid_hip"), *_OPENPOSE_FEET),
+)
+COCO_18 = JointSet(
+    names=(
+        "nose",
+        "neck",
+        "right_shoulder",
+        "right_elbow",
+        "right_wrist",
+        "left_shoulder",
+        "left_elbow",
+        "left_wrist",
+        "right_hip",
+        "right_knee",
+        "right_ankle",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "right_eye",
+        "left_eye",
+        "right_ear",
+        "left_ear",
+    ),
+    bones=_OPENPOSE_BONES,
+)
+
 # Rigid enough to have one length a person: shoulders, arms, hips and legs.
 LIMBS: tuple[tuple[str, str], ...] = (
     ("left_shoulder", "left_elbow"),

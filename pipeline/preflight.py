@@ -15,7 +15,6 @@ from typing import Any
 from pipeline.errors import InputError
 from pipeline.records_npz import encode_session
 from pipeline.session import CaptureSession, open_session
-from pipeline.video.timeline import session_timebase
 
 EXIT_BAD_INPUT = 2
 
@@ -33,7 +32,7 @@ def report(session: CaptureSession) -> dict[str, Any]:
             }
             for camera, video in zip(session.cameras, session.videos, strict=True)
         ],
-        "timebase": asdict(session_timebase(session.times)),
+        "timebase": asdict(session.timebase),
         "warnings": list(session.warnings),
     }
 

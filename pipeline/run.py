@@ -15,15 +15,17 @@ from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.errors import PipelineError
 from pipeline.joints import JointSet
+from pipeline.keypoints import KeypointSession
 from pipeline.memory import give_pictures_back
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.session import CaptureSession
 from pipeline.skeleton.solve import motion_from_track
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
-from pipeline.video.timeline import chunk_ranges, session_timebase
+from pipeline.video.timeline import chunk_ranges
 
 Span = tuple[float, float]
+Views = CaptureSession | KeypointSession
 Chunk = tuple[str, Span]  # of a camera
 
 
@@ -49,25 +51,41 @@ def reconstruct(
         If the detector is not installed.
     """
     detector = open_detector(config.detector)
-    timebase = session_timebase(session.times)
     cameras = [camera.name for camera in session.cameras]
-    chunks = [(camera, span) for span in chunk_ranges(timebase, config.chunk_frames) for camera in cameras]
+    chunks = [(camera, span) for span in chunk_ranges(session.timebase, config.chunk_frames) for camera in cameras]
     detected = (
         _map_here(session, chunks, detector, on_progress)
         if config.processes == 1
         else _map_in_processes(session, chunks, config, on_progress)
     )
     detections = concatenate(detected, cameras, len(detector.joints.names))
+    return _reconstruct_people(session, detections, detector.joints, on_progress)
+
+
+def reconstruct_keypoints(session: KeypointSession, on_progress: OnProgress = silent) -> Reconstruction:
+    """Reconstruct everybody from 2D joints that another program found.
+
+    Parameters
+    ----------
+    on_progress
+        Called after every step, from the calling thread.
+    """
+    return _reconstruct_people(session, session.detections, session.joints, on_progress)
+
+
+def _reconstruct_people(
+    session: Views, detections: Mapping[str, Detections], joints: JointSet, on_progress: OnProgress
+) -> Reconstruction:
     on_progress(Progress("associate", 0, 1))
     tracks, observations = associate(session, detections)
     on_progress(Progress("associate", 1, 1))
     on_progress(Progress("fit", 0, 1))
-    motions = fit(session, tracks, detector.joints)
+    motions = fit(session, tracks, joints)
     on_progress(Progress("fit", 1, 1))
     return Reconstruction(
         cameras=session.cameras,
-        joints=detector.joints,
-        timebase=timebase,
+        joints=joints,
+        timebase=session.timebase,
         tracks=tracks,
         observations=observations,
         motions=motions,
@@ -76,18 +94,16 @@ def reconstruct(
 
 
 def associate(
-    session: CaptureSession, detections: Mapping[str, Detections]
+    session: Views, detections: Mapping[str, Detections]
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order."""
-    timebase = session_timebase(session.times)
-    parameters = derive_parameters(session.cameras, timebase.frame_rate_hz)
-    return reconstruct_tracks(session.cameras, session.times, detections, timebase, parameters)
+    parameters = derive_parameters(session.cameras, session.timebase.frame_rate_hz)
+    return reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
 
 
-def fit(session: CaptureSession, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:
+def fit(session: Views, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:
     """Animate one skeleton a person."""
-    timebase = session_timebase(session.times)
-    return tuple(motion_from_track(track, joints, timebase, f"person-{track.track_id}") for track in tracks)
+    return tuple(motion_from_track(track, joints, session.timebase, f"person-{track.track_id}") for track in tracks)
 
 
 def _num_frames(session: CaptureSession) -> int:

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.calibration.registry import read_calibration
-from pipeline.data import Camera, FrameTimes
+from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
+from pipeline.pairing import pair_by_name
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe_in_children
+from pipeline.video.timeline import session_timebase
 
 MIN_CAMERAS = 2
 
@@ -35,6 +37,11 @@ class CaptureSession:
     times: Mapping[str, FrameTimes]
     warnings: tuple[str, ...]
 
+    @property
+    def timebase(self) -> Timebase:
+        """The output frames."""
+        return session_timebase(self.times)
+
 
 def open_session(videos: Path | Sequence[Path], calibration: Path) -> CaptureSession:
     """Open a folder of videos, or the videos named, with a calibration.
@@ -58,7 +65,11 @@ def open_session(videos: Path | Sequence[Path], calibration: Path) -> CaptureSes
     problems.extend(found for found in probed if isinstance(found, Problem))
     infos = {path.stem: found for path, found in zip(paths, probed, strict=True) if isinstance(found, VideoInfo)}
     if cameras:
-        pairs = _pair(cameras, [path.stem for path in paths], problems, warnings)
+        pairs, unpaired, shown = pair_by_name(
+            [camera.name for camera in cameras], [path.stem for path in paths], "video"
+        )
+        problems += unpaired
+        warnings += shown
         for camera in cameras:
             video = infos.get(pairs.get(camera.name, ""))
             if video is not None and video.size_px != camera.size_px:
@@ -97,37 +108,6 @@ def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], 
                 Problem("duplicate_video", f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
             )
     return paths, warnings, problems
-
-
-def _pair(
-    cameras: Sequence[Camera], stems: Sequence[str], problems: list[Problem], warnings: list[str]
-) -> dict[str, str]:
-    """Name of the video of each camera, by exact name for all of them, or in sorted order for all of them."""
-    names = [camera.name for camera in cameras]
-    if not set(names) & set(stems) and len(names) == len(stems):
-        pairs = dict(zip(sorted(names), sorted(stems), strict=True))
-        shown = ", ".join(f"{camera}: {video}" for camera, video in pairs.items())
-        warnings.append(f"No video bears the name of a camera. They were paired in sorted order: {shown}.")
-        return pairs
-    problems.extend(
-        Problem(
-            "camera_without_video",
-            "The calibration has this camera, but no video bears its name.",
-            camera=name,
-            hint="Add its video, or remove it from the calibration.",
-        )
-        for name in sorted(set(names) - set(stems))
-    )
-    problems.extend(
-        Problem(
-            "video_without_camera",
-            "No camera in the calibration has the name of this video.",
-            file=stem,
-            hint=f"The calibration's cameras are {', '.join(sorted(names))}.",
-        )
-        for stem in sorted(set(stems) - set(names))
-    )
-    return {name: name for name in names if name in stems}
 
 
 def _size_problem(camera: Camera, video: VideoInfo) -> Problem:

@@ -25,7 +25,7 @@ from pipeline.records_npz import (
 )
 from pipeline.run import associate, fit
 from pipeline.session import CaptureSession
-from pipeline.video.timeline import session_timebase, span_s
+from pipeline.video.timeline import span_s
 from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore, record_key
 from worker.jobs.model import Session
@@ -78,7 +78,7 @@ def detect(work: Work) -> Outcome:
     """Find all bodies in a range of a camera's frames."""
     session, detector = _capture_of(work)
     chunk = work.claim.payload
-    span = span_s(session_timebase(session.times), chunk["start_frame"], chunk["stop_frame"])
+    span = span_s(session.timebase, chunk["start_frame"], chunk["stop_frame"])
     return Outcome(encode_detections(detect_chunk(session, chunk["camera"], span, detector, work.on_unit)))
 
 
@@ -108,7 +108,7 @@ def export(work: Work) -> Outcome:
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=detector.joints,
-        timebase=session_timebase(session.times),
+        timebase=session.timebase,
         tracks=tracks,
         observations=observations,
         motions=decode_motions(*work.outputs(FIT)),

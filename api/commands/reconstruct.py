@@ -1,4 +1,4 @@
-"""`multicap reconstruct`: videos and a calibration to people in motion, no service needed."""
+"""`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
 
 import time
 from collections.abc import Mapping
@@ -14,8 +14,9 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export.results import result_files
+from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.metrics.quality import quality_report
-from pipeline.run import reconstruct
+from pipeline.run import Views, reconstruct, reconstruct_keypoints
 from pipeline.session import open_session
 
 
@@ -68,11 +69,37 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
         console.print(Text.assemble(("warning ", "yellow"), check["message"]))
 
 
+def _check_sources(
+    videos: list[Path] | None, keypoints: Path | None, timestamps: Path | None, frame_rate: float | None
+) -> None:
+    problems = []
+    if (videos is None) == (keypoints is None):
+        problems.append(Problem("sources", "A session is of videos or of keypoints.", hint="Give one of the two."))
+    if keypoints is None and (timestamps is not None or frame_rate is not None):
+        message = "Timestamps and frame rate are those of keypoints; a video says its own."
+        problems.append(Problem("sources", message, hint="Leave them away."))
+    if problems:
+        raise InputError(problems)
+
+
 def command(
     calibration: Annotated[Path, typer.Option(help="Cameras: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
-    videos: Annotated[list[Path], typer.Option(help="A folder with one video a camera, or the videos.")],
+    videos: Annotated[
+        list[Path] | None, typer.Option(help="A folder with one video a camera, or the videos.", show_default=False)
+    ] = None,
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
+    keypoints: Annotated[
+        Path | None,
+        typer.Option(help="Instead of videos: a folder with a folder of OpenPose's JSON files a camera."),
+    ] = None,
+    timestamps: Annotated[
+        Path | None, typer.Option(help="Of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+    ] = None,
+    frame_rate: Annotated[
+        float | None,
+        typer.Option(help="Of the keypoints' frames, in Hz, without timestamps; 25 by default."),
+    ] = None,
     method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
     chunk_frames: Annotated[
@@ -81,19 +108,27 @@ def command(
     processes: Annotated[int, typer.Option(min=1, max=64, help="Pieces worked on at once.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """Reconstruct everybody in synchronised videos of calibrated cameras."""
+    """Reconstruct everybody in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         if method != "tracking":
             raise InputError([Problem("unknown_method", f"There is no method '{method}'.", hint="Use 'tracking'.")])
-        config = ReconstructionConfig(
-            method="tracking", detector=detector, chunk_frames=chunk_frames, processes=processes
-        )
-        named = [*videos, *(more_videos or [])]
-        session = open_session(named[0] if len(named) == 1 else named, calibration)
+        _check_sources(videos, keypoints, timestamps, frame_rate)
+        session: Views
+        if keypoints is not None:
+            session = open_keypoints(keypoints, calibration, timestamps, frame_rate)
+        else:
+            named = [*(videos or []), *(more_videos or [])]
+            session = open_session(named[0] if len(named) == 1 else named, calibration)
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))
-        reconstruction = reconstruct(session, config, bars.update)
+        if isinstance(session, KeypointSession):
+            reconstruction = reconstruct_keypoints(session, bars.update)
+        else:
+            config = ReconstructionConfig(
+                method="tracking", detector=detector, chunk_frames=chunk_frames, processes=processes
+            )
+            reconstruction = reconstruct(session, config, bars.update)
         paths = write_results(reconstruction, out)
     metrics = quality_report(reconstruction)
     if as_json:

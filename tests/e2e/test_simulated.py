@@ -1,12 +1,17 @@
 """Tracking of simulated people, whose truth is exact, from what a faulty detector sees of them."""
 
+import json
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.joints import COCO_17
 from pipeline.metrics.mpjpe import BODY_JOINTS, accuracy, select_joints
+from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
@@ -28,3 +33,32 @@ def test_everybody_keeps_one_identity(name: str) -> None:
     assert found.recall is not None
     assert found.recall >= 0.97
     assert found.ghost_rate == 0
+
+
+def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
+    simulation = record(replace(find_scene("room"), duration_s=2.0), seed=5)
+    for name, content in simulation_files(simulation):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    out = tmp_path / "out"
+    command = [
+        *(sys.executable, "-m", "api.cli", "reconstruct", "--json"),
+        *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
+        *("--calibration", str(tmp_path / "calibration.json"), "--out", str(out)),
+    ]
+    said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
+    parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
+    tracks, _ = reconstruct_tracks(
+        simulation.cameras, simulation.times, simulation.detections, simulation.timebase, parameters
+    )
+    assert len(tracks) == len(simulation.truth_m)
+    assert said["tracks"] == [
+        {"id": track.track_id, "start_frame": track.start_frame, "num_frames": track.num_frames} for track in tracks
+    ]
+    written = json.loads((out / "skeletons.json").read_bytes())["tracks"]
+    for track, one in zip(tracks, written, strict=True):
+        positions_m = np.array([[xyz or [np.nan] * 3 for xyz in frame] for frame in one["positions_m"]])
+        np.testing.assert_allclose(positions_m, track.xyz_m, atol=1e-4)
+    with np.load(tmp_path / "truth.npz") as truth:
+        np.testing.assert_array_equal(truth["xyz_m"], simulation.truth_m)

@@ -1,0 +1,339 @@
+"""Open a session of 2D joints that another program found: OpenPose's JSON, a folder a camera.
+
+A folder holds a file a frame, named as ``frame_000000000123_keypoints.json``; the digits before ``_keypoints`` are the
+frame's number. ``pose_keypoints_2d`` holds x, y and score of 25 (BODY_25), 18 (COCO-18) or 17 (COCO-17) joints; one
+with a score of 0 or less, or that is not finite, was not found. A missing file is a frame that was dropped.
+"""
+
+import csv
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.registry import read_calibration
+from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.errors import InputError, Problem
+from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
+from pipeline.pairing import pair_by_name
+from pipeline.session import MIN_CAMERAS
+
+DEFAULT_FRAME_RATE_HZ = 25.0
+
+_FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
+_FORMATS: Mapping[int, JointSet] = {3 * len(joints.names): joints for joints in (BODY_25, COCO_18, COCO_17)}
+_MAX_FILE_BYTES = 4 * 2**20
+_MAX_PEOPLE = 200
+# A folder with thousands of bad files has one cause; its first files show it.
+_MAX_PROBLEMS_A_CAMERA = 10
+_MAX_START_S = 3600.0
+
+People = Float[np.ndarray, "_ _ 3"]  # people and joints, which differ from frame to frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeypointSession:
+    """Calibrated cameras and the 2D joints that were found in their frames.
+
+    Parameters
+    ----------
+    cameras
+        In the calibration's order.
+    times
+        When each camera took its frames, on the session's clock; by camera name.
+    timebase
+        Without timestamps output frame k is file number k.
+    detections
+        By camera name.
+    joints
+        What the joint axis of the detections holds.
+    warnings
+        What a person should know, a sentence each.
+    """
+
+    cameras: tuple[Camera, ...]
+    times: Mapping[str, FrameTimes]
+    timebase: Timebase
+    detections: Mapping[str, Detections]
+    joints: JointSet
+    warnings: tuple[str, ...]
+
+
+def open_keypoints(
+    folder: Path, calibration: Path, timestamps: Path | None = None, frame_rate_hz: float | None = None
+) -> KeypointSession:
+    """Open a folder with a folder of keypoint files a camera.
+
+    A folder belongs to the camera of its name, for all folders or for none; else folders and cameras are paired in
+    sorted order, with a warning that shows the pairs.
+
+    Parameters
+    ----------
+    timestamps
+        CSV with the columns ``camera``, ``frame`` and ``time_s``: seconds on the clock that all cameras share, which
+        starts at 0. Without it frame k of all cameras is at k / ``frame_rate_hz``.
+    frame_rate_hz
+        25 by default, with a warning; not allowed beside ``timestamps``.
+
+    Raises
+    ------
+    InputError
+        With all problems of all files.
+    """
+    problems: list[Problem] = []
+    warnings: list[str] = []
+    cameras: tuple[Camera, ...] = ()
+    try:
+        cameras = read_calibration(calibration)
+    except InputError as error:
+        problems.extend(error.problems)
+    folders = _camera_folders(folder, warnings, problems)
+    pairs: Mapping[str, str] = {}
+    if cameras and folders:
+        pairs, unpaired, shown = pair_by_name([camera.name for camera in cameras], list(folders), "folder")
+        problems += unpaired
+        warnings += shown
+    frames = {name: _read_folder(path, warnings, problems) for name, path in folders.items()}
+    joints = _joint_set(frames, problems)
+    found = {camera: frames[name] for camera, name in pairs.items()}
+    if timestamps is not None and frame_rate_hz is not None:
+        problems.append(Problem("two_clocks", "There are timestamps and a frame rate.", hint="Give one of them."))
+    times, timebase = (
+        _times_from_rate(found, frame_rate_hz, warnings, problems)
+        if timestamps is None
+        else _times_from_file(found, timestamps, problems)
+    )
+    if problems or joints is None or timebase is None:
+        raise InputError(problems)
+    warnings += [f"Camera {camera} saw nobody." for camera, of in found.items() if not sum(map(len, of.values()))]
+    return KeypointSession(
+        cameras=cameras,
+        times=times,
+        timebase=timebase,
+        detections={camera: _as_detections(camera, list(of.values()), joints) for camera, of in found.items()},
+        joints=joints,
+        warnings=tuple(warnings),
+    )
+
+
+def _camera_folders(folder: Path, warnings: list[str], problems: list[Problem]) -> dict[str, Path]:
+    """The folders of the cameras by name; at least as many as a reconstruction needs."""
+    if not folder.is_dir():
+        problems.append(Problem("keypoints_missing", "There is no such folder.", file=folder.name))
+        return {}
+    entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    warnings.extend(f"{path.name} is ignored: it is no folder." for path in entries if not path.is_dir())
+    folders = {path.name: path for path in entries if path.is_dir()}
+    if len(folders) < MIN_CAMERAS:
+        problems.append(
+            Problem(
+                "too_few_folders",
+                f"There are {len(folders)} folders; at least {MIN_CAMERAS} are needed.",
+                file=folder.name,
+                hint="Give a folder of keypoint files for each camera.",
+            )
+        )
+    return folders
+
+
+def _read_folder(folder: Path, warnings: list[str], problems: list[Problem]) -> dict[int, People]:
+    """People by frame number, in ascending order."""
+    numbered: dict[int, Path] = {}
+    ignored: list[str] = []
+    found: list[Problem] = []
+    for path in sorted(folder.iterdir()):
+        match = _FILE_NAME.fullmatch(path.name)
+        if match is None or not path.is_file():
+            ignored.append(path.name)
+        elif (number := int(match[1])) in numbered:
+            found.append(
+                Problem("keypoints_duplicate", f"{numbered[number].name} is of the same frame.", file=path.name)
+            )
+        else:
+            numbered[number] = path
+    if ignored:
+        some = ", ".join(ignored[:3]) + (", ..." if len(ignored) > 3 else "")
+        warnings.append(f"{len(ignored)} other files in {folder.name} are ignored: {some}.")
+    if not numbered:
+        hint = "Its files must be named as frame_000000000123_keypoints.json."
+        found.append(Problem("keypoints_none", "The folder has no keypoint files.", file=folder.name, hint=hint))
+    frames: dict[int, People] = {}
+    for number, path in sorted(numbered.items()):
+        read = _read_file(path)
+        if isinstance(read, Problem):
+            found.append(read)
+        else:
+            frames[number] = read
+    problems += found[:_MAX_PROBLEMS_A_CAMERA]
+    if len(found) > _MAX_PROBLEMS_A_CAMERA:
+        more = len(found) - _MAX_PROBLEMS_A_CAMERA
+        problems.append(Problem("keypoints_unreadable", f"{more} more files are like these.", file=folder.name))
+    return frames
+
+
+def _read_file(path: Path) -> People | Problem:
+    """People of one frame; of none, an array without joints."""
+    try:
+        return _parse(path)
+    except _UnreadableError as error:
+        message = str(error)
+    except (OSError, RecursionError):
+        message = "The file can't be read."
+    except (ValueError, TypeError, KeyError):
+        message = "This is no keypoint file of OpenPose, or its people differ in their numbers of joints."
+    hint = "Write the file again, or remove it: a missing file is a dropped frame."
+    return Problem("keypoints_unreadable", message, file=f"{path.parent.name}/{path.name}", hint=hint)
+
+
+class _UnreadableError(Exception):
+    """What is wrong with a file, in words for a person."""
+
+
+def _parse(path: Path) -> People:
+    if path.stat().st_size > _MAX_FILE_BYTES:
+        raise _UnreadableError(f"The file is larger than {_MAX_FILE_BYTES // 2**20} MiB.")
+    people = [person["pose_keypoints_2d"] for person in json.loads(path.read_bytes())["people"]]
+    if not people:
+        return np.empty((0, 0, 3))
+    if len(people) > _MAX_PEOPLE:
+        raise _UnreadableError(f"The file has {len(people)} people; at most {_MAX_PEOPLE} are taken.")
+    values = np.array(people, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] not in _FORMATS:
+        count = values[0].size
+        raise _UnreadableError(f"A person has {count} numbers: BODY_25 has 75, COCO-18 54, COCO-17 51.")
+    return values.reshape(len(people), -1, 3)
+
+
+def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Problem]) -> JointSet | None:
+    """What the joints of all files are; ``None`` and a problem if they differ or there are none at all."""
+    formats = {name: {3 * people.shape[1] for people in of.values() if len(people)} for name, of in frames.items()}
+    used = set().union(*formats.values()) if formats else set()
+    if len(used) > 1:
+        shown = ", ".join(
+            f"{name}: {' and '.join(str(count // 3) for count in sorted(counts))} joints"
+            for name, counts in formats.items()
+            if counts
+        )
+        problems.append(
+            Problem("keypoints_mixed", f"The files are of several kinds ({shown}).", hint="Use one kind for all.")
+        )
+        return None
+    if not used:
+        if frames and not problems:
+            problems.append(Problem("keypoints_empty", "No camera saw anybody.", hint="Check the detector's output."))
+        return None
+    return _FORMATS[used.pop()]
+
+
+def _times_from_rate(
+    frames: Mapping[str, Mapping[int, People]],
+    frame_rate_hz: float | None,
+    warnings: list[str],
+    problems: list[Problem],
+) -> tuple[dict[str, FrameTimes], Timebase | None]:
+    """Frame k of all cameras at k over the frame rate."""
+    rate_hz = DEFAULT_FRAME_RATE_HZ if frame_rate_hz is None else frame_rate_hz
+    if frame_rate_hz is None:
+        warnings.append(f"The frame rate is taken to be {rate_hz:g} Hz; --frame-rate says another one.")
+    if not 1.0 <= rate_hz <= 1000.0:
+        problems.append(Problem("frame_rate", f"{rate_hz:g} Hz is no frame rate.", hint="Use 1 to 1000 Hz."))
+        return {}, None
+    times = {camera: FrameTimes(np.array(list(of), dtype=np.float64) / rate_hz) for camera, of in frames.items()}
+    last = max((max(of, default=0) for of in frames.values()), default=0)
+    return times, Timebase(0.0, rate_hz, last + 1)
+
+
+def _times_from_file(
+    frames: Mapping[str, Mapping[int, People]], timestamps: Path, problems: list[Problem]
+) -> tuple[dict[str, FrameTimes], Timebase | None]:
+    """Frames at the times of the file; output frames from 0 at the rate of the fastest camera."""
+    said = _read_timestamps(timestamps, frames.keys(), problems)
+    times: dict[str, FrameTimes] = {}
+    for camera, of in frames.items():
+        missing = [number for number in of if number not in said.get(camera, {})]
+        if missing:
+            message = f"{len(missing)} of its frames have no time, frame {missing[0]} the first."
+            problems.append(Problem("timestamps_missing", message, file=timestamps.name, camera=camera))
+            continue
+        time_s = np.array([said[camera][number] for number in of], dtype=np.float64)
+        if (np.diff(time_s) <= 0).any():
+            first = list(of)[int(np.argmax(np.diff(time_s) <= 0)) + 1]
+            message = f"Times must ascend from frame to frame; that of frame {first} does not."
+            problems.append(Problem("timestamps_order", message, file=timestamps.name, camera=camera))
+            continue
+        times[camera] = FrameTimes(time_s)
+    if problems or not times:
+        return times, None
+    if min(one.time_s[0] for one in times.values() if len(one.time_s)) > _MAX_START_S:
+        hint = "Subtract the time at which the capture started."
+        problems.append(Problem("timestamps_start", "Times count from 0.", file=timestamps.name, hint=hint))
+        return times, None
+    intervals_s = [float(np.median(np.diff(one.time_s))) for one in times.values() if len(one.time_s) > 1]
+    if not intervals_s:
+        problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
+        return times, None
+    rate_hz = 1.0 / min(intervals_s)
+    end_s = max(float(one.time_s[-1]) for one in times.values())
+    return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
+
+
+def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]]:
+    """Seconds by camera and frame; rows of other cameras are left out."""
+    said: dict[str, dict[int, float]] = {camera: {} for camera in cameras}
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.DictReader(file)
+            for row in rows:
+                _take_row(row, rows.line_num, said)
+    except _UnreadableError as error:
+        problems.append(Problem("timestamps_invalid", str(error), file=path.name))
+    except FileNotFoundError:
+        problems.append(Problem("timestamps_invalid", "There is no such file.", file=path.name))
+    except (OSError, UnicodeDecodeError, csv.Error):
+        problems.append(Problem("timestamps_invalid", "The file can't be read as CSV.", file=path.name))
+    return said
+
+
+def _take_row(row: Mapping[str, str], line: int, said: Mapping[str, dict[int, float]]) -> None:
+    if not {"camera", "frame", "time_s"} <= row.keys():
+        raise _UnreadableError("The file needs the columns camera, frame and time_s.")
+    if row["camera"] not in said:
+        return
+    try:
+        frame, time_s = int(row["frame"]), float(row["time_s"])
+    except (TypeError, ValueError):
+        raise _UnreadableError(f"Line {line} is no frame with a time.") from None
+    if not 0 <= time_s < np.inf:
+        raise _UnreadableError(f"The time in line {line} is not 0 or more.")
+    if frame in said[row["camera"]]:
+        raise _UnreadableError(f"Line {line} gives frame {frame} of {row['camera']} a second time.")
+    said[row["camera"]][frame] = time_s
+
+
+def _as_detections(camera: str, frames: Sequence[People], joints: JointSet) -> Detections:
+    """Detections of one camera; frames are counted as they come, as in ``times``."""
+    num_joints = len(joints.names)
+    people = np.concatenate([np.empty((0, num_joints, 3)), *(of for of in frames if len(of))])
+    points_px, score = people[..., :2], people[..., 2]
+    found = np.isfinite(people).all(-1) & (score > 0)
+    keypoints_px = np.where(found[..., None], points_px, np.nan)
+    return Detections(
+        camera=camera,
+        frame=np.repeat(np.arange(len(frames)), [len(of) for of in frames]),
+        keypoints_px=keypoints_px,
+        score=np.where(found, np.clip(score, 0.0, 1.0), 0.0),
+        box_px=_boxes(keypoints_px),
+    )
+
+
+def _boxes(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, "n 4"]:
+    """Around the joints that were found; NaN where none was."""
+    known = np.isfinite(keypoints_px)
+    low = np.where(known, keypoints_px, np.inf).min(1, initial=np.inf)
+    high = np.where(known, keypoints_px, -np.inf).max(1, initial=-np.inf)
+    boxes = np.concatenate([low, high], axis=1)
+    return np.where(np.isfinite(boxes), boxes, np.nan)

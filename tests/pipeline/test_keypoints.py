@@ -1,0 +1,230 @@
+"""Keypoint folders: what is read, what is refused, and with which words."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.data import Detections
+from pipeline.errors import InputError
+from pipeline.joints import BODY_25, COCO_17, COCO_18
+from pipeline.keypoints import KeypointSession, open_keypoints
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import Simulation, find_scene, record
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return record(replace(find_scene("unsynchronised"), duration_s=1.0), seed=4, num_views=3)
+
+
+@pytest.fixture
+def scene(simulation: Simulation, tmp_path: Path) -> Path:
+    for name, content in simulation_files(simulation):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return tmp_path
+
+
+def opened(scene: Path, timed: bool = True, frame_rate_hz: float | None = None) -> KeypointSession:
+    timestamps = scene / "timestamps.csv" if timed else None
+    return open_keypoints(scene / "keypoints", scene / "calibration.json", timestamps, frame_rate_hz)
+
+
+def problems_of(scene: Path, timed: bool = True, frame_rate_hz: float | None = None) -> dict[str, str]:
+    with pytest.raises(InputError) as raised:
+        opened(scene, timed, frame_rate_hz)
+    return {problem.code: str(problem) for problem in raised.value.problems}
+
+
+def frames_of(scene: Path, camera: int = 0) -> list[Path]:
+    return sorted(sorted((scene / "keypoints").iterdir())[camera].iterdir())
+
+
+def edit(path: Path, change: Callable[[list[list[float]]], object]) -> None:
+    """Change the people's numbers in a file."""
+    people = [one["pose_keypoints_2d"] for one in json.loads(path.read_bytes())["people"]]
+    change(people)
+    path.write_text(json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": one} for one in people]}))
+
+
+def frame_with_people(scene: Path, simulation: Simulation) -> Path:
+    first: Detections = simulation.detections[simulation.cameras[0].name]
+    return scene / "keypoints" / first.camera / f"frame_{int(first.frame[0]):012d}_keypoints.json"
+
+
+def test_what_was_simulated_comes_back(scene: Path, simulation: Simulation) -> None:
+    session = opened(scene)
+    assert session.joints == COCO_17
+    assert session.warnings == ()
+    assert session.timebase.start_time_s == 0.0
+    for camera in simulation.cameras:
+        ours, theirs = simulation.detections[camera.name], session.detections[camera.name]
+        np.testing.assert_array_equal(session.times[camera.name].time_s, simulation.times[camera.name].time_s)
+        np.testing.assert_array_equal(theirs.frame, ours.frame)
+        np.testing.assert_array_equal(theirs.keypoints_px, ours.keypoints_px)
+        np.testing.assert_array_equal(theirs.score, ours.score)
+
+
+def test_without_timestamps_frame_k_is_file_k(scene: Path) -> None:
+    first, *_, last = frames_of(scene)
+    first.unlink()
+    session = opened(scene, timed=False)
+    camera = first.parent.name
+    assert any("25 Hz" in warning for warning in session.warnings)
+    assert session.times[camera].time_s[0] == 1 / 25
+    assert session.timebase.start_time_s == 0.0
+    assert session.timebase.num_frames >= int(last.name[6:18]) + 1
+    faster = opened(scene, timed=False, frame_rate_hz=50.0)
+    assert faster.times[camera].time_s[0] == 1 / 50
+    assert faster.timebase.frame_rate_hz == 50.0
+
+
+@pytest.mark.parametrize("joints", [BODY_25, COCO_18], ids=["BODY_25", "COCO-18"])
+def test_other_joint_sets_are_told_by_their_length(scene: Path, simulation: Simulation, joints: object) -> None:
+    names = joints.names  # type: ignore[attr-defined]
+
+    def spread(people: list[list[float]]) -> None:
+        for row, one in enumerate(people):
+            xys = np.array(one).reshape(17, 3)
+            other = np.zeros((len(names), 3))
+            for k, name in enumerate(names):
+                if name in COCO_17.names:
+                    other[k] = xys[COCO_17.index(name)]
+            people[row] = other.ravel().tolist()
+
+    for camera in range(3):
+        for path in frames_of(scene, camera):
+            edit(path, spread)
+    session = opened(scene)
+    assert session.joints == joints
+    camera_name = simulation.cameras[0].name
+    wrist = session.joints.index("left_wrist")
+    np.testing.assert_array_equal(
+        session.detections[camera_name].keypoints_px[:, wrist],
+        simulation.detections[camera_name].keypoints_px[:, COCO_17.index("left_wrist")],
+    )
+    assert np.isnan(session.detections[camera_name].keypoints_px[:, session.joints.index("neck")]).all()
+
+
+def test_joints_that_are_no_numbers_or_have_no_score_are_unseen(scene: Path, simulation: Simulation) -> None:
+    path = frame_with_people(scene, simulation)
+
+    def spoil(people: list[list[float]]) -> None:
+        people[0][:12] = [5.0, 6.0, -0.5, float("nan"), 6.0, 0.5, 7.0, 8.0, 0.0, 9.0, 10.0, 7.5]
+
+    edit(path, spoil)
+    found = opened(scene).detections[path.parent.name]
+    assert np.isnan(found.keypoints_px[0, :3]).all()
+    np.testing.assert_array_equal(found.score[0, :4], [0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(found.keypoints_px[0, 3], [9.0, 10.0])
+    assert np.isfinite(found.box_px[0]).all()
+
+
+def test_a_camera_that_saw_nobody_is_said(scene: Path) -> None:
+    for path in frames_of(scene):
+        path.write_text('{"people": []}')
+    session = opened(scene)
+    camera = frames_of(scene)[0].parent.name
+    assert session.warnings == (f"Camera {camera} saw nobody.",)
+    assert len(session.detections[camera].frame) == 0
+
+
+def test_other_files_are_ignored_and_said(scene: Path) -> None:
+    (frames_of(scene)[0].parent / "notes.txt").write_text("hello")
+    (scene / "keypoints" / "readme.md").write_text("hello")
+    warnings = opened(scene).warnings
+    assert any("notes.txt" in warning for warning in warnings)
+    assert any("readme.md" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", '{"people": [', "[]", '{"people": 3}', '{"people": [{}]}', '{"people": [{"pose_keypoints_2d": [1, 2]}]}'],
+)
+def test_a_damaged_file_is_named(scene: Path, content: str) -> None:
+    path = frames_of(scene)[2]
+    path.write_text(content)
+    assert path.name in problems_of(scene)["keypoints_unreadable"]
+
+
+def test_many_damaged_files_are_not_all_listed(scene: Path) -> None:
+    for path in frames_of(scene):
+        path.write_text("{")
+    with pytest.raises(InputError) as raised:
+        opened(scene)
+    assert len(raised.value.problems) == 11
+    assert "more files are like these" in str(raised.value.problems[-1])
+
+
+def test_two_kinds_of_files_are_refused(scene: Path) -> None:
+    def lengthen(people: list[list[float]]) -> None:
+        for one in people:
+            one.extend([0.0] * 24)
+
+    for path in frames_of(scene):
+        edit(path, lengthen)
+    assert "25 joints" in problems_of(scene)["keypoints_mixed"]
+
+
+def test_folders_that_match_no_camera(scene: Path) -> None:
+    folder = frames_of(scene)[0].parent
+    folder.rename(folder.with_name("elsewhere"))
+    problems = problems_of(scene)
+    assert "elsewhere" in problems["folder_without_camera"]
+    assert folder.name in problems["camera_without_folder"]
+
+
+def test_folders_of_other_names_are_paired_in_order(scene: Path, simulation: Simulation) -> None:
+    for k, folder in enumerate(sorted((scene / "keypoints").iterdir())):
+        folder.rename(folder.with_name(f"view{k}"))
+    session = opened(scene, timed=False)
+    assert any("paired in sorted order" in warning for warning in session.warnings)
+    assert set(session.detections) == {camera.name for camera in simulation.cameras}
+
+
+def test_missing_folders(tmp_path: Path, scene: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        open_keypoints(tmp_path / "nowhere", scene / "calibration.json")
+
+
+def test_all_is_said_at_once(scene: Path) -> None:
+    (scene / "calibration.json").write_text("{")
+    frames_of(scene)[0].write_text("{")
+    (scene / "timestamps.csv").write_text("camera,frame\n")
+    assert {"keypoints_unreadable"} < problems_of(scene).keys()
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        (lambda rows: rows[:1], "timestamps_missing", "have no time"),
+        (lambda rows: ["camera,frame,when", *rows[1:]], "timestamps_invalid", "columns camera, frame and time_s"),
+        (lambda rows: [*rows, rows[1]], "timestamps_invalid", "a second time"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",soon"], "timestamps_invalid", "Line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",nan"], "timestamps_invalid", "line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",-1"], "timestamps_invalid", "line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",0", *rows[3:]], "timestamps_order", "ascend"),
+    ],
+)
+def test_bad_timestamps(scene: Path, change: Callable[[list[str]], list[str]], code: str, words: str) -> None:
+    path = scene / "timestamps.csv"
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+    assert words in problems_of(scene)[code]
+
+
+def test_rows_may_come_in_any_order(scene: Path, simulation: Simulation) -> None:
+    path = scene / "timestamps.csv"
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *reversed(rows)]) + "\n")
+    camera = simulation.cameras[0].name
+    np.testing.assert_array_equal(opened(scene).times[camera].time_s, simulation.times[camera].time_s)
+
+
+def test_one_clock_only_and_a_sane_one(scene: Path) -> None:
+    assert "two_clocks" in problems_of(scene, frame_rate_hz=30.0)
+    assert "frame_rate" in problems_of(scene, timed=False, frame_rate_hz=0.0)
