@@ -57,7 +57,7 @@ LOCK := uv pip compile --quiet --universal --python-version 3.11 --generate-hash
 	--no-emit-index-url --no-emit-find-links
 
 lock:  ## Pin the dependencies anew (needs uv)
-	$(LOCK) --extra dev --output-file requirements.lock pyproject.toml
+	$(LOCK) --extra dev --extra evaluation --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove what the targets made

@@ -11,9 +11,10 @@ from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.metrics.datasets.shelf import FRAME_RATE_HZ, NUM_SCORED_ACTORS, load_shelf, score_shelf
+from pipeline.metrics.datasets.shelf_tracking import score_tracking
 from pipeline.run import reconstruct
 from pipeline.session import open_session
-from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.associate import associate, locate_people
 from pipeline.tracking.parameters import derive_parameters
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
@@ -56,13 +57,14 @@ def shelf(
         benchmark = load_shelf(data, detections)
         parameters = derive_parameters(benchmark.cameras, FRAME_RATE_HZ)
         started_s = time.perf_counter()
-        tracks, _ = reconstruct_tracks(
-            benchmark.cameras, benchmark.times, benchmark.detections, benchmark.timebase, parameters
-        )
+        views = (benchmark.cameras, benchmark.times, benchmark.detections)
+        identities = associate(*views, parameters)
+        tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
         elapsed_s = time.perf_counter() - started_s
+        scores = score_shelf(tracks, benchmark) | score_tracking(tracks, identities, benchmark)
     result = {
         "method": "tracking",
-        **score_shelf(tracks, benchmark),
+        **scores,
         "fps": benchmark.timebase.num_frames / elapsed_s,
     }
     if as_json:
@@ -75,4 +77,11 @@ def shelf(
     console.print(table)
     rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
     console.print(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
-    console.print(f"Identity switches {result['switches']}, {result['fps']:.0f} frames a second")
+    console.print(
+        f"Association accuracy {result['association_accuracy']:.4f}, identity switches {result['switches']}, "
+        f"ghost tracks {result['ghost_tracks']}, {result['fps']:.0f} frames a second"
+    )
+    table = Table("camera", "MOTA", "IDF1")
+    for name in result["mota"]:
+        table.add_row(name, *(f"{result[metric][name]:.4f}" for metric in ("mota", "idf1")))
+    console.print(table)

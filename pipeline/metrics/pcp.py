@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from pipeline.joints import COCO_17
 
 # The benchmarks' order; the last two are the bottom and the top of the head.
-_LIMB_JOINTS = (
+LIMB_JOINTS = (
     "right_ankle",
     "right_knee",
     "right_hip",
@@ -86,7 +86,7 @@ def benchmark_joints(
     head = HEAD_RULES[head_rule](
         centre("left_shoulder", "right_shoulder"), centre("nose"), centre("left_ear", "right_ear")
     )
-    return np.concatenate([xyz_m[..., COCO_17.indices(_LIMB_JOINTS), :], np.stack(head, axis=-2)], axis=-2)
+    return np.concatenate([xyz_m[..., COCO_17.indices(LIMB_JOINTS), :], np.stack(head, axis=-2)], axis=-2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

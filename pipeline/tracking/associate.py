@@ -69,13 +69,25 @@ def reconstruct_tracks(
     timebase: Timebase,
     parameters: TrackingParameters,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Associate detections, then locate every person's joints at the output frames.
+    """Associate detections, then locate every person; see ``associate`` and ``locate_people``."""
+    identities = associate(cameras, times, detections, parameters)
+    return locate_people(cameras, times, detections, identities, timebase, parameters)
+
+
+def locate_people(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    identities: Mapping[str, np.ndarray],
+    timebase: Timebase,
+    parameters: TrackingParameters,
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Locate every person's joints at the output frames from all detections of one identity.
 
     Returns
     -------
         Tracks numbered from 1 in order of their first frame, and the observations behind each.
     """
-    identities = associate(cameras, times, detections, parameters)
     found = []
     for identity in np.unique(np.concatenate([*identities.values(), [NOBODY]])):
         if identity == NOBODY:

@@ -22,6 +22,9 @@ def test_shelf() -> None:
     assert scores["pcp"]["average"] >= 96.9
     assert (np.array(scores["pcp"]["actors"]) >= [99.4, 92.5, 97.5]).all()
     assert scores["switches"] == 0
+    assert scores["association_accuracy"] >= 0.97
+    assert min(scores["mota"].values()) >= 0.98
+    assert min(scores["idf1"].values()) >= 0.99
 
 
 def test_all_that_is_missing_is_said(tmp_path: Path) -> None:

@@ -1,0 +1,87 @@
+"""Tracks that are the truth, and what each fault costs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.data import Track3D
+from pipeline.metrics.datasets.shelf import ShelfBenchmark
+from pipeline.metrics.datasets.shelf_tracking import score_tracking
+from pipeline.metrics.pcp import benchmark_joints
+from pipeline.simulation.scenes import Simulation, find_scene, record
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return record(replace(find_scene("room"), duration_s=2.0), seed=6)
+
+
+@pytest.fixture(scope="module")
+def benchmark(simulation: Simulation) -> ShelfBenchmark:
+    return ShelfBenchmark(
+        cameras=simulation.cameras,
+        times=simulation.times,
+        detections=simulation.detections,
+        timebase=simulation.timebase,
+        truth_m=benchmark_joints(simulation.truth_m),
+    )
+
+
+def track(number: int, xyz_m: np.ndarray, start_frame: int = 0) -> Track3D:
+    shape = xyz_m.shape[:2]
+    return Track3D(
+        number, start_frame, xyz_m, np.ones(shape), np.zeros(shape, np.int64), np.ones(shape), np.full(shape, 3)
+    )
+
+
+@pytest.fixture
+def tracks(simulation: Simulation) -> list[Track3D]:
+    return [track(k, xyz_m) for k, xyz_m in enumerate(simulation.truth_m, start=1)]
+
+
+def test_the_truth_is_right(tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark) -> None:
+    scores = score_tracking(tracks, simulation.identities, benchmark)
+    assert scores["association_accuracy"] == 1.0
+    assert set(scores["mota"].values()) == set(scores["idf1"].values()) == {1.0}
+    assert scores["ghost_tracks"] == 0
+
+
+def test_identities_that_swap_halfway_are_wrong_for_the_shorter_half(
+    tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
+) -> None:
+    swapped = {
+        camera: np.where((simulation.detections[camera].frame >= 30) & (found >= 0), (found + 1) % 3, found)
+        for camera, found in simulation.identities.items()
+    }
+    assert score_tracking(tracks, swapped, benchmark)["association_accuracy"] == pytest.approx(0.6, abs=0.05)
+    nobody = {camera: np.full_like(found, -1) for camera, found in simulation.identities.items()}
+    assert score_tracking(tracks, nobody, benchmark)["association_accuracy"] == 0.0
+
+
+def test_a_duplicate_costs_and_somebody_elsewhere_does_not(
+    tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
+) -> None:
+    elsewhere = track(9, simulation.truth_m[0] + [50.0, 0.0, 0.0])
+    scores = score_tracking([*tracks, elsewhere], simulation.identities, benchmark)
+    assert min(scores["mota"].values()) == 1.0
+    assert scores["ghost_tracks"] == 1
+    brief = track(9, elsewhere.xyz_m[:20])
+    assert score_tracking([*tracks, brief], simulation.identities, benchmark)["ghost_tracks"] == 0
+    duplicate = track(9, simulation.truth_m[0] + [0.2, 0.0, 0.0])
+    scores = score_tracking([*tracks, duplicate], simulation.identities, benchmark)
+    assert max(scores["mota"].values()) < 0.9
+    assert scores["ghost_tracks"] == 0
+
+
+def test_a_person_who_is_lost_and_a_switch(
+    tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
+) -> None:
+    half = simulation.timebase.num_frames // 2
+    lost = [track(1, tracks[0].xyz_m[:half]), *tracks[1:]]
+    scores = score_tracking(lost, simulation.identities, benchmark)
+    assert max(scores["mota"].values()) == pytest.approx(1 - 0.5 / 3, abs=0.02)
+    found_again = [*lost, track(9, tracks[0].xyz_m[half:], start_frame=half)]
+    scores = score_tracking(found_again, simulation.identities, benchmark)
+    assert min(scores["mota"].values()) > 0.99
+    assert max(scores["idf1"].values()) < 0.9
