@@ -9,12 +9,15 @@ from rich.table import Table
 
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
+from pipeline.errors import InputError, Problem
 from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.metrics.datasets.shelf import FRAME_RATE_HZ, NUM_SCORED_ACTORS, load_shelf, score_shelf
 from pipeline.metrics.datasets.shelf_tracking import score_tracking
+from pipeline.metrics.simulated import score_simulated
 from pipeline.run import reconstruct
 from pipeline.session import open_session
-from pipeline.tracking.associate import associate, locate_people
+from pipeline.simulation.scenes import SCENES, simulate
+from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
@@ -85,3 +88,42 @@ def shelf(
     for name in result["mota"]:
         table.add_row(name, *(f"{result[metric][name]:.4f}" for metric in ("mota", "idf1")))
     console.print(table)
+
+
+@app.command()
+def simulated(
+    scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
+    views: Annotated[str | None, typer.Option(help="Numbers of cameras, such as 4,8; all by default.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Simulated people with exact truth, from what a faulty detector sees of them."""
+    by_views = {}
+    with reporting(as_json):
+        for num_views in _numbers(views):
+            simulation = simulate(scene, seed, num_views)
+            parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
+            started_s = time.perf_counter()
+            tracks, _ = reconstruct_tracks(
+                simulation.cameras, simulation.times, simulation.detections, simulation.timebase, parameters
+            )
+            fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
+            by_views[len(simulation.cameras)] = score_simulated(tracks, simulation) | {"fps": fps}
+    if as_json:
+        emit({"scene": scene, "seed": seed, "method": "tracking", "by_views": by_views})
+        return
+    table = Table("measure", *(f"{num_views} cameras" for num_views in by_views))
+    for name in next(iter(by_views.values())):
+        values = [scores[name] for scores in by_views.values()]
+        table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))
+    console.print(table)
+
+
+def _numbers(views: str | None) -> list[int | None]:
+    if views is None:
+        return [None]
+    try:
+        return [int(number) for number in views.split(",")]
+    except ValueError:
+        problem = Problem("wrong_number_of_views", f"{views!r} is no list of numbers.", hint="Write them as 4,8,16.")
+        raise InputError([problem]) from None

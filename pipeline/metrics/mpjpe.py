@@ -100,7 +100,7 @@ def match_frames(
     """
     matched = np.full(truth_m.shape[:2], UNMATCHED)
     for frame in range(truth_m.shape[1]):
-        distance_m = _mean_distance_m(predicted_m[:, frame], truth_m[:, frame])
+        distance_m = mean_distance_m(predicted_m[:, frame], truth_m[:, frame])
         near = distance_m <= gate_m
         # Worth more than any sum of distances within the gate: first many pairs, then close ones.
         cost = np.where(near, distance_m, 1.0 + gate_m * (1 + min(near.shape)))
@@ -110,7 +110,7 @@ def match_frames(
     return matched
 
 
-def _mean_distance_m(
+def mean_distance_m(
     predicted_m: Float[np.ndarray, "tracks joints 3"], truth_m: Float[np.ndarray, "people joints 3"]
 ) -> Float[np.ndarray, "people tracks"]:
     """Mean distance over the joints that both have; infinite where they share none."""
