@@ -106,12 +106,12 @@ def project(camera: Camera, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np
 
 
 def rays_in_world(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
-    """Unit directions of the viewing rays through pixels as seen, in world axes.
+    """Unit directions of the viewing rays through undistorted pixels, in world axes.
 
     A ray starts at ``center_in_world(camera)`` (Chen et al. 2020, eq. 3). NaN stays NaN.
     """
     inverse = np.linalg.inv(camera.matrix)
-    normalised = _undistort(points_px @ inverse[:2, :2].T + inverse[:2, 2], camera.distortion)
+    normalised = points_px @ inverse[:2, :2].T + inverse[:2, 2]
     in_cam = np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
     directions = in_cam @ camera.cam_from_world.rotation
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)

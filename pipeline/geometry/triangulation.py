@@ -7,7 +7,7 @@ not depend on where the world's origin lies; the homogeneous system becomes norm
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 # Scales (metres) of the Geman-McClure weights, from forgiving to strict: graduated non-convexity.
 _ANNEALED_SCALES_M = (0.40, 0.20, 0.10, 0.06)
@@ -32,19 +32,32 @@ def plane_rows(
     return rows / np.linalg.norm(rows[..., :3], axis=-1, keepdims=True)
 
 
+def _by_joint(
+    rows: Float[np.ndarray, "*batch cameras joints 2 4"], used: Bool[np.ndarray, "*batch cameras joints"]
+) -> Float[np.ndarray, "*batch joints rows 4"]:
+    """All views' rows below each other, a joint at a time; zeros for a view that is not used."""
+    stacked = np.where(used[..., None, None], rows, 0.0).swapaxes(-4, -3)
+    return stacked.reshape(*stacked.shape[:-3], -1, 4)
+
+
 def _solve(
-    rows: Float[np.ndarray, "*batch cameras joints 2 4"], weights: Float[np.ndarray, "*batch cameras joints"]
+    rows: Float[np.ndarray, "*batch joints rows 4"], weights: Float[np.ndarray, "*batch joints cameras"]
 ) -> Float[np.ndarray, "*batch joints 3"]:
-    """Minimise ``|| (w o A) X~ ||`` (eq. 10); NaN where fewer than two views have weight or all rays are parallel."""
-    used = weights > 0
-    weighted = np.where(used[..., None, None], rows, 0.0) * weights[..., None, None]
-    normal = np.einsum("...cjra,...cjrb->...jab", weighted, weighted)
-    left, right = normal[..., :3, :3], -normal[..., :3, 3]
-    size = np.trace(left, axis1=-2, axis2=-1)
-    solvable = (used.sum(-2) >= 2) & (np.linalg.det(left) > _MIN_DETERMINANT * size**3)
-    safe = np.where(solvable[..., None, None], left, np.eye(3))
-    points_m = np.linalg.solve(safe, right[..., None])[..., 0]
-    return np.where(solvable[..., None], points_m, np.nan)
+    """Minimise ``|| (w o A) X~ ||`` (eq. 10); NaN where fewer than two views have weight or all rays are parallel.
+
+    The normal equations of three unknowns by Cramer's rule: a general solver costs more in calls than in arithmetic.
+    """
+    weighted = rows * np.repeat(weights, 2, axis=-1)[..., None]
+    normal = weighted.swapaxes(-1, -2) @ weighted
+    a, b, c, d, e, f = (normal[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)))
+    right = -normal[..., :3, 3]
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    determinant = a * aa + b * ab + c * ac
+    solvable = ((weights > 0).sum(-1) >= 2) & (determinant > _MIN_DETERMINANT * (a + d + f) ** 3)
+    over = 1.0 / np.where(solvable, determinant, np.nan)
+    x, y, z = right[..., 0] * over, right[..., 1] * over, right[..., 2] * over
+    return np.stack([aa * x + ab * y + ac * z, ab * x + bb * y + bc * z, ac * x + bc * y + cc * z], axis=-1)
 
 
 def triangulate(
@@ -67,16 +80,28 @@ def triangulate(
     -------
         World coordinates in metres, NaN where fewer than two cameras see the point.
     """
-    seen = np.isfinite(points_px).all(-1)
-    return _solve(plane_rows(image_from_world, points_px), np.where(seen, weights, 0.0))
+    rows, base = _system(image_from_world, points_px, weights)
+    return _solve(rows, base)
 
 
-def _ray_distance_m(
-    rows: Float[np.ndarray, "*batch cameras joints 2 4"], points_m: Float[np.ndarray, "*batch joints 3"]
-) -> Float[np.ndarray, "*batch cameras joints"]:
-    """Distance of points to the planes of a view, both together: to first order the distance to its ray."""
-    residuals = np.einsum("...cjra,...ja->...cjr", rows[..., :3], points_m) + rows[..., 3]
-    return np.linalg.norm(residuals, axis=-1)
+def _system(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    points_px: Float[np.ndarray, "*batch cameras joints 2"],
+    weights: Float[np.ndarray, "*batch cameras joints"],
+) -> tuple[Float[np.ndarray, "*batch joints rows 4"], Float[np.ndarray, "*batch joints cameras"]]:
+    """Rows and weights of what is seen, a joint at a time."""
+    used = np.isfinite(points_px).all(-1) & (weights > 0)
+    rows = plane_rows(image_from_world, points_px)
+    return _by_joint(rows, used), np.where(used, weights, 0.0).swapaxes(-1, -2)
+
+
+def _ray_distance2_m2(
+    rows: Float[np.ndarray, "*batch joints rows 4"], points_m: Float[np.ndarray, "*batch joints 3"]
+) -> Float[np.ndarray, "*batch joints cameras"]:
+    """Squared distance of points to both planes of a view: to first order that to its ray. 0 for views not used."""
+    residuals = (rows[..., :3] @ points_m[..., None])[..., 0] + rows[..., 3]
+    squared = residuals * residuals
+    return squared[..., 0::2] + squared[..., 1::2]
 
 
 def triangulate_robust(
@@ -102,9 +127,7 @@ def triangulate_robust(
     -------
         World coordinates in metres, NaN where fewer than two cameras see the point.
     """
-    seen = np.isfinite(points_px).all(-1)
-    rows = plane_rows(image_from_world, points_px)
-    base = np.where(seen, weights, 0.0)
+    rows, base = _system(image_from_world, points_px, weights)
     from_all = _reweight(rows, base, _solve(rows, base), _ANNEALED_SCALES_M)
     if guess_m is None:
         return from_all
@@ -114,26 +137,26 @@ def triangulate_robust(
 
 
 def _reweight(
-    rows: Float[np.ndarray, "*batch cameras joints 2 4"],
-    base: Float[np.ndarray, "*batch cameras joints"],
+    rows: Float[np.ndarray, "*batch joints rows 4"],
+    base: Float[np.ndarray, "*batch joints cameras"],
     start_m: Float[np.ndarray, "*batch joints 3"],
     scales_m: tuple[float, ...],
 ) -> Float[np.ndarray, "*batch joints 3"]:
     points_m = start_m
     for scale_m in (*scales_m, scales_m[-1]):
-        distance_m = _ray_distance_m(rows, points_m)
         # The normal equations square the factor: the root of Geman-McClure's weight belongs on the rows.
-        factor = scale_m**2 / (scale_m**2 + np.where(np.isfinite(distance_m), distance_m, np.inf) ** 2)
-        points_m = _solve(rows, base * factor)
+        distance2_m2 = _ray_distance2_m2(rows, points_m)
+        distance2_m2[np.isnan(distance2_m2)] = np.inf
+        points_m = _solve(rows, base * (scale_m**2 / (scale_m**2 + distance2_m2)))
     return points_m
 
 
 def _robust_cost(
-    rows: Float[np.ndarray, "*batch cameras joints 2 4"],
-    base: Float[np.ndarray, "*batch cameras joints"],
+    rows: Float[np.ndarray, "*batch joints rows 4"],
+    base: Float[np.ndarray, "*batch joints cameras"],
     points_m: Float[np.ndarray, "*batch joints 3"],
 ) -> Float[np.ndarray, "*batch joints"]:
     """Geman-McClure cost at the strictest scale; infinite for NaN."""
-    distance_m = _ray_distance_m(rows, points_m)
-    cost = base**2 * distance_m**2 / (distance_m**2 + _ANNEALED_SCALES_M[-1] ** 2)
-    return np.where(np.isfinite(points_m[..., 0]), np.where(base > 0, cost, 0.0).sum(-2), np.inf)
+    distance2_m2 = _ray_distance2_m2(rows, points_m)
+    cost = (base**2 * distance2_m2 / (distance2_m2 + _ANNEALED_SCALES_M[-1] ** 2)).sum(-1)
+    return np.where(np.isfinite(points_m[..., 0]), cost, np.inf)

@@ -4,8 +4,10 @@ import heapq
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
+from pipeline.geometry.camera import undistort_px
 from pipeline.tracking.observations import Matched, observations_at
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.positions import locate
@@ -47,19 +49,31 @@ def associate(
     """
     ordered = [detections[camera.name] for camera in cameras]
     identities = [np.full(len(one.frame), NOBODY) for one in ordered]
+    points_px, scores = zip(
+        *(_usable(camera, one, parameters.min_score) for camera, one in zip(cameras, ordered, strict=True)), strict=True
+    )
     current = [slice(0, 0)] * len(cameras)
     tracker = Tracker(cameras, ordered[0].keypoints_px.shape[1], parameters)
     for time_s, camera, frame in _frames_in_time_order([times[camera.name] for camera in cameras]):
         one = ordered[camera]
         rows = slice(*np.searchsorted(one.frame, [frame, frame + 1]))
         current[camera] = rows
-        identities[camera][rows], late = tracker.step(camera, time_s, one.keypoints_px[rows], one.score[rows])
+        identities[camera][rows], late = tracker.step(camera, time_s, points_px[camera][rows], scores[camera][rows])
         for other, row, identity in late:
             identities[other][current[other].start + row] = identity
 
     final = np.array([tracker.identity(k) for k in range(tracker.num_born)] + [NOBODY])
     final[~np.isin(final, list(tracker.confirmed))] = NOBODY
     return {camera.name: final[found] for camera, found in zip(cameras, identities, strict=True)}
+
+
+def _usable(
+    camera: Camera, detections: Detections, min_score: float
+) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
+    """Undistorted joints and their scores, NaN and 0 where the detector is unsure; of all frames in one go."""
+    usable = (detections.score >= min_score) & np.isfinite(detections.keypoints_px).all(-1)
+    seen_px = np.where(usable[..., None], detections.keypoints_px, np.nan)
+    return undistort_px(camera, seen_px), np.where(usable, detections.score, 0.0)
 
 
 def reconstruct_tracks(

@@ -1,5 +1,6 @@
 """A person being tracked: the state that the paper keeps a target (Chen et al. 2020, section 3.2)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,32 +68,13 @@ class Target:
         self.last_score[camera] = score
         self.matched_s[camera] = time_s
 
-    def update(
-        self,
-        time_s: float,
-        predicted_m: Float[np.ndarray, "joints 3"],
-        image_from_world: Float[np.ndarray, "cameras 3 4"],
-        parameters: TrackingParameters,
-    ) -> None:
-        """Triangulate incrementally from the last match of every camera (eq. 6-11), then fit velocities (eq. 5).
-
-        Weights fall with the age of an observation, ``exp(-lambda_t (t - t_i))``, and with doubt: the detector's
-        confidence, and how far the other views and the prediction say it is off.
-        """
-        age_s = time_s - self.matched_s
-        fresh = age_s < parameters.velocity_window_s
-        penalty = np.where(fresh, np.exp(-parameters.lambda_t_hz * np.where(fresh, age_s, 0.0)), 0.0)
-        xyz_m = triangulate_robust(
-            image_from_world[fresh],
-            self.last_px[fresh],
-            penalty[fresh, None] * self.last_score[fresh],
-            guess_m=predicted_m,
-        )
+    def move(self, time_s: float, xyz_m: Float[np.ndarray, "joints 3"], parameters: TrackingParameters) -> None:
+        """Take in the joints as triangulated now, NaN where that was not possible."""
         seen = np.isfinite(xyz_m[:, 0])
         self.xyz_m = np.where(seen[:, None], xyz_m, self.xyz_m)
         self.updated_s = np.where(seen, time_s, self.updated_s)
         self._fit_velocity(time_s, xyz_m, parameters.velocity_window_s)
-        if np.sum(age_s < parameters.instant_s) >= 2 and time_s > self.supported_s:
+        if np.sum(time_s - self.matched_s < parameters.instant_s) >= 2 and time_s > self.supported_s:
             self.supported_s = time_s
             self.num_supported += 1
             self.confirmed |= self.num_supported >= parameters.confirm_instants
@@ -115,3 +97,25 @@ class Target:
         # Two instants alone would take the noise for speed.
         usable = (count >= 3) & (spread > 0)
         self.velocity_m_s = np.where(usable[:, None], slope / np.where(usable, spread, 1.0)[:, None], 0.0)
+
+
+def update(
+    targets: Sequence[Target],
+    time_s: float,
+    predicted_m: Float[np.ndarray, "targets joints 3"],
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    parameters: TrackingParameters,
+) -> None:
+    """Triangulate incrementally from the last match of every camera (eq. 6-11), then fit velocities (eq. 5).
+
+    Weights fall with the age of an observation, ``exp(-lambda_t (t - t_i))``, and with doubt: the detector's
+    confidence, and how far the other views and the prediction say it is off. All targets at once.
+    """
+    age_s = time_s - np.array([target.matched_s for target in targets])
+    fresh = age_s < parameters.velocity_window_s
+    penalty = np.where(fresh, np.exp(-parameters.lambda_t_hz * np.where(fresh, age_s, 0.0)), 0.0)
+    score = np.array([target.last_score for target in targets])
+    points_px = np.array([target.last_px for target in targets])
+    found_m = triangulate_robust(image_from_world, points_px, penalty[..., None] * score, guess_m=predicted_m)
+    for target, xyz_m in zip(targets, found_m, strict=True):
+        target.move(time_s, xyz_m, parameters)

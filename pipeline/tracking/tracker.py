@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera
-from pipeline.geometry.camera import center_in_world, image_from_world, rays_in_world, undistort_px
+from pipeline.geometry.camera import center_in_world, image_from_world, rays_in_world
 from pipeline.geometry.epipolar import fundamental_matrix
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict, ray_distance_m
 from pipeline.tracking.assignment import assign
 from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body
 from pipeline.tracking.parameters import TrackingParameters
-from pipeline.tracking.target import Target
+from pipeline.tracking.target import Target, update
 
 # The identity of a detection that belongs to nobody.
 NOBODY = -1
@@ -78,7 +78,7 @@ class Tracker:
         self,
         camera: int,
         time_s: float,
-        keypoints_px: Float[np.ndarray, "detections joints 2"],
+        points_px: Float[np.ndarray, "detections joints 2"],
         score: Float[np.ndarray, "detections joints"],
     ) -> tuple[Int[np.ndarray, " detections"], list[tuple[int, int, int]]]:
         """Take in one frame.
@@ -89,10 +89,10 @@ class Tracker:
             Position of the camera.
         time_s
             The frame's time, not before that of the frame taken in last.
-        keypoints_px
-            Joints in pixels as seen (distorted), NaN where unseen.
+        points_px
+            Joints in undistorted pixels, NaN where unseen or unsure.
         score
-            Confidence of each joint.
+            Confidence of each joint, 0 where it is NaN.
 
         Returns
         -------
@@ -102,19 +102,23 @@ class Tracker:
             (camera, detection, identity) of detections of other cameras' most recent frames that a new target claims.
         """
         view = self._views[camera]
-        usable = (score >= self._parameters.min_score) & np.isfinite(keypoints_px).all(-1)
-        seen_px = np.where(usable[..., None], keypoints_px, np.nan)
-        points_px = undistort_px(view.camera, seen_px)
-        score = np.where(usable, score, 0.0)
         identities = np.full(len(score), NOBODY)
 
         self._bury(time_s)
         predicted_m = self._predict(time_s)
-        for i, j in self._match(camera, time_s, points_px, rays_in_world(view.camera, seen_px), predicted_m):
-            target = self._targets[i]
-            target.observe(camera, time_s, points_px[j], score[j])
-            target.update(time_s, predicted_m[i], self._image_from_world, self._parameters)
-            identities[j] = target.target_id
+        pairs = self._match(camera, time_s, points_px, rays_in_world(view.camera, points_px), predicted_m)
+        for i, j in pairs:
+            self._targets[i].observe(camera, time_s, points_px[j], score[j])
+            identities[j] = self._targets[i].target_id
+        if pairs:
+            matched = [i for i, _ in pairs]
+            update(
+                [self._targets[i] for i in matched],
+                time_s,
+                predicted_m[matched],
+                self._image_from_world,
+                self._parameters,
+            )
 
         view.unmatched = [
             Unmatched(camera, int(j), time_s, points_px[j], score[j]) for j in np.flatnonzero(identities == NOBODY)
@@ -177,7 +181,7 @@ class Tracker:
             target = Target.empty(self._num_born, len(self._views), self._num_joints)
             for one in group:
                 target.observe(one.camera, one.time_s, one.points_px, one.score)
-            target.update(time_s, target.xyz_m, self._image_from_world, self._parameters)
+            update([target], time_s, target.xyz_m[None], self._image_from_world, self._parameters)
             if not is_body(target.xyz_m, self._spread_m(target), self._parameters):
                 continue
             self._targets.append(target)

@@ -53,7 +53,7 @@ def test_rays_go_through_the_points_that_they_see(kind: str) -> None:
     one = camera(COEFFICIENTS[kind])
     expected = points(3) - center_in_world(one)
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
-    np.testing.assert_allclose(rays_in_world(one, project(one, points(3))), expected, atol=1e-9)
+    np.testing.assert_allclose(rays_in_world(one, undistort_px(one, project(one, points(3)))), expected, atol=1e-9)
 
 
 def test_behind_the_camera_and_nan() -> None:

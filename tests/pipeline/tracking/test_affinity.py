@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.data import Camera
-from pipeline.geometry.camera import center_in_world, project, rays_in_world
+from pipeline.geometry.camera import center_in_world, project, rays_in_world, undistort_px
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
 
@@ -33,7 +33,7 @@ def test_correspondence_2d_is_cut_at_minus_one(parameters: TrackingParameters) -
 def test_correspondence_3d_is_equation_4(ring: tuple[Camera, ...], parameters: TrackingParameters) -> None:
     camera = ring[0]
     joint_m = np.array([0.2, -0.1, 1.2])
-    rays = rays_in_world(camera, project(camera, joint_m))[None, None]
+    rays = rays_in_world(camera, undistort_px(camera, project(camera, joint_m)))[None, None]
     across = np.cross(rays[0, 0], [0.0, 0.0, 1.0])
     predicted_m = (joint_m + 0.05 * across / np.linalg.norm(across))[None, None]
     terms = correspondence_3d(rays, center_in_world(camera), predicted_m, np.array([[0.1]]), parameters)
@@ -44,7 +44,7 @@ def test_a_point_behind_the_camera_fits_no_ray(ring: tuple[Camera, ...], paramet
     camera = ring[0]
     center = center_in_world(camera)
     in_front = np.array([0.0, 0.0, 1.0])
-    rays = rays_in_world(camera, project(camera, in_front))[None, None]
+    rays = rays_in_world(camera, undistort_px(camera, project(camera, in_front)))[None, None]
     behind = (2 * center - in_front)[None, None]
     terms = correspondence_3d(rays, center, behind, np.zeros((1, 1)), parameters)
     np.testing.assert_allclose(terms, -0.6)
