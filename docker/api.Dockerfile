@@ -11,7 +11,7 @@ COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 
 FROM python:3.11-slim-bookworm
-RUN useradd --system --uid 10001 --create-home multicap && install --directory --owner multicap /data
+RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
 COPY --from=build /opt/multicap /opt/multicap
 ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_DATA_DIR=/data \

@@ -14,7 +14,7 @@ ENV MULTICAP_HOME=/opt/multicap-home
 RUN /opt/multicap/bin/multicap models install movenet-multipose
 
 FROM python:3.11-slim-bookworm
-RUN useradd --system --uid 10001 --create-home multicap && install --directory --owner multicap /data
+RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
 COPY --from=build /opt/multicap /opt/multicap
 COPY --from=build /opt/multicap-home /opt/multicap-home
 ENV PATH=/opt/multicap/bin:$PATH \

@@ -13,6 +13,9 @@ from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.positions import locate
 from pipeline.tracking.tracker import NOBODY, Tracker
 
+# Detections undistorted at a time: many for speed, few for memory.
+_BLOCK = 1000
+
 
 def _frames_in_time_order(times: Sequence[FrameTimes]) -> Iterator[tuple[float, int, int]]:
     """(time, camera, frame) of all cameras in time order; cameras at the same instant in their order."""
@@ -70,10 +73,12 @@ def associate(
 def _usable(
     camera: Camera, detections: Detections, min_score: float
 ) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
-    """Undistorted joints and their scores, NaN and 0 where the detector is unsure; of all frames in one go."""
+    """Undistorted joints and their scores, NaN and 0 where the detector is unsure; many frames in one go."""
     usable = (detections.score >= min_score) & np.isfinite(detections.keypoints_px).all(-1)
-    seen_px = np.where(usable[..., None], detections.keypoints_px, np.nan)
-    return undistort_px(camera, seen_px), np.where(usable, detections.score, 0.0)
+    points_px = np.where(usable[..., None], detections.keypoints_px, np.nan)
+    for start in range(0, len(points_px), _BLOCK):
+        points_px[start : start + _BLOCK] = undistort_px(camera, points_px[start : start + _BLOCK])
+    return points_px, np.where(usable, detections.score, 0.0)
 
 
 def reconstruct_tracks(
