@@ -7,8 +7,9 @@ from pathlib import Path
 import httpx2
 import pytest
 
+from api.commands.serve import READY
 from pipeline.samples import Sample
-from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests, wait_for
+from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests, is_alive, wait_for
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -82,3 +83,15 @@ def test_a_killed_api_comes_back_on_its_port(served: Served) -> None:
     # A new connection waits at the socket until the new process takes it.
     assert httpx2.get(served.client.base_url.join("/healthz"), timeout=30.0, trust_env=False).is_success
     wait_for(lambda: len(served.tree()) == NUM_PROCESSES)
+
+
+def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
+    command = [*COMMAND, "--port", "0", "--data", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(READY)
+        with httpx2.Client() as client:
+            tree = Served(process, tmp_path, client).tree()
+        assert len(tree) == NUM_PROCESSES
+        process.kill()
+    wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=10)
