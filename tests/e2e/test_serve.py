@@ -87,11 +87,14 @@ def test_a_killed_api_comes_back_on_its_port(served: Served) -> None:
 
 def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
     command = [*COMMAND, "--port", "0", "--data", str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith(READY)
-        with httpx2.Client() as client:
-            tree = Served(process, tmp_path, client).tree()
-        assert len(tree) == NUM_PROCESSES
-        process.kill()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process, httpx2.Client() as client:
+        service = Served(process, tmp_path, client)
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().startswith(READY)
+            # The worker forks its children a while after the API answers.
+            wait_for(lambda: len(service.tree()) == NUM_PROCESSES)
+            tree = service.tree()
+        finally:
+            process.kill()
     wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=10)
