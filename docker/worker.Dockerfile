@@ -9,14 +9,16 @@ COPY api api
 COPY pipeline pipeline
 COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
-# Detector networks come with the image: a worker needs no network to start.
+# Detector networks and compiled kernels come with the image: a worker needs no network to start.
 ENV MULTICAP_HOME=/opt/multicap-home
-RUN /opt/multicap/bin/multicap models install movenet-multipose
+RUN /opt/multicap/bin/multicap models install movenet-multipose \
+    && /opt/multicap/bin/python -m pipeline.tracking.warm_up
 
 FROM python:3.11-slim-bookworm
 RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
 COPY --from=build /opt/multicap /opt/multicap
-COPY --from=build /opt/multicap-home /opt/multicap-home
+# Owned by the worker: kernels are compiled anew where the processor is another.
+COPY --from=build --chown=10001:10001 /opt/multicap-home /opt/multicap-home
 ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_DATA_DIR=/data \
     MULTICAP_HOME=/opt/multicap-home

@@ -25,6 +25,7 @@ from pipeline.records_npz import (
 )
 from pipeline.run import associate, fit
 from pipeline.session import CaptureSession
+from pipeline.tracking.warm_up import warm_up as warm_up_tracking
 from pipeline.video.timeline import span_s
 from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore, record_key
@@ -65,9 +66,10 @@ _open = _OpenSession()
 
 
 def warm_up() -> None:
-    """Load the default network before it is needed; a chunk says if it is missing."""
+    """Load the default network and the compiled kernels before they are needed; a chunk says what is missing."""
     with contextlib.suppress(ModelError):
         _detector(JobSpec().detector)
+    warm_up_tracking()
 
 
 def _capture_of(work: Work) -> tuple[CaptureSession, Detector]:

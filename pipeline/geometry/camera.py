@@ -9,14 +9,10 @@ from jaxtyping import Float
 
 from pipeline.data import Camera
 
-# Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
-_UNDISTORT_STEPS = 20
-
 
 def image_from_world(camera: Camera) -> Float[np.ndarray, "3 4"]:
     """Projection matrix ``K [R | t]``, to undistorted pixels."""
-    rigid = camera.cam_from_world
-    return camera.matrix @ np.column_stack([rigid.rotation, rigid.translation_m])
+    return camera.matrix @ camera.cam_from_world.matrix
 
 
 def center_in_world(camera: Camera) -> Float[np.ndarray, " 3"]:
@@ -24,7 +20,8 @@ def center_in_world(camera: Camera) -> Float[np.ndarray, " 3"]:
     return camera.cam_from_world.inverse().translation_m
 
 
-def _coefficients(distortion: Float[np.ndarray, " coefficients"]) -> Float[np.ndarray, " 12"]:
+def twelve_coefficients(distortion: Float[np.ndarray, " coefficients"]) -> Float[np.ndarray, " 12"]:
+    """All twelve of OpenCV's coefficients, 0 where a camera has fewer."""
     padded = np.zeros(12)
     padded[: len(distortion)] = distortion
     return padded
@@ -36,7 +33,7 @@ def distort(
     """Distort points on the normalised image plane (z = 1)."""
     if not np.any(distortion):
         return points
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = _coefficients(distortion)
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = twelve_coefficients(distortion)
     x, y = points[..., 0], points[..., 1]
     r2 = x * x + y * y
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
@@ -47,50 +44,6 @@ def distort(
         ],
         axis=-1,
     )
-
-
-def _undistort(
-    distorted: Float[np.ndarray, "*batch 2"], distortion: Float[np.ndarray, " coefficients"]
-) -> Float[np.ndarray, "*batch 2"]:
-    """Invert ``distort`` by Newton's method with a central-difference Jacobian."""
-    if not np.any(distortion):
-        return distorted
-    step = 1e-6
-    points = distorted.copy()
-    for _ in range(_UNDISTORT_STEPS):
-        residual = distort(points, distortion) - distorted
-        if not np.any(np.abs(residual[np.isfinite(residual)]) > 1e-13):
-            break
-        column_x = (
-            distort(points + np.array([step, 0.0]), distortion) - distort(points - np.array([step, 0.0]), distortion)
-        ) / (2 * step)
-        column_y = (
-            distort(points + np.array([0.0, step]), distortion) - distort(points - np.array([0.0, step]), distortion)
-        ) / (2 * step)
-        determinant = column_x[..., 0] * column_y[..., 1] - column_x[..., 1] * column_y[..., 0]
-        # Where the model folds over, beyond the image, the Jacobian loses its sign: stay there rather than diverge.
-        determinant = np.where(determinant > 1e-3, determinant, np.inf)
-        points = points - np.stack(
-            [
-                (column_y[..., 1] * residual[..., 0] - column_y[..., 0] * residual[..., 1]) / determinant,
-                (column_x[..., 0] * residual[..., 1] - column_x[..., 1] * residual[..., 0]) / determinant,
-            ],
-            axis=-1,
-        )
-    return points
-
-
-def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Map pixels as seen to the pixels of an ideal pinhole camera with the same camera matrix.
-
-    Parameters
-    ----------
-    points_px
-        Pixels of the full image; NaN stays NaN.
-    """
-    inverse = np.linalg.inv(camera.matrix)
-    normalised = points_px @ inverse[:2, :2].T + inverse[:2, 2]
-    return _undistort(normalised, camera.distortion) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
 
 
 def project(camera: Camera, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:

@@ -17,6 +17,11 @@ class Rigid3:
         """Map points in a to b; NaN stays NaN."""
         return points_m @ self.rotation.T + self.translation_m
 
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 4"]:
+        """``[R | t]``."""
+        return np.column_stack([self.rotation, self.translation_m])
+
     def inverse(self) -> "Rigid3":
         """``a_from_b``."""
         return Rigid3(self.rotation.T.copy(), -self.rotation.T @ self.translation_m)

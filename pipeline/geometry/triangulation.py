@@ -10,7 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 # Scales (metres) of the Geman-McClure weights, from forgiving to strict: graduated non-convexity.
-_ANNEALED_SCALES_M = (0.40, 0.20, 0.10, 0.06)
+SCALES_M = (0.40, 0.20, 0.10, 0.06)
+# Views disagree where one of them ends up farther than this from the point that the others agree on, and a guess
+# disagrees with the point where it is farther from it.
+DISPUTED_M = SCALES_M[-1]
 # Rays closer to parallel than this leave the depth open: determinant of the normal matrix over its trace cubed. Two
 # rays at the angle phi have some phi^2 / 32: this is 1 degree.
 _MIN_DETERMINANT = 1e-5
@@ -113,8 +116,9 @@ def triangulate_robust(
     """Triangulate so that a wrong observation in one view does not pull the point.
 
     Iteratively reweighted eq. 10 with Geman-McClure weights ``(c^2 / (c^2 + d^2))^2`` on the distance d to a view's
-    ray, c falling step by step; linear in the number of cameras. Two starts compete where a guess is given, such as a
-    prediction from the past: all views alike, and the guess; the lower robust cost wins.
+    ray, c falling step by step from the first that is shorter than the largest d; linear in the number of cameras.
+    Where views disagree in the end, a second start competes if a guess is given, such as a prediction from the past:
+    the lower robust cost wins.
 
     Parameters
     ----------
@@ -128,27 +132,45 @@ def triangulate_robust(
         World coordinates in metres, NaN where fewer than two cameras see the point.
     """
     rows, base = _system(image_from_world, points_px, weights)
-    from_all = _reweight(rows, base, _solve(rows, base), _ANNEALED_SCALES_M)
+    points_m = _solve(rows, base)
+    worst_m = _worst_distance_m(rows, base, points_m)
+    for scale_m in SCALES_M[:-1]:
+        needed = (worst_m > scale_m)[..., None]
+        points_m = np.where(needed, _reweighted(rows, base, points_m, scale_m), points_m)
+    for _ in range(2):
+        points_m = _reweighted(rows, base, points_m, SCALES_M[-1])
     if guess_m is None:
-        return from_all
-    from_guess = _reweight(rows, base, guess_m, _ANNEALED_SCALES_M[-2:])
-    better = _robust_cost(rows, base, from_guess) < _robust_cost(rows, base, from_all)
-    return np.where(better[..., None], from_guess, from_all)
+        return points_m
+    from_guess = guess_m
+    for scale_m in (*SCALES_M[-2:], SCALES_M[-1]):
+        from_guess = _reweighted(rows, base, from_guess, scale_m)
+    better = _robust_cost(rows, base, from_guess) < _robust_cost(rows, base, points_m)
+    disputed = (_worst_distance_m(rows, base, points_m) > DISPUTED_M) & (
+        np.linalg.norm(guess_m - points_m, axis=-1) > DISPUTED_M
+    )
+    return np.where((better & disputed)[..., None], from_guess, points_m)
 
 
-def _reweight(
+def _reweighted(
     rows: Float[np.ndarray, "*batch joints rows 4"],
     base: Float[np.ndarray, "*batch joints cameras"],
-    start_m: Float[np.ndarray, "*batch joints 3"],
-    scales_m: tuple[float, ...],
+    points_m: Float[np.ndarray, "*batch joints 3"],
+    scale_m: float,
 ) -> Float[np.ndarray, "*batch joints 3"]:
-    points_m = start_m
-    for scale_m in (*scales_m, scales_m[-1]):
-        # The normal equations square the factor: the root of Geman-McClure's weight belongs on the rows.
-        distance2_m2 = _ray_distance2_m2(rows, points_m)
-        distance2_m2[np.isnan(distance2_m2)] = np.inf
-        points_m = _solve(rows, base * (scale_m**2 / (scale_m**2 + distance2_m2)))
-    return points_m
+    distance2_m2 = _ray_distance2_m2(rows, points_m)
+    distance2_m2[np.isnan(distance2_m2)] = np.inf
+    # The normal equations square the factor: the root of Geman-McClure's weight belongs on the rows.
+    return _solve(rows, base * (scale_m**2 / (scale_m**2 + distance2_m2)))
+
+
+def _worst_distance_m(
+    rows: Float[np.ndarray, "*batch joints rows 4"],
+    base: Float[np.ndarray, "*batch joints cameras"],
+    points_m: Float[np.ndarray, "*batch joints 3"],
+) -> Float[np.ndarray, "*batch joints"]:
+    """Largest distance over the views in use, 0 where the point is not known."""
+    used = (base > 0) & np.isfinite(points_m[..., :1])
+    return np.sqrt(np.where(used, _ray_distance2_m2(rows, points_m), 0.0).max(-1, initial=0.0))
 
 
 def _robust_cost(
@@ -158,5 +180,5 @@ def _robust_cost(
 ) -> Float[np.ndarray, "*batch joints"]:
     """Geman-McClure cost at the strictest scale; infinite for NaN."""
     distance2_m2 = _ray_distance2_m2(rows, points_m)
-    cost = (base**2 * distance2_m2 / (distance2_m2 + _ANNEALED_SCALES_M[-1] ** 2)).sum(-1)
+    cost = (base**2 * distance2_m2 / (distance2_m2 + SCALES_M[-1] ** 2)).sum(-1)
     return np.where(np.isfinite(points_m[..., 0]), cost, np.inf)

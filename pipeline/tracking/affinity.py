@@ -16,11 +16,11 @@ _MIN_JOINTS = 3
 
 
 def predict(
-    xyz_m: Float[np.ndarray, "targets joints 3"],
-    velocity_m_s: Float[np.ndarray, "targets joints 3"],
-    age_s: Float[np.ndarray, "targets joints"],
+    xyz_m: Float[np.ndarray, "*batch joints 3"],
+    velocity_m_s: Float[np.ndarray, "*batch joints 3"],
+    age_s: Float[np.ndarray, "*batch joints"],
     max_extrapolation_s: float,
-) -> Float[np.ndarray, "targets joints 3"]:
+) -> Float[np.ndarray, "*batch joints 3"]:
     """Linear motion (eq. 5), standing still after ``max_extrapolation_s``."""
     return xyz_m + velocity_m_s * np.minimum(age_s, max_extrapolation_s)[..., None]
 

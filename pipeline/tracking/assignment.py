@@ -46,9 +46,33 @@ def partition(
         if len(nodes) == 2:
             parts.append((int(nodes[0]), int(nodes[1])))
         elif len(nodes) > 2:
-            inside = _partition_connected(affinities[np.ix_(nodes, nodes)], groups[nodes])
+            inside = _partition_by_best(affinities[np.ix_(nodes, nodes)], groups[nodes])
+            if inside is None:
+                inside = _partition_connected(affinities[np.ix_(nodes, nodes)], groups[nodes])
             parts.extend(tuple(int(nodes[i]) for i in part) for part in inside)
     return tuple(parts)
+
+
+def _partition_by_best(
+    affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
+) -> list[list[int]] | None:
+    """The solution of eq. 14-16 where every node's best partner in every other camera is beyond dispute, else ``None``.
+
+    A node has at most one partner in a camera. So no partition gains more than the sum of every node's best positive
+    affinity to each camera; parts in which all are each other's best gain just that, and are the solution.
+    """
+    same = groups[:, None] == groups[None, :]
+    gains = np.where(same | (affinities <= 0), 0.0, affinities)
+    best = np.zeros_like(same)
+    for group in np.unique(groups):
+        members = np.flatnonzero(groups == group)
+        chosen = members[gains[:, members].argmax(1)]
+        rows = np.arange(len(groups))
+        best[rows, chosen] = gains[rows, chosen] > 0
+    linked = best | np.eye(len(groups), dtype=bool)
+    if not np.array_equal(linked, linked.T) or not np.array_equal(linked, linked @ linked):
+        return None
+    return [np.flatnonzero(row).tolist() for row in np.unique(linked, axis=0) if row.sum() >= 2]
 
 
 def _partition_connected(

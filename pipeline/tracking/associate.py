@@ -1,29 +1,17 @@
 """From detections to tracks: association in time order, then every joint from all that was matched to it."""
 
-import heapq
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
-from pipeline.geometry.camera import undistort_px
-from pipeline.tracking.observations import Matched, observations_at
+from pipeline.tracking.observations import Bodies, gather, observations_at, people
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.positions import locate
-from pipeline.tracking.tracker import NOBODY, Tracker
+from pipeline.tracking.tracker import Tracker, make_frames
 
-# Detections undistorted at a time: many for speed, few for memory.
-_BLOCK = 1000
-
-
-def _frames_in_time_order(times: Sequence[FrameTimes]) -> Iterator[tuple[float, int, int]]:
-    """(time, camera, frame) of all cameras in time order; cameras at the same instant in their order."""
-
-    def of_camera(camera: int, one: FrameTimes) -> Iterator[tuple[float, int, int]]:
-        return ((float(time_s), camera, frame) for frame, time_s in enumerate(one.time_s))
-
-    return heapq.merge(*(of_camera(camera, one) for camera, one in enumerate(times)))
+People = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
 
 
 def associate(
@@ -31,7 +19,7 @@ def associate(
     times: Mapping[str, FrameTimes],
     detections: Mapping[str, Detections],
     parameters: TrackingParameters,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Int[np.ndarray, " _"]]:
     """Give every detection the identity of a person.
 
     Parameters
@@ -50,35 +38,28 @@ def associate(
         For every camera an identity a detection, ``NOBODY`` where it belongs to none or to one that did not earn its
         birth.
     """
-    ordered = [detections[camera.name] for camera in cameras]
-    identities = [np.full(len(one.frame), NOBODY) for one in ordered]
-    points_px, scores = zip(
-        *(_usable(camera, one, parameters.min_score) for camera, one in zip(cameras, ordered, strict=True)), strict=True
-    )
-    current = [slice(0, 0)] * len(cameras)
-    tracker = Tracker(cameras, ordered[0].keypoints_px.shape[1], parameters)
-    for time_s, camera, frame in _frames_in_time_order([times[camera.name] for camera in cameras]):
-        one = ordered[camera]
-        rows = slice(*np.searchsorted(one.frame, [frame, frame + 1]))
-        current[camera] = rows
-        identities[camera][rows], late = tracker.step(camera, time_s, points_px[camera][rows], scores[camera][rows])
-        for other, row, identity in late:
-            identities[other][current[other].start + row] = identity
-
-    final = np.array([tracker.identity(k) for k in range(tracker.num_born)] + [NOBODY])
-    final[~np.isin(final, list(tracker.confirmed))] = NOBODY
-    return {camera.name: final[found] for camera, found in zip(cameras, identities, strict=True)}
+    bodies = gather(cameras, times, detections, parameters.min_score)
+    identity = _identify(cameras, times, bodies, parameters)
+    return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}
 
 
-def _usable(
-    camera: Camera, detections: Detections, min_score: float
-) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
-    """Undistorted joints and their scores, NaN and 0 where the detector is unsure; many frames in one go."""
-    usable = (detections.score >= min_score) & np.isfinite(detections.keypoints_px).all(-1)
-    points_px = np.where(usable[..., None], detections.keypoints_px, np.nan)
-    for start in range(0, len(points_px), _BLOCK):
-        points_px[start : start + _BLOCK] = undistort_px(camera, points_px[start : start + _BLOCK])
-    return points_px, np.where(usable, detections.score, 0.0)
+def locate_people(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    identities: Mapping[str, Int[np.ndarray, " _"]],
+    timebase: Timebase,
+    parameters: TrackingParameters,
+) -> People:
+    """Locate every person's joints at the output frames from all detections of one identity.
+
+    Returns
+    -------
+        Tracks numbered from 1 in order of their first frame, and the observations behind each.
+    """
+    bodies = gather(cameras, times, detections, parameters.min_score)
+    identity = np.concatenate([identities[camera.name] for camera in cameras])
+    return _locate(cameras, bodies, identity, timebase, parameters)
 
 
 def reconstruct_tracks(
@@ -87,36 +68,28 @@ def reconstruct_tracks(
     detections: Mapping[str, Detections],
     timebase: Timebase,
     parameters: TrackingParameters,
-) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+) -> People:
     """Associate detections, then locate every person; see ``associate`` and ``locate_people``."""
-    identities = associate(cameras, times, detections, parameters)
-    return locate_people(cameras, times, detections, identities, timebase, parameters)
+    bodies = gather(cameras, times, detections, parameters.min_score)
+    return _locate(cameras, bodies, _identify(cameras, times, bodies, parameters), timebase, parameters)
 
 
-def locate_people(
+def _identify(
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], bodies: Bodies, parameters: TrackingParameters
+) -> Int[np.ndarray, " detections"]:
+    return Tracker(cameras, make_frames([times[camera.name] for camera in cameras], bodies), parameters).run()
+
+
+def _locate(
     cameras: Sequence[Camera],
-    times: Mapping[str, FrameTimes],
-    detections: Mapping[str, Detections],
-    identities: Mapping[str, np.ndarray],
+    bodies: Bodies,
+    identity: Int[np.ndarray, " detections"],
     timebase: Timebase,
     parameters: TrackingParameters,
-) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Locate every person's joints at the output frames from all detections of one identity.
-
-    Returns
-    -------
-        Tracks numbered from 1 in order of their first frame, and the observations behind each.
-    """
+) -> People:
     found = []
-    for identity in np.unique(np.concatenate([*identities.values(), [NOBODY]])):
-        if identity == NOBODY:
-            continue
-        matched = [
-            Matched.of(detections[camera.name], times[camera.name], identities[camera.name] == identity)
-            for camera in cameras
-        ]
-        start_frame, points_px, score = observations_at(timebase, matched, parameters)
-        located = locate(cameras, start_frame, points_px, score, timebase, parameters)
+    for rows in people(bodies, identity):
+        located = locate(cameras, observations_at(timebase, bodies, rows, len(cameras), parameters), timebase)
         if located is not None:
             found.append(located)
     found.sort(key=lambda pair: pair[0].start_frame)

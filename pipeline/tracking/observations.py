@@ -1,88 +1,140 @@
-"""What every camera saw of one person, brought to the output instants."""
+"""What all cameras saw, in arrays; and what they saw of one person, brought to the output instants."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from pipeline.data import Detections, FrameTimes, Timebase
+from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.geometry.undistortion import undistort_px
+from pipeline.tracking.kernels import sample_observations
 from pipeline.tracking.parameters import TrackingParameters
 
+NOBODY = -1
+"""The identity of a detection that belongs to nobody."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Matched:
-    """One camera's detections of one person, at most one a frame, ascending."""
 
-    frame: Int[np.ndarray, " n"]
-    time_s: Float[np.ndarray, " n"]
-    keypoints_px: Float[np.ndarray, "n joints 2"]
-    score: Float[np.ndarray, "n joints"]
+class Bodies(NamedTuple):
+    """All detections, camera by camera, each camera's in order of frames.
 
-    @classmethod
-    def of(cls, detections: Detections, times: FrameTimes, mine: Bool[np.ndarray, " detections"]) -> "Matched":
-        """Pick one person's detections; of two in a frame the one with the higher scores."""
-        rows = np.flatnonzero(mine)
-        strength = detections.score[rows].sum(-1)
-        rows = rows[np.lexsort((-strength, detections.frame[rows]))]
-        frames, first = np.unique(detections.frame[rows], return_index=True)
-        rows = rows[first]
-        return cls(frames, times.time_s[frames], detections.keypoints_px[rows], detections.score[rows])
+    Parameters
+    ----------
+    camera, frame, time_s
+        Position of the camera, its frame number and time; one a detection.
+    seen_px, ideal_px
+        Joints as seen and undistorted, (detections, joints, 2); one array if no camera distorts.
+    score
+        The detector's, (detections, joints).
+    used
+        The same, 0 for joints that the detector did not find or is not sure of.
+    """
+
+    camera: np.ndarray
+    frame: np.ndarray
+    time_s: np.ndarray
+    seen_px: np.ndarray
+    ideal_px: np.ndarray
+    score: np.ndarray
+    used: np.ndarray
+
+
+def gather(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    min_score: float,
+) -> Bodies:
+    """Put all cameras' detections into arrays; joints below ``min_score`` are not used."""
+    ordered = [detections[camera.name] for camera in cameras]
+    seen_px = np.concatenate([one.keypoints_px for one in ordered])
+    score = np.concatenate([one.score for one in ordered])
+    # Compares as false with NaN.
+    usable = (score >= min_score) & (seen_px[..., 0] + seen_px[..., 1] > -np.inf)
+    ideal_px = seen_px
+    if any(np.any(camera.distortion) for camera in cameras):
+        ideal_px = np.concatenate(
+            [undistort_px(camera, one.keypoints_px) for camera, one in zip(cameras, ordered, strict=True)]
+        )
+    return Bodies(
+        camera=np.repeat(np.arange(len(cameras)), [len(one.frame) for one in ordered]),
+        frame=np.concatenate([one.frame for one in ordered]),
+        time_s=np.concatenate([times[one.camera].time_s[one.frame] for one in ordered]),
+        seen_px=seen_px,
+        ideal_px=ideal_px,
+        score=score,
+        used=score * usable,
+    )
+
+
+def people(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
+    """Rows of each person's detections, ascending; of two in a frame the one with the higher scores."""
+    by_person = np.argsort(identity, kind="stable")
+    for rows in np.split(by_person, np.flatnonzero(np.diff(identity[by_person])) + 1):
+        if len(rows) and identity[rows[0]] != NOBODY:
+            yield _one_a_frame(bodies, rows)
+
+
+def _one_a_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
+    camera, frame = bodies.camera[rows], bodies.frame[rows]
+    if np.all((np.diff(camera) != 0) | (np.diff(frame) != 0)):
+        return rows
+    ranked = np.lexsort((-bodies.score[rows].sum(-1), frame, camera))
+    is_first = np.append(True, (np.diff(camera[ranked]) != 0) | (np.diff(frame[ranked]) != 0))
+    return rows[ranked[is_first]]
+
+
+class Sampled(NamedTuple):
+    """One person's observations at the output instants of a life.
+
+    Parameters
+    ----------
+    start_frame
+        Output frame of the first row.
+    seen_px, ideal_px
+        (frames, cameras, joints, 2), NaN where a camera has no observation.
+    score, used
+        (frames, cameras, joints), 0 where there is none.
+    """
+
+    start_frame: int
+    seen_px: np.ndarray
+    ideal_px: np.ndarray
+    score: np.ndarray
+    used: np.ndarray
 
 
 def observations_at(
-    timebase: Timebase, matched: Sequence[Matched], parameters: TrackingParameters
-) -> tuple[int, Float[np.ndarray, "frames cameras joints 2"], Float[np.ndarray, "frames cameras joints"]]:
+    timebase: Timebase,
+    bodies: Bodies,
+    rows: Int[np.ndarray, " rows"],
+    num_cameras: int,
+    parameters: TrackingParameters,
+) -> Sampled:
     """Observations of every camera at the output instants of a person's life.
 
     An output instant between two consecutive frames of a camera takes their linear interpolation, so that cameras that
     are not synchronised agree on the instant; its score falls with the distance to the nearer frame as old observations
     do, ``exp(-lambda_t |t - t_i|)`` (Chen et al. 2020, eq. 11). Where a neighbour is missing, a frame within half a
     period stands for the instant. Nothing is made up across missed frames.
-
-    Returns
-    -------
-    start_frame
-        Output frame of the first row.
-    points_px
-        Pixels as seen, NaN where a camera has no observation.
-    score
-        0 where there is none.
     """
-    first_s = min(one.time_s[0] for one in matched if len(one.time_s))
-    last_s = max(one.time_s[-1] for one in matched if len(one.time_s))
     half_s = 0.5 / timebase.frame_rate_hz
-    start = max(0, int(np.ceil((first_s - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
-    stop = int(np.floor((last_s + half_s - timebase.start_time_s) * timebase.frame_rate_hz)) + 1
-    stop = min(stop, timebase.num_frames)
-    instants_s = timebase.start_time_s + np.arange(start, stop) / timebase.frame_rate_hz
-    points, scores = zip(
-        *(_one_camera(instants_s, one, half_s, parameters.lambda_t_hz) for one in matched), strict=True
+    instants_s = _instants_s(timebase, bodies.time_s[rows], half_s)
+    shape = (len(instants_s), num_cameras, bodies.score.shape[1])
+    seen_px = np.full((*shape, 2), np.nan)
+    ideal_px = seen_px if bodies.ideal_px is bodies.seen_px else np.full((*shape, 2), np.nan)
+    score, used = np.zeros(shape), np.zeros(shape)
+    sample_observations(
+        rows, bodies, instants_s, half_s, parameters.lambda_t_hz, parameters.min_score, seen_px, ideal_px, score, used
     )
-    return start, np.stack(points, axis=1), np.stack(scores, axis=1)
+    start_frame = (
+        round(float((instants_s[0] - timebase.start_time_s) * timebase.frame_rate_hz)) if len(instants_s) else 0
+    )
+    return Sampled(start_frame, seen_px, ideal_px, score, used)
 
 
-def _one_camera(
-    instants_s: Float[np.ndarray, " frames"], matched: Matched, half_s: float, lambda_t_hz: float
-) -> tuple[Float[np.ndarray, "frames joints 2"], Float[np.ndarray, "frames joints"]]:
-    num_joints = matched.score.shape[1]
-    if not len(matched.frame):
-        return np.full((len(instants_s), num_joints, 2), np.nan), np.zeros((len(instants_s), num_joints))
-    after = np.clip(np.searchsorted(matched.time_s, instants_s), 0, len(matched.frame) - 1)
-    before = np.clip(np.searchsorted(matched.time_s, instants_s, side="right") - 1, 0, len(matched.frame) - 1)
-    to_before_s = np.abs(instants_s - matched.time_s[before])
-    to_after_s = np.abs(matched.time_s[after] - instants_s)
-    nearest = np.where(to_before_s <= to_after_s, before, after)
-    gap_s = np.minimum(to_before_s, to_after_s)
-
-    between = (matched.frame[after] - matched.frame[before] == 1) & (gap_s > 1e-3 * half_s)
-    span_s = np.where(between, matched.time_s[after] - matched.time_s[before], 1.0)
-    share = np.where(between, to_before_s / span_s, 0.0)[:, None]
-    blended_px = (1 - share[..., None]) * matched.keypoints_px[before] + share[..., None] * matched.keypoints_px[after]
-    blended = np.minimum(matched.score[before], matched.score[after])
-    both = between[:, None] & np.isfinite(blended_px).all(-1)
-
-    points_px = np.where(both[..., None], blended_px, matched.keypoints_px[nearest])
-    score = np.where(both, blended, matched.score[nearest]) * np.exp(-lambda_t_hz * gap_s)[:, None]
-    seen = (both | (gap_s <= half_s)[:, None]) & np.isfinite(points_px).all(-1)
-    return np.where(seen[..., None], points_px, np.nan), np.where(seen, score, 0.0)
+def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:
+    """Output instants from half a period before the first observation to half a period after the last."""
+    start = max(0, int(np.ceil((seen_s.min() - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
+    stop = int(np.floor((seen_s.max() + half_s - timebase.start_time_s) * timebase.frame_rate_hz)) + 1
+    return timebase.start_time_s + np.arange(start, min(stop, timebase.num_frames)) / timebase.frame_rate_hz

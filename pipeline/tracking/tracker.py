@@ -1,251 +1,248 @@
-"""Cross-view tracking, frame by frame (Chen et al. 2020, algorithm 1).
-
-Each frame comes from one camera at its own time: no synchronisation is assumed. Its detections are matched to targets
-in 3D space; what stays unmatched starts new targets together with the most recent frames of the other cameras.
-"""
+"""Cross-view tracking over all frames of a session: compiled loops, and new people where they ask for them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from pipeline.data import Camera
+from pipeline.compiled import round_up
+from pipeline.data import Camera, FrameTimes
 from pipeline.geometry.camera import center_in_world, image_from_world, rays_in_world
 from pipeline.geometry.epipolar import fundamental_matrix
-from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict, ray_distance_m
-from pipeline.tracking.assignment import assign
+from pipeline.geometry.tracks import triangulate_frames
+from pipeline.tracking import kernels
+from pipeline.tracking.affinity import ray_distance_m
 from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body
+from pipeline.tracking.kernels import Frames, Limits, Outcome, Pool, Rig, Room, Targets
+from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
-from pipeline.tracking.target import Target, update
 
-# The identity of a detection that belongs to nobody.
-NOBODY = -1
+_FIRST_SLOTS = 16
 
 
-@dataclass(slots=True, eq=False)
-class _View:
-    """What the tracker knows of one camera, and its most recent unmatched detections."""
+def make_rig(cameras: Sequence[Camera]) -> Rig:
+    """All cameras as arrays."""
+    projections = np.array([image_from_world(camera) for camera in cameras])
+    return Rig(
+        image_from_world=projections,
+        world_ray_from_image=np.linalg.inv(projections[:, :, :3]),
+        center_m=np.array([center_in_world(camera) for camera in cameras]),
+        fundamental=np.array(
+            [[np.full((3, 3), np.nan) if a is b else fundamental_matrix(a, b) for b in cameras] for a in cameras]
+        ),
+    )
 
-    camera: Camera
-    center_m: Float[np.ndarray, " 3"]
-    unmatched: list[Unmatched]
+
+def make_limits(parameters: TrackingParameters) -> Limits:
+    """Parameters as the kernels take them."""
+    return Limits(**{name: getattr(parameters, name) for name in Limits._fields})
+
+
+def make_frames(times: Sequence[FrameTimes], bodies: Bodies) -> Frames:
+    """All frames in time order, cameras at the same instant in their order.
+
+    Parameters
+    ----------
+    times
+        Of each camera, in the order of ``bodies.camera``.
+    """
+    first, last = [], []
+    starts = np.searchsorted(bodies.camera, np.arange(len(times) + 1))
+    for number, one in enumerate(times):
+        mine = slice(starts[number], starts[number + 1])
+        borders = starts[number] + np.searchsorted(bodies.frame[mine], np.arange(len(one.time_s) + 1))
+        first.append(borders[:-1])
+        last.append(borders[1:])
+    time_s = np.concatenate([one.time_s for one in times])
+    camera = np.repeat(np.arange(len(times)), [len(one.time_s) for one in times])
+    in_time = np.argsort(time_s, kind="stable")
+    return Frames(
+        time_s[in_time],
+        camera[in_time],
+        np.concatenate(first)[in_time],
+        np.concatenate(last)[in_time],
+        points_px=bodies.ideal_px,
+        score=bodies.used,
+    )
+
+
+def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detections: int) -> Targets:
+    """Room for so many targets, none of them alive."""
+    lanes = round_up(num_joints)
+    return Targets(
+        alive=np.zeros(1, np.int64),
+        order=np.arange(num_slots),
+        state=np.zeros(num_slots, kernels.target_dtype(lanes)),
+        views=np.zeros((num_slots, num_cameras), kernels.view_dtype(lanes)),
+        matched_s=np.zeros((num_slots, num_cameras)),
+        counted=np.zeros((num_slots, num_cameras), bool),
+        bodies=np.zeros(most_detections, kernels.body_dtype(lanes)),
+        sums=np.zeros(1, kernels.sums_dtype(lanes)),
+    )
+
+
+def make_room(num_slots: int, most_detections: int) -> Room:
+    """Arrays to work in."""
+    side = max(num_slots, most_detections)
+    return Room(
+        affinity=np.empty((num_slots, most_detections)),
+        match=np.empty(num_slots, np.int64),
+        rows=np.empty(num_slots, np.int64),
+        columns=np.empty(most_detections, np.int64),
+        free=np.empty(most_detections, bool),
+        gone=np.empty(num_slots, bool),
+        wanted=np.empty(most_detections, np.int64),
+        gain=np.empty((side, side)),
+        row_price=np.empty(side + 1),
+        column_price=np.empty(side + 1),
+        row_of=np.empty(side + 1, np.int64),
+        before=np.empty(side + 1, np.int64),
+        slack=np.empty(side + 1),
+        done=np.empty(side + 1, bool),
+    )
 
 
 class Tracker:
-    """Matches detections to people, one frame of one camera at a time, in time order.
+    """Gives every detection of a session the identity of a person.
 
     Parameters
     ----------
     cameras
-        The session's cameras; frames name them by position.
-    num_joints
-        Joints a detection.
+        The session's cameras.
+    frames
+        What they saw; see ``make_frames``.
     parameters
         See ``derive_parameters``.
     """
 
-    def __init__(self, cameras: Sequence[Camera], num_joints: int, parameters: TrackingParameters) -> None:
+    def __init__(self, cameras: Sequence[Camera], frames: Frames, parameters: TrackingParameters) -> None:
+        self._cameras = cameras
+        self._frames = frames
         self._parameters = parameters
-        self._num_joints = num_joints
-        self._views = [_View(camera, center_in_world(camera), []) for camera in cameras]
-        self._image_from_world = np.array([image_from_world(camera) for camera in cameras])
-        self._fundamentals = np.array(
-            [[fundamental_matrix(a, b) if a is not b else np.full((3, 3), np.nan) for b in cameras] for a in cameras]
+        self._limits = make_limits(parameters)
+        self._rig = make_rig(cameras)
+        most = int((frames.last - frames.first).max(initial=1))
+        self._targets = make_targets(_FIRST_SLOTS, len(cameras), frames.score.shape[1], most)
+        self._room = make_room(_FIRST_SLOTS, most)
+        self._pool = Pool(
+            np.zeros((len(cameras), most), np.int64), np.zeros(len(cameras), np.int64), np.full(len(cameras), -np.inf)
         )
-        self._targets: list[Target] = []
+        self._outcome = Outcome(
+            np.full(len(frames.score), NOBODY),
+            np.full(_FIRST_SLOTS, -1),
+            np.zeros(_FIRST_SLOTS, bool),
+            np.full(1, -np.inf),
+        )
         self._num_born = 0
-        self._replaced: dict[int, int] = {}
-        self._confirmed: set[int] = set()
 
-    @property
-    def confirmed(self) -> frozenset[int]:
-        """Identities that earned their birth so far, dead ones included."""
-        return frozenset(self._confirmed)
-
-    @property
-    def num_born(self) -> int:
-        """Number of identities given out."""
-        return self._num_born
-
-    def identity(self, target_id: int) -> int:
-        """The identity that a target goes by after duplicates were merged."""
-        while target_id in self._replaced:
-            target_id = self._replaced[target_id]
-        return target_id
-
-    def step(
-        self,
-        camera: int,
-        time_s: float,
-        points_px: Float[np.ndarray, "detections joints 2"],
-        score: Float[np.ndarray, "detections joints"],
-    ) -> tuple[Int[np.ndarray, " detections"], list[tuple[int, int, int]]]:
-        """Take in one frame.
-
-        Parameters
-        ----------
-        camera
-            Position of the camera.
-        time_s
-            The frame's time, not before that of the frame taken in last.
-        points_px
-            Joints in undistorted pixels, NaN where unseen or unsure.
-        score
-            Confidence of each joint, 0 where it is NaN.
+    def run(self) -> Int[np.ndarray, " detections"]:
+        """Go through all frames.
 
         Returns
         -------
-        identities
-            Target of each detection, ``NOBODY`` where there is none.
-        late
-            (camera, detection, identity) of detections of other cameras' most recent frames that a new target claims.
+            An identity a detection; ``NOBODY`` where it belongs to none, or to one that did not earn its birth.
         """
-        view = self._views[camera]
-        identities = np.full(len(score), NOBODY)
-
-        self._bury(time_s)
-        predicted_m = self._predict(time_s)
-        pairs = self._match(camera, time_s, points_px, rays_in_world(view.camera, points_px), predicted_m)
-        for i, j in pairs:
-            self._targets[i].observe(camera, time_s, points_px[j], score[j])
-            identities[j] = self._targets[i].target_id
-        if pairs:
-            matched = [i for i, _ in pairs]
-            update(
-                [self._targets[i] for i in matched],
-                time_s,
-                predicted_m[matched],
-                self._image_from_world,
-                self._parameters,
+        event, num_frames = 0, len(self._frames.time_s)
+        while event < num_frames:
+            event = kernels.track(
+                event, self._frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._room
             )
+            if event < num_frames:
+                self._start_targets(float(self._frames.time_s[event]))
+            event += 1
+        final = np.append(self._final_identities(), NOBODY)
+        return final[self._outcome.identity]
 
-        view.unmatched = [
-            Unmatched(camera, int(j), time_s, points_px[j], score[j]) for j in np.flatnonzero(identities == NOBODY)
-        ]
-        late = self._start_targets(time_s)
-        for claimed_camera, row, target_id in late:
-            if claimed_camera == camera:
-                identities[row] = target_id
-        self._merge_duplicates(time_s)
-        self._confirmed.update(target.target_id for target in self._targets if target.confirmed)
-        return identities, [claim for claim in late if claim[0] != camera]
+    def states(self) -> np.ndarray:
+        """State of those alive, in order of birth; records of ``kernels.target_dtype``."""
+        return self._targets.state[self._targets.order[: self._targets.alive[0]]]
 
-    def _predict(self, time_s: float) -> Float[np.ndarray, "targets joints 3"]:
-        if not self._targets:
-            return np.empty((0, self._num_joints, 3))
-        return predict(
-            np.array([target.xyz_m for target in self._targets]),
-            np.array([target.velocity_m_s for target in self._targets]),
-            np.array([time_s - target.updated_s for target in self._targets]),
-            self._parameters.max_extrapolation_s,
-        )
+    def _final_identities(self) -> Int[np.ndarray, " targets"]:
+        """The identity of each target after duplicates were merged, ``NOBODY`` if it did not earn its birth."""
+        final = np.arange(self._num_born)
+        twins = self._outcome.replaced_by[: self._num_born]
+        while (moved := twins[final] >= 0).any():
+            final[moved] = twins[final[moved]]
+        return np.where(self._outcome.earned[final], final, NOBODY)
 
-    def _match(
-        self,
-        camera: int,
-        time_s: float,
-        points_px: Float[np.ndarray, "detections joints 2"],
-        rays: Float[np.ndarray, "detections joints 3"],
-        predicted_m: Float[np.ndarray, "targets joints 3"],
-    ) -> list[tuple[int, int]]:
-        """Pairs of target and detection by the affinity of eq. 1; confirmed targets choose first."""
-        if not self._targets or not len(points_px):
-            return []
-        last_px = np.array([target.last_px[camera] for target in self._targets])
-        gap_s = np.array([time_s - target.matched_s[camera] for target in self._targets])
-        age_s = np.array([time_s - target.updated_s for target in self._targets])
-        affinities = affinity(
-            correspondence_2d(points_px, last_px, gap_s, self._parameters),
-            correspondence_3d(rays, self._views[camera].center_m, predicted_m, age_s, self._parameters),
-        )
-        pairs: list[tuple[int, int]] = []
-        free = np.ones(len(points_px), bool)
-        for confirmed in (True, False):
-            rows = np.flatnonzero([target.confirmed == confirmed for target in self._targets])
-            columns = np.flatnonzero(free)
-            chosen = assign(affinities[np.ix_(rows, columns)])
-            pairs.extend((int(rows[i]), int(columns[j])) for i, j in chosen)
-            free[[int(columns[j]) for _, j in chosen]] = False
-        return pairs
-
-    def _start_targets(self, time_s: float) -> list[tuple[int, int, int]]:
+    def _start_targets(self, time_s: float) -> None:
         """New targets from what is unmatched in every camera's most recent frame."""
         pool = [
-            one for view in self._views for one in view.unmatched if time_s - one.time_s < self._parameters.instant_s
+            Unmatched(camera, row, float(self._pool.time_s[camera]), self._points_px(row), self._frames.score[row])
+            for camera in range(len(self._cameras))
+            if time_s - self._pool.time_s[camera] < self._parameters.instant_s
+            for row in self._pool.rows[camera, : self._pool.num_rows[camera]].tolist()
         ]
-        if len({one.camera for one in pool}) < 2:
-            return []
-        claims: list[tuple[int, int, int]] = []
-        for group in group_unmatched(pool, self._fundamentals, self._parameters.alpha_epipolar_px):
-            target = Target.empty(self._num_born, len(self._views), self._num_joints)
-            for one in group:
-                target.observe(one.camera, one.time_s, one.points_px, one.score)
-            update([target], time_s, target.xyz_m[None], self._image_from_world, self._parameters)
-            if not is_body(target.xyz_m, self._spread_m(target), self._parameters):
-                continue
-            self._targets.append(target)
-            self._num_born += 1
-            for one in group:
-                self._views[one.camera].unmatched.remove(one)
-                claims.append((one.camera, one.row, target.target_id))
-        return claims
+        for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
+            group.sort(key=lambda one: one.time_s)
+            xyz_m = self._locate(group)
+            if is_body(xyz_m, self._spread_m(group, xyz_m), self._parameters):
+                self._add_target(group, xyz_m, time_s)
 
-    def _spread_m(self, target: Target) -> float:
-        """Median distance of a target's joints to the rays that made them."""
-        distances_m = [
-            ray_distance_m(
-                target.xyz_m,
-                self._views[camera].center_m,
-                _rays(self._image_from_world[camera], target.last_px[camera]),
-            )
-            for camera in np.flatnonzero(np.isfinite(target.matched_s))
-        ]
-        known = np.array(distances_m)[np.isfinite(distances_m)]
+    def _points_px(self, row: int) -> Float[np.ndarray, "joints 2"]:
+        """Joints in use of a detection, NaN elsewhere."""
+        return np.where(self._frames.score[row][:, None] > 0, self._frames.points_px[row], np.nan)
+
+    def _locate(self, group: Sequence[Unmatched]) -> Float[np.ndarray, "joints 3"]:
+        return triangulate_frames(
+            self._rig.image_from_world[[one.camera for one in group]],
+            np.array([[one.points_px for one in group]]),
+            np.array([[one.score for one in group]]),
+        )[0]
+
+    def _spread_m(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
+        """Median distance of joints to the rays that made them."""
+        distances_m = np.array(
+            [
+                ray_distance_m(
+                    xyz_m, self._rig.center_m[one.camera], rays_in_world(self._cameras[one.camera], one.points_px)
+                )
+                for one in group
+            ]
+        )
+        known = distances_m[np.isfinite(distances_m)]
         return float(np.median(known)) if known.size else np.inf
 
-    def _bury(self, time_s: float) -> None:
-        """End targets that two cameras have not seen for long."""
-        kept = []
-        for target in self._targets:
-            limit_s = self._parameters.max_unseen_s if target.confirmed else self._parameters.max_unseen_tentative_s
-            if time_s - max(target.supported_s, target.updated_s.max()) <= limit_s:
-                kept.append(target)
-        self._targets = kept
+    def _add_target(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"], time_s: float) -> None:
+        self._make_room()
+        targets, alive = self._targets, self._targets.alive[0]
+        slot = targets.order[alive]
+        targets.alive[0] = alive + 1
+        kernels.clear(targets, slot, self._num_born)
+        targets.state["expected_m"][slot, :, : len(xyz_m)] = xyz_m.T
+        for one in group:
+            kernels.prepare(targets, self._frames, one.row, 1, self._rig.world_ray_from_image[one.camera])
+            kernels.observe(targets, slot, one.camera, one.time_s, 0, self._rig.image_from_world, self._limits)
+            self._outcome.identity[one.row] = self._num_born
+            self._forget(one)
+        kernels.move(targets, slot, time_s, self._limits, self._outcome.earned)
+        self._num_born += 1
 
-    def _merge_duplicates(self, time_s: float) -> None:
-        """Two targets in one place are one person: the one that is seen now, or was seen more often, stays.
+    def _forget(self, claimed: Unmatched) -> None:
+        """Take a detection out of the pool."""
+        rows = self._pool.rows[claimed.camera]
+        left = [row for row in rows[: self._pool.num_rows[claimed.camera]] if row != claimed.row]
+        rows[: len(left)] = left
+        self._pool.num_rows[claimed.camera] = len(left)
 
-        A tentative target's detections go over to the one that stays. A confirmed one has a past of its own, such as
-        somebody who left and coasts into another's way: it ends there, and its past stays what it was.
-        """
-        by_merit = sorted(
-            self._targets,
-            key=lambda target: (
-                time_s - target.supported_s > self._parameters.velocity_window_s,
-                -target.num_supported,
-                target.target_id,
-            ),
-        )
-        kept: list[Target] = []
-        for target in by_merit:
-            twin = next((other for other in kept if self._same_place(target, other)), None)
-            if twin is None:
-                kept.append(target)
-            elif not target.confirmed:
-                self._replaced[target.target_id] = twin.target_id
-        self._targets = sorted(kept, key=lambda target: target.target_id)
-
-    def _same_place(self, a: Target, b: Target) -> bool:
-        apart_m = np.linalg.norm(a.xyz_m - b.xyz_m, axis=-1)
-        known = np.isfinite(apart_m)
-        return bool(known.sum() >= 3 and apart_m[known].mean() < self._parameters.duplicate_m)
+    def _make_room(self) -> None:
+        """Twice as many slots where all are taken, twice as many identities likewise."""
+        num_slots = len(self._targets.state)
+        if self._targets.alive[0] == num_slots:
+            larger = make_targets(
+                2 * num_slots, len(self._cameras), self._frames.score.shape[1], len(self._targets.bodies)
+            )
+            larger.alive[0] = num_slots
+            larger.order[:num_slots] = self._targets.order
+            for old, new in zip(self._targets[2:], larger[2:], strict=True):
+                new[: len(old)] = old
+            self._targets = larger
+            self._room = make_room(2 * num_slots, len(self._targets.bodies))
+        if self._num_born == len(self._outcome.earned):
+            self._outcome = self._outcome._replace(
+                replaced_by=_doubled(self._outcome.replaced_by, -1), earned=_doubled(self._outcome.earned, False)
+            )
 
 
-def _rays(
-    image_from_world: Float[np.ndarray, "3 4"], points_px: Float[np.ndarray, "joints 2"]
-) -> Float[np.ndarray, "joints 3"]:
-    """Unit viewing rays of undistorted pixels."""
-    homogeneous = np.concatenate([points_px, np.ones_like(points_px[:, :1])], axis=-1)
-    directions = homogeneous @ np.linalg.inv(image_from_world[:, :3]).T
-    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+def _doubled(values: Int[np.ndarray, " n"] | Bool[np.ndarray, " n"], fill: int) -> np.ndarray:
+    return np.concatenate([values, np.full_like(values, fill)])

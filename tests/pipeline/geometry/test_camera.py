@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.data import Camera
-from pipeline.geometry.camera import center_in_world, image_from_world, project, rays_in_world, undistort_px
+from pipeline.geometry.camera import center_in_world, image_from_world, project, rays_in_world
 from pipeline.geometry.epipolar import distance_to_line_px, epipolar_distance_px, fundamental_matrix
 from pipeline.geometry.rigid import Rigid3
+from pipeline.geometry.undistortion import undistort_px
 
 COEFFICIENTS = {
     "none": [],

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.data import Camera
-from pipeline.geometry.camera import center_in_world, project, rays_in_world, undistort_px
+from pipeline.geometry.camera import center_in_world, project, rays_in_world
+from pipeline.geometry.undistortion import undistort_px
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
 

@@ -1,0 +1,54 @@
+"""Compilation of numeric kernels to machine code, once a machine.
+
+Compiled code is kept on disk, apart by the kernels' source: numba itself looks only at the file that a kernel stands
+in, and would miss a change in another that it calls. ``python -m pipeline.tracking.warm_up`` compiles all of it.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+from pipeline.packages.storage import home
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+_SOURCES = [Path(__file__), *sorted(Path(__file__).parent.rglob("kernels.py"))]
+
+
+def _cache_folder() -> Path | None:
+    """Where compiled code is kept, ``None`` if nothing can be written there: each process compiles for itself then."""
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdigest()[:16]
+    folder = home() / "kernels" / digest
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+_FOLDER = _cache_folder()
+if _FOLDER is not None:
+    numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
+
+_OPTIONS: dict[str, Any] = {
+    "cache": _FOLDER is not None,
+    "error_model": "numpy",
+    # NaN keeps its meaning; sums may be reordered, so that a loop can work on several joints at a time.
+    "fastmath": {"reassoc", "contract", "arcp", "nsz"},
+    # Kernels allocate nothing. So references need not be counted, which took a fifth of the tracker's time.
+    "_nrt": False,
+}
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile a function of numbers and arrays at its first call; it must not allocate arrays."""
+    compiled: _Function = numba.njit(function, **_OPTIONS)
+    return compiled
+
+
+def round_up(num_joints: int) -> int:
+    """Joints and unused lanes behind them: a multiple of what a machine works on at a time."""
+    return -(-num_joints // 4) * 4

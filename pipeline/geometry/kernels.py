@@ -1,0 +1,422 @@
+"""Triangulation and reprojection of whole tracks as compiled loops.
+
+``triangulation.py`` and ``camera.py`` are the same in plain numpy, to read first: tests hold these loops to them. What
+is on the way stands in records whose arrays have the joints last and a length known when a loop is compiled, so that a
+loop over the joints works on several at a time.
+"""
+
+from functools import cache
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+
+from pipeline.compiled import kernel, round_up
+
+_NUM_NORMAL = 9
+_MIN_DETERMINANT = 1e-5
+
+
+@cache
+def view_dtype(lanes: int) -> np.dtype:
+    """What a camera says of the joints."""
+    return np.dtype(
+        [
+            ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9 and 11)
+            ("base2", np.float64, (lanes,)),  # squared weight
+            ("distance2", np.float64, (lanes,)),  # squared distance of the point to the ray
+        ],
+        align=True,
+    )
+
+
+@cache
+def point_dtype(lanes: int) -> np.dtype:
+    """What all cameras say together."""
+    return np.dtype(
+        [
+            # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
+            ("normal", np.float64, (_NUM_NORMAL, lanes)),
+            ("views", np.float64, (lanes,)),
+            ("xyz_m", np.float64, (3, lanes)),
+            ("kept_m", np.float64, (3, lanes)),
+            ("worst2", np.float64, (lanes,)),
+            ("cost", np.float64, (lanes,)),
+            ("kept_cost", np.float64, (lanes,)),
+            ("plain_worst2", np.float64, (lanes,)),
+        ],
+        align=True,
+    )
+
+
+@cache
+def block_dtype(size: int) -> np.dtype:
+    """Points to undistort together."""
+    return np.dtype([(name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")], align=True)
+
+
+class Room(NamedTuple):
+    """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
+
+    views: np.ndarray  # (cameras,) of view_dtype
+    points: np.ndarray  # (1,) of point_dtype
+    alone_m: np.ndarray  # (frames, joints, 3): positions without the neighbours' say
+    disagree: np.ndarray  # (frames, joints): whether views do
+    guess_m: np.ndarray  # (joints, 3)
+    window: np.ndarray  # (2 * reach + 1,)
+
+
+def make_room(shape: tuple[int, int, int], reach: int) -> Room:
+    """Room for ``triangulate_over_time``; the shape is (frames, cameras, joints)."""
+    num_frames, num_cameras, num_joints = shape
+    lanes = round_up(num_joints)
+    return Room(
+        np.zeros(num_cameras, view_dtype(lanes)),
+        np.zeros(1, point_dtype(lanes)),
+        np.empty((num_frames, num_joints, 3)),
+        np.empty((num_frames, num_joints), bool),
+        np.zeros((num_joints, 3)),
+        np.empty(2 * reach + 1),
+    )
+
+
+@kernel
+@no_type_check
+def _fill_rows(image_from_world, points_px, weights, views):
+    """Normalised rows of each view (Chen et al. 2020, eq. 7-9 and 11)."""
+    for c in range(len(views)):
+        view, p = views[c], image_from_world[c]
+        p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+        p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+        p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+        for k in range(weights.shape[1]):
+            u, v, w = points_px[c, k, 0], points_px[c, k, 1], weights[c, k]
+            used = (w > 0) & (u + v == u + v)
+            u, v = u if used else 0.0, v if used else 0.0
+            a0, a1, a2, a3 = u * p20 - p00, u * p21 - p01, u * p22 - p02, u * p23 - p03
+            b0, b1, b2, b3 = v * p20 - p10, v * p21 - p11, v * p22 - p12, v * p23 - p13
+            over_a = 1.0 / np.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
+            over_b = 1.0 / np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
+            view.base2[k] = w * w if used else 0.0
+            view.rows[0, k] = a0 * over_a
+            view.rows[1, k] = a1 * over_a
+            view.rows[2, k] = a2 * over_a
+            view.rows[3, k] = a3 * over_a
+            view.rows[4, k] = b0 * over_b
+            view.rows[5, k] = b1 * over_b
+            view.rows[6, k] = b2 * over_b
+            view.rows[7, k] = b3 * over_b
+
+
+@kernel
+@no_type_check
+def _solve(views, point, scale_m):
+    """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN where two views are wanting or all rays parallel.
+
+    Views are weighted by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``, with the distances of the point before; an infinite
+    scale gives all their full weight.
+    """
+    point.normal[:] = 0.0
+    point.views[:] = 0.0
+    scale2 = scale_m * scale_m
+    is_plain = scale2 == np.inf
+    for c in range(len(views)):
+        view = views[c]
+        for k in range(view.base2.shape[0]):
+            share = scale2 / (scale2 + view.distance2[k])
+            share = 1.0 if is_plain else share
+            weight = view.base2[k] * share * share
+            a0, a1, a2, a3 = view.rows[0, k], view.rows[1, k], view.rows[2, k], view.rows[3, k]
+            b0, b1, b2, b3 = view.rows[4, k], view.rows[5, k], view.rows[6, k], view.rows[7, k]
+            point.views[k] += 1.0 if weight > 0 else 0.0
+            point.normal[0, k] += weight * (a0 * a0 + b0 * b0)
+            point.normal[1, k] += weight * (a0 * a1 + b0 * b1)
+            point.normal[2, k] += weight * (a0 * a2 + b0 * b2)
+            point.normal[3, k] += weight * (a1 * a1 + b1 * b1)
+            point.normal[4, k] += weight * (a1 * a2 + b1 * b2)
+            point.normal[5, k] += weight * (a2 * a2 + b2 * b2)
+            point.normal[6, k] -= weight * (a0 * a3 + b0 * b3)
+            point.normal[7, k] -= weight * (a1 * a3 + b1 * b3)
+            point.normal[8, k] -= weight * (a2 * a3 + b2 * b3)
+    for k in range(point.views.shape[0]):
+        a, b, c, d = point.normal[0, k], point.normal[1, k], point.normal[2, k], point.normal[3, k]
+        e, f = point.normal[4, k], point.normal[5, k]
+        x, y, z = point.normal[6, k], point.normal[7, k], point.normal[8, k]
+        aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+        bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+        determinant = a * aa + b * ab + c * ac
+        trace = a + d + f
+        solvable = (point.views[k] >= 2) & (determinant > _MIN_DETERMINANT * trace * trace * trace)
+        over = 1.0 / determinant
+        over = over if solvable else np.nan
+        point.xyz_m[0, k] = (aa * x + ab * y + ac * z) * over
+        point.xyz_m[1, k] = (ab * x + bb * y + bc * z) * over
+        point.xyz_m[2, k] = (ac * x + bc * y + cc * z) * over
+
+
+@kernel
+@no_type_check
+def _measure(views, point, scale_m):
+    """Distances of the point to both planes of a view: to first order that to its ray; infinite for NaN.
+
+    Also the largest over the views in use (0 for NaN), and their cost by Geman-McClure.
+    """
+    scale2 = scale_m * scale_m
+    point.worst2[:] = 0.0
+    point.cost[:] = 0.0
+    for c in range(len(views)):
+        view = views[c]
+        for k in range(view.base2.shape[0]):
+            x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
+            first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
+            second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
+            squared = first * first + second * second
+            known = squared == squared
+            worst2 = squared if known & (view.base2[k] > 0) else 0.0
+            point.worst2[k] = worst2 if worst2 > point.worst2[k] else point.worst2[k]
+            cost = view.base2[k] * squared / (squared + scale2)
+            point.cost[k] += cost if known else np.inf
+            view.distance2[k] = squared if known else np.inf
+
+
+@kernel
+@no_type_check
+def _median_around(alone_m, frame, joint, axis, reach, window):
+    """Median over a frame and its neighbours on each side, NaN where none of them has the joint."""
+    count = 0
+    for other in range(max(frame - reach, 0), min(frame + reach + 1, alone_m.shape[0])):
+        value = alone_m[other, joint, axis]
+        if value == value:
+            place = count
+            while place > 0 and window[place - 1] > value:
+                window[place] = window[place - 1]
+                place -= 1
+            window[place] = value
+            count += 1
+    if count == 0:
+        return np.nan
+    return 0.5 * (window[(count - 1) // 2] + window[count // 2])
+
+
+@kernel
+@no_type_check
+def _triangulate_alone(views, point, scales_m):
+    """``triangulation.triangulate_robust`` without a guess; the point is measured at the strictest scale in the end."""
+    strictest_m = scales_m[-1]
+    _solve(views, point, np.inf)
+    _measure(views, point, strictest_m)
+    worst2 = 0.0
+    for k in range(point.views.shape[0]):
+        point.plain_worst2[k] = point.worst2[k]
+        worst2 = max(worst2, point.worst2[k])
+    for step in range(len(scales_m) - 1):
+        scale2 = scales_m[step] * scales_m[step]
+        if worst2 <= scale2:
+            continue
+        for k in range(point.views.shape[0]):
+            for axis in range(3):
+                point.kept_m[axis, k] = point.xyz_m[axis, k]
+        _solve(views, point, scales_m[step])
+        for k in range(point.views.shape[0]):
+            needed = point.plain_worst2[k] > scale2
+            point.xyz_m[0, k] = point.xyz_m[0, k] if needed else point.kept_m[0, k]
+            point.xyz_m[1, k] = point.xyz_m[1, k] if needed else point.kept_m[1, k]
+            point.xyz_m[2, k] = point.xyz_m[2, k] if needed else point.kept_m[2, k]
+        _measure(views, point, strictest_m)
+    for _ in range(2):
+        _solve(views, point, strictest_m)
+        _measure(views, point, strictest_m)
+
+
+@kernel
+@no_type_check
+def _disputed(alone_m, frame, disputed_m, reach, room):
+    """Whether any joint's views disagree, and its neighbours too; ``room.disagree`` and ``room.guess_m`` tell which."""
+    any_disputed = False
+    for k in range(alone_m.shape[1]):
+        if room.disagree[frame, k]:
+            apart2 = 0.0
+            for axis in range(3):
+                room.guess_m[k, axis] = _median_around(alone_m, frame, k, axis, reach, room.window)
+                apart2 += (room.guess_m[k, axis] - alone_m[frame, k, axis]) ** 2
+            room.disagree[frame, k] = apart2 > disputed_m * disputed_m
+            any_disputed |= room.disagree[frame, k]
+    return any_disputed
+
+
+@kernel
+@no_type_check
+def _from_guess(views, here, scales_m, frame, room, xyz_m):
+    """Start disputed joints from their guess, and keep what costs less."""
+    num_joints = xyz_m.shape[1]
+    for k in range(num_joints):
+        for axis in range(3):
+            here.xyz_m[axis, k] = room.alone_m[frame, k, axis]
+    _measure(views, here, scales_m[-1])
+    for k in range(num_joints):
+        here.kept_cost[k] = here.cost[k]
+        for axis in range(3):
+            here.xyz_m[axis, k] = room.guess_m[k, axis]
+    for step in (-2, -1, -1):
+        _measure(views, here, scales_m[-1])
+        _solve(views, here, scales_m[step])
+    _measure(views, here, scales_m[-1])
+    for k in range(num_joints):
+        if room.disagree[frame, k] and here.cost[k] < here.kept_cost[k]:
+            for axis in range(3):
+                xyz_m[frame, k, axis] = here.xyz_m[axis, k]
+
+
+@kernel
+@no_type_check
+def triangulate_over_time(image_from_world, points_px, weights, scales_m, disputed_m, reach, room, xyz_m):
+    """Triangulate every frame robustly; where views disagree, the neighbouring frames propose a start.
+
+    The loops of ``triangulation.triangulate_robust``, first without a guess, then with the running median of that as
+    the guess.
+
+    Parameters
+    ----------
+    image_from_world
+        Projection matrices to undistorted pixels, (cameras, 3, 4).
+    points_px
+        Undistorted pixels, (frames, cameras, joints, 2); NaN where unseen.
+    weights
+        Factors of a view's rows, (frames, cameras, joints); 0 leaves the view out.
+    scales_m, disputed_m
+        ``triangulation.SCALES_M`` and ``triangulation.DISPUTED_M``.
+    reach
+        Frames on each side whose median is the guess.
+    room
+        See ``make_room``.
+    xyz_m
+        Gets the world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the point.
+    """
+    views, here = room.views, room.points[0]
+    for frame in range(len(points_px)):
+        _fill_rows(image_from_world, points_px[frame], weights[frame], views)
+        _triangulate_alone(views, here, scales_m)
+        for k in range(points_px.shape[2]):
+            room.disagree[frame, k] = here.worst2[k] > disputed_m * disputed_m
+            for axis in range(3):
+                room.alone_m[frame, k, axis] = here.xyz_m[axis, k]
+                xyz_m[frame, k, axis] = here.xyz_m[axis, k]
+    for frame in range(len(points_px)):
+        if _disputed(room.alone_m, frame, disputed_m, reach, room):
+            _fill_rows(image_from_world, points_px[frame], weights[frame], views)
+            _from_guess(views, here, scales_m, frame, room, xyz_m)
+
+
+@kernel
+@no_type_check
+def reprojection_errors(poses, matrices, distortions, xyz_m, points_px, weights, points, error_px, mean_weight, views):
+    """Mean reprojection error over the cameras that saw a joint, and how many those are.
+
+    Parameters
+    ----------
+    poses
+        Extrinsics [R | t], (cameras, 3, 4).
+    matrices
+        Camera matrices, (cameras, 3, 3).
+    distortions
+        Twelve coefficients a camera, as ``camera.distort`` takes them.
+    xyz_m
+        World coordinates, (frames, joints, 3).
+    points_px
+        Pixels as seen, (frames, cameras, joints, 2).
+    weights
+        Above 0 where an observation was used, (frames, cameras, joints).
+    points
+        Room to work in, zeros (1,) of ``point_dtype``.
+    error_px
+        Gets the error, (frames, joints), NaN where no camera saw the joint or it is not known.
+    mean_weight, views
+        Get the mean weight of the cameras that saw the joint, and how many they are, (frames, joints); 0 where there
+        is no error.
+    """
+    num_frames, num_cameras, num_joints = weights.shape
+    here = points[0]
+    for frame in range(num_frames):
+        here.cost[:] = 0.0
+        here.views[:] = 0.0
+        here.kept_cost[:] = 0.0
+        for k in range(num_joints):
+            for axis in range(3):
+                here.xyz_m[axis, k] = xyz_m[frame, k, axis]
+        for c in range(num_cameras):
+            p, m, d = poses[c], matrices[c], distortions[c]
+            p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+            p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+            p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+            m00, m01, m02, m10, m11, m12 = m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2]
+            k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
+            s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
+            for k in range(num_joints):
+                x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
+                depth = p20 * x + p21 * y + p22 * z + p23
+                over = 1.0 / depth
+                over = over if depth > 1e-6 else np.nan
+                u, v = (p00 * x + p01 * y + p02 * z + p03) * over, (p10 * x + p11 * y + p12 * z + p13) * over
+                r2 = u * u + v * v
+                radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+                seen_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2)
+                seen_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2)
+                dx = m00 * seen_u + m01 * seen_v + m02 - points_px[frame, c, k, 0]
+                dy = m10 * seen_u + m11 * seen_v + m12 - points_px[frame, c, k, 1]
+                weight = weights[frame, c, k]
+                off_px = np.sqrt(dx * dx + dy * dy)
+                here.cost[k] += off_px if weight > 0 else 0.0
+                here.kept_cost[k] += weight
+                here.views[k] += 1.0 if weight > 0 else 0.0
+        for k in range(num_joints):
+            seen = here.views[k]
+            error, weight = here.cost[k] / seen, here.kept_cost[k] / seen
+            located = (seen > 0) & (error == error)
+            views[frame, k] = seen if located else 0.0
+            error_px[frame, k] = error if located else np.nan
+            mean_weight[frame, k] = weight if located else 0.0
+
+
+@kernel
+@no_type_check
+def undistort(points, d, num_steps, tolerance, blocks):
+    """Invert ``camera.distort`` in place by Newton's method with the exact Jacobian; (points, 2), NaN stays NaN.
+
+    Points go in blocks that end together; ``blocks`` is room for one, (1,) of ``block_dtype``.
+    """
+    block = blocks[0]
+    size = block.x.shape[0]
+    k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
+    s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
+    for start in range(0, len(points), size):
+        stop = min(start + size, len(points))
+        for i in range(stop - start):
+            block.goal_x[i], block.goal_y[i] = points[start + i, 0], points[start + i, 1]
+            block.x[i], block.y[i] = points[start + i, 0], points[start + i, 1]
+        for _ in range(num_steps):
+            num_open = 0.0
+            for i in range(size):
+                u, v = block.x[i], block.y[i]
+                r2 = u * u + v * v
+                over = 1.0 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+                radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * over
+                # Twice the derivative of radial by r2: quotient rule.
+                slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) * over
+                off_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2) - block.goal_x[i]
+                off_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2) - block.goal_y[i]
+                prism_u, prism_v = 2 * (s1 + 2 * s2 * r2), 2 * (s3 + 2 * s4 * r2)
+                uu = radial + u * u * slope + 2 * p1 * v + 6 * p2 * u + prism_u * u
+                uv = u * v * slope + 2 * p1 * u + 2 * p2 * v + prism_u * v
+                vu = u * v * slope + 2 * p1 * u + 2 * p2 * v + prism_v * u
+                vv = radial + v * v * slope + 6 * p1 * v + 2 * p2 * u + prism_v * v
+                determinant = uu * vv - uv * vu
+                over = 1.0 / determinant
+                # Where the model folds over, beyond the image, the Jacobian loses its sign: stay there rather than
+                # diverge.
+                over = over if determinant > 1e-3 else 0.0
+                block.x[i] = u - (vv * off_u - uv * off_v) * over
+                block.y[i] = v - (uu * off_v - vu * off_u) * over
+                num_open += 1.0 if (off_u * off_u + off_v * off_v) * over > tolerance * tolerance else 0.0
+            if num_open == 0:
+                break
+        for i in range(stop - start):
+            points[start + i, 0], points[start + i, 1] = block.x[i], block.y[i]

@@ -1,0 +1,81 @@
+"""Triangulation and reprojection of many frames at a time; ``triangulation`` and ``camera`` say what is computed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.compiled import round_up
+from pipeline.data import Camera
+from pipeline.geometry.camera import twelve_coefficients
+from pipeline.geometry.kernels import make_room, point_dtype, reprojection_errors, triangulate_over_time
+from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
+
+# Frames on each side whose median says where a joint should be.
+_REACH = 2
+
+
+def triangulate_frames(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    points_px: Float[np.ndarray, "frames cameras joints 2"],
+    weights: Float[np.ndarray, "frames cameras joints"],
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Triangulate consecutive frames so that a wrong observation in one view does not pull the point.
+
+    ``triangulation.triangulate_robust``, frame by frame; the guess is the running median of two frames on each side.
+
+    Parameters
+    ----------
+    points_px
+        Undistorted pixels, NaN where a camera does not see the point.
+    weights
+        Factor of a view's rows; 0 leaves it out.
+
+    Returns
+    -------
+        World coordinates in metres, NaN where fewer than two cameras see the point.
+    """
+    num_frames, num_cameras, num_joints = weights.shape
+    room = make_room((num_frames, num_cameras, num_joints), _REACH)
+    xyz_m = np.empty((num_frames, num_joints, 3))
+    triangulate_over_time(image_from_world, points_px, weights, np.array(SCALES_M), DISPUTED_M, _REACH, room, xyz_m)
+    return xyz_m
+
+
+def reproject(
+    cameras: Sequence[Camera],
+    xyz_m: Float[np.ndarray, "frames joints 3"],
+    points_px: Float[np.ndarray, "frames cameras joints 2"],
+    weights: Float[np.ndarray, "frames cameras joints"],
+) -> tuple[Float[np.ndarray, "frames joints"], Float[np.ndarray, "frames joints"], Int[np.ndarray, "frames joints"]]:
+    """Compare points with the observations behind them.
+
+    Parameters
+    ----------
+    points_px
+        Pixels as seen.
+    weights
+        Above 0 where an observation was used.
+
+    Returns
+    -------
+    error_px
+        Mean reprojection error over the cameras that saw a joint, NaN where none did or it is not known.
+    mean_weight, views
+        Mean weight of those cameras, and how many they are; 0 where there is no error.
+    """
+    shape = xyz_m.shape[:2]
+    error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)
+    reprojection_errors(
+        np.array([camera.cam_from_world.matrix for camera in cameras]),
+        np.array([camera.matrix for camera in cameras]),
+        np.array([twelve_coefficients(camera.distortion) for camera in cameras]),
+        xyz_m,
+        points_px,
+        weights,
+        np.zeros(1, point_dtype(round_up(shape[1]))),
+        error_px,
+        mean_weight,
+        views,
+    )
+    return error_px, mean_weight, views

@@ -1,0 +1,788 @@
+"""Cross-view tracking (Chen et al. 2020, algorithm 1) as compiled loops over frames.
+
+``reference.py`` is the same method in plain numpy, to read first: tests hold these loops to it.
+
+The state is kept in records whose arrays have the joints last and a length known when a loop is compiled (a multiple of
+four: the joints, and lanes that stay unused). So a loop over the joints works on several at a time.
+"""
+
+from functools import cache
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+
+from pipeline.compiled import kernel
+
+# Positions kept for a velocity; more frequent ones replace the newest.
+NUM_RECENT = 8
+# The six entries of a symmetric 3x3 matrix, and the right-hand side of the normal equations.
+_NUM_NORMAL = 9
+_NUM_SUMS = 9
+_MIN_JOINTS = 3
+_MIN_DETERMINANT = 1e-5
+
+
+@cache
+def target_dtype(lanes: int) -> np.dtype:
+    """The state of a target; ``reference.Target`` says what the fields mean."""
+    return np.dtype(
+        [
+            ("target_id", np.int64),
+            ("xyz_m", np.float64, (3, lanes)),
+            ("updated_s", np.float64, (lanes,)),
+            ("velocity_m_s", np.float64, (3, lanes)),
+            ("expected_m", np.float64, (3, lanes)),  # where the joints should be now
+            ("offset_m", np.float64, (3, lanes)),  # the same as seen from the centre of the camera of now
+            ("squared_m2", np.float64, (lanes,)),  # its squared length
+            ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
+            ("normal_sum", np.float64, (_NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
+            ("views", np.float64, (lanes,)),  # how many those are
+            ("sum_s", np.float64),
+            ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
+            ("recent_s", np.float64, (NUM_RECENT,)),
+            ("recent_since_s", np.float64),  # when the newest of them was first taken
+            ("num_recent", np.int64),
+            ("is_fitted", np.bool_),
+            ("moved_s", np.float64),
+            ("supported_s", np.float64),
+            ("num_supported", np.int64),
+            ("confirmed", np.bool_),
+        ],
+        align=True,
+    )
+
+
+@cache
+def view_dtype(lanes: int) -> np.dtype:
+    """The last match of a target in a camera."""
+    return np.dtype([("normal", np.float64, (_NUM_NORMAL, lanes)), ("last_px", np.float64, (2, lanes))], align=True)
+
+
+@cache
+def body_dtype(lanes: int) -> np.dtype:
+    """A detection of the camera of now."""
+    return np.dtype(
+        [("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))],
+        align=True,
+    )
+
+
+@cache
+def sums_dtype(lanes: int) -> np.dtype:
+    """Sums behind the velocities of a target's joints."""
+    return np.dtype([("fit", np.float64, (_NUM_SUMS, lanes))], align=True)
+
+
+class Rig(NamedTuple):
+    """All cameras, as arrays."""
+
+    image_from_world: np.ndarray  # (cameras, 3, 4)
+    world_ray_from_image: np.ndarray  # (cameras, 3, 3)
+    center_m: np.ndarray  # (cameras, 3)
+    fundamental: np.ndarray  # (cameras, cameras, 3, 3), [left, right]
+
+
+class Frames(NamedTuple):
+    """All frames of all cameras in time order, and their detections: rows ``first:last`` of the last two arrays."""
+
+    time_s: np.ndarray
+    camera: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    points_px: np.ndarray  # (detections, joints, 2), undistorted
+    score: np.ndarray  # (detections, joints), 0 where a joint is not used
+
+
+class Limits(NamedTuple):
+    """``TrackingParameters`` as numbers in one order."""
+
+    alpha_2d_px_s: float
+    alpha_epipolar_px: float
+    alpha_3d_m: float
+    weight_2d: float
+    weight_3d: float
+    lambda_a_hz: float
+    lambda_t_hz: float
+    instant_s: float
+    velocity_window_s: float
+    confirm_instants: int
+    max_unseen_s: float
+    max_unseen_tentative_s: float
+    max_extrapolation_s: float
+    duplicate_m: float
+
+
+class Targets(NamedTuple):
+    """All targets, a slot each: ``order`` lists the slots of those alive in order of birth, ``alive[0]`` of them."""
+
+    alive: np.ndarray
+    order: np.ndarray
+    state: np.ndarray  # (slots,) of target_dtype
+    views: np.ndarray  # (slots, cameras) of view_dtype
+    matched_s: np.ndarray  # (slots, cameras)
+    counted: np.ndarray  # (slots, cameras): whether normal_sum has the view
+    bodies: np.ndarray  # (most detections in a frame,) of body_dtype
+    sums: np.ndarray  # (1,) of sums_dtype
+
+
+class Room(NamedTuple):
+    """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
+
+    affinity: np.ndarray  # (slots, most detections in a frame)
+    match: np.ndarray  # (slots,)
+    rows: np.ndarray  # (slots,)
+    columns: np.ndarray  # (most detections,)
+    free: np.ndarray  # (most detections,)
+    gone: np.ndarray  # (slots,)
+    wanted: np.ndarray  # (most detections,)
+    gain: np.ndarray  # (side, side), where side is the larger of slots and most detections
+    row_price: np.ndarray  # (side + 1,), as all that follow
+    column_price: np.ndarray
+    row_of: np.ndarray
+    before: np.ndarray
+    slack: np.ndarray
+    done: np.ndarray
+
+
+class Pool(NamedTuple):
+    """Detections of each camera's most recent frame that belong to nobody."""
+
+    rows: np.ndarray  # (cameras, most detections in a frame)
+    num_rows: np.ndarray
+    time_s: np.ndarray
+
+
+class Outcome(NamedTuple):
+    """What tracking finds out."""
+
+    identity: np.ndarray  # a detection
+    replaced_by: np.ndarray  # a target: a duplicate's twin, else -1
+    earned: np.ndarray  # a target: whether it was ever confirmed
+    merged_s: np.ndarray  # (1,): when duplicates were looked for last
+
+
+@kernel
+@no_type_check
+def clear(targets, slot, target_id):
+    """Make a slot one that nobody has seen yet."""
+    target = targets.state[slot]
+    target.target_id = target_id
+    target.xyz_m[:] = np.nan
+    target.updated_s[:] = -np.inf
+    target.velocity_m_s[:] = 0.0
+    target.normal_sum[:] = 0.0
+    target.views[:] = 0.0
+    target.sum_s = -np.inf
+    target.num_recent = 0
+    target.is_fitted = True
+    target.moved_s = -np.inf
+    target.supported_s = -np.inf
+    target.num_supported = 0
+    target.confirmed = False
+    targets.matched_s[slot] = -np.inf
+    targets.counted[slot] = False
+    for camera in range(targets.views.shape[1]):
+        targets.views[slot, camera].last_px[:] = np.nan
+
+
+@kernel
+@no_type_check
+def _drop_old_views(targets, slot, time_s, limits):
+    """Take views that are too old out of the sum; a joint that nobody sees starts from zero again."""
+    target = targets.state[slot]
+    for camera in range(targets.matched_s.shape[1]):
+        if not targets.counted[slot, camera] or time_s - targets.matched_s[slot, camera] < limits.velocity_window_s:
+            continue
+        targets.counted[slot, camera] = False
+        view = targets.views[slot, camera]
+        weight = np.exp(-2 * limits.lambda_t_hz * (target.sum_s - targets.matched_s[slot, camera]))
+        for k in range(target.views.shape[0]):
+            target.views[k] -= 1.0 if view.normal[0, k] + view.normal[3, k] + view.normal[5, k] > 0 else 0.0
+        for entry in range(_NUM_NORMAL):
+            for k in range(target.views.shape[0]):
+                total = target.normal_sum[entry, k] - weight * view.normal[entry, k]
+                target.normal_sum[entry, k] = total if target.views[k] > 0 else 0.0
+
+
+@kernel
+@no_type_check
+def observe(targets, slot, camera, time_s, body_number, image_from_world, limits):
+    """Take a matched detection for the last one of its camera (eq. 6-9 and the norm of eq. 11).
+
+    Its rows are weighted with the detector's confidence, and with ``a^2 / (a^2 + d^2)`` for the distance d of the ray
+    to where the joint was expected, a being alpha_3d. In the sum of the normal equations the camera's last match makes
+    room for it, and all others fall with time, ``exp(-lambda_t (t - t_i))`` squared.
+    """
+    _drop_old_views(targets, slot, time_s, limits)
+    target, view, body = targets.state[slot], targets.views[slot, camera], targets.bodies[body_number]
+    rate_hz = 2 * limits.lambda_t_hz
+    decay = np.exp(-rate_hz * (time_s - target.sum_s)) if time_s > target.sum_s else 1.0
+    had = 1.0 if targets.counted[slot, camera] else 0.0
+    old = np.exp(-rate_hz * (time_s - targets.matched_s[slot, camera])) if targets.counted[slot, camera] else 0.0
+    p = image_from_world[camera]
+    p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+    p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+    p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+    scale2 = limits.alpha_3d_m * limits.alpha_3d_m
+    for k in range(body.score.shape[0]):
+        u, v = body.points_px[0, k], body.points_px[1, k]
+        view.last_px[0, k] = u if body.score[k] > 0 else np.nan
+        view.last_px[1, k] = v if body.score[k] > 0 else np.nan
+        a0, a1, a2, a3 = u * p20 - p00, u * p21 - p01, u * p22 - p02, u * p23 - p03
+        b0, b1, b2, b3 = v * p20 - p10, v * p21 - p11, v * p22 - p12, v * p23 - p13
+        norm_a2, norm_b2 = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2
+        over = 1.0 / (norm_a2 * norm_b2)
+        over_a2, over_b2 = norm_b2 * over, norm_a2 * over
+        x, y, z = target.expected_m[0, k], target.expected_m[1, k], target.expected_m[2, k]
+        first, second = a0 * x + a1 * y + a2 * z + a3, b0 * x + b1 * y + b2 * z + b3
+        distance2 = first * first * over_a2 + second * second * over_b2
+        doubt = scale2 / (scale2 + distance2)
+        weight = body.score[k] * body.score[k] * (doubt if distance2 >= 0 else 1.0)  # NaN: nothing was expected
+        weight_a, weight_b = weight * over_a2, weight * over_b2
+        n0, o0 = weight_a * a0 * a0 + weight_b * b0 * b0, view.normal[0, k]
+        n1, o1 = weight_a * a0 * a1 + weight_b * b0 * b1, view.normal[1, k]
+        n2, o2 = weight_a * a0 * a2 + weight_b * b0 * b2, view.normal[2, k]
+        n3, o3 = weight_a * a1 * a1 + weight_b * b1 * b1, view.normal[3, k]
+        n4, o4 = weight_a * a1 * a2 + weight_b * b1 * b2, view.normal[4, k]
+        n5, o5 = weight_a * a2 * a2 + weight_b * b2 * b2, view.normal[5, k]
+        n6, o6 = -(weight_a * a0 * a3 + weight_b * b0 * b3), view.normal[6, k]
+        n7, o7 = -(weight_a * a1 * a3 + weight_b * b1 * b3), view.normal[7, k]
+        n8, o8 = -(weight_a * a2 * a3 + weight_b * b2 * b3), view.normal[8, k]
+        others = target.views[k] - (had if o0 + o3 + o5 > 0 else 0.0)
+        # Exactly zero where no other camera sees the joint: what is left of the sum is rounding.
+        keep = decay if others > 0 else 0.0
+        gone = old if others > 0 else 0.0
+        target.views[k] = others + (1.0 if weight > 0 else 0.0)
+        target.normal_sum[0, k] = keep * target.normal_sum[0, k] - gone * o0 + n0
+        target.normal_sum[1, k] = keep * target.normal_sum[1, k] - gone * o1 + n1
+        target.normal_sum[2, k] = keep * target.normal_sum[2, k] - gone * o2 + n2
+        target.normal_sum[3, k] = keep * target.normal_sum[3, k] - gone * o3 + n3
+        target.normal_sum[4, k] = keep * target.normal_sum[4, k] - gone * o4 + n4
+        target.normal_sum[5, k] = keep * target.normal_sum[5, k] - gone * o5 + n5
+        target.normal_sum[6, k] = keep * target.normal_sum[6, k] - gone * o6 + n6
+        target.normal_sum[7, k] = keep * target.normal_sum[7, k] - gone * o7 + n7
+        target.normal_sum[8, k] = keep * target.normal_sum[8, k] - gone * o8 + n8
+        view.normal[0, k] = n0
+        view.normal[1, k] = n1
+        view.normal[2, k] = n2
+        view.normal[3, k] = n3
+        view.normal[4, k] = n4
+        view.normal[5, k] = n5
+        view.normal[6, k] = n6
+        view.normal[7, k] = n7
+        view.normal[8, k] = n8
+    target.sum_s = time_s
+    targets.matched_s[slot, camera] = time_s
+    targets.counted[slot, camera] = True
+
+
+@kernel
+@no_type_check
+def move(targets, slot, time_s, limits, earned):
+    """Triangulate incrementally from the last match of every camera (eq. 10-11)."""
+    target = targets.state[slot]
+    newest = _newest_place(target, time_s, limits)
+    num_found = 0.0
+    for k in range(target.views.shape[0]):
+        a, b, c = target.normal_sum[0, k], target.normal_sum[1, k], target.normal_sum[2, k]
+        d, e, f = target.normal_sum[3, k], target.normal_sum[4, k], target.normal_sum[5, k]
+        x, y, z = target.normal_sum[6, k], target.normal_sum[7, k], target.normal_sum[8, k]
+        aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+        bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+        determinant = a * aa + b * ab + c * ac
+        trace = a + d + f
+        solvable = (target.views[k] >= 2) & (determinant > _MIN_DETERMINANT * trace * trace * trace)
+        over = 1.0 / determinant
+        x_m, y_m, z_m = (
+            (aa * x + ab * y + ac * z) * over,
+            (ab * x + bb * y + bc * z) * over,
+            (ac * x + bc * y + cc * z) * over,
+        )
+        target.recent_m[newest, 0, k] = x_m if solvable else np.nan
+        target.recent_m[newest, 1, k] = y_m if solvable else np.nan
+        target.recent_m[newest, 2, k] = z_m if solvable else np.nan
+        target.xyz_m[0, k] = x_m if solvable else target.xyz_m[0, k]
+        target.xyz_m[1, k] = y_m if solvable else target.xyz_m[1, k]
+        target.xyz_m[2, k] = z_m if solvable else target.xyz_m[2, k]
+        target.updated_s[k] = time_s if solvable else target.updated_s[k]
+        num_found += 1.0 if solvable else 0.0
+    if num_found > 0:
+        target.moved_s = time_s
+    target.is_fitted = False
+    if time_s > target.supported_s:
+        num_views = 0
+        for camera in range(targets.matched_s.shape[1]):
+            if time_s - targets.matched_s[slot, camera] < limits.instant_s:
+                num_views += 1
+        if num_views >= 2:
+            target.supported_s = time_s
+            target.num_supported += 1
+            if target.num_supported >= limits.confirm_instants:
+                target.confirmed = True
+                earned[target.target_id] = True
+
+
+@kernel
+@no_type_check
+def _newest_place(target, time_s, limits):
+    """Where the position of now is kept: in a place of its own, or in that of the newest if they are close in time."""
+    spacing_s = limits.velocity_window_s / (NUM_RECENT - 1)
+    if target.num_recent == 0 or time_s - target.recent_since_s >= spacing_s:
+        target.recent_since_s = time_s
+        target.num_recent += 1
+    newest = (target.num_recent - 1) % NUM_RECENT
+    target.recent_s[newest] = time_s
+    return newest
+
+
+@kernel
+@no_type_check
+def _fit_velocity(target, sums, window_s):
+    """Linear least squares over the recent positions (eq. 5); two alone would take the noise for speed."""
+    newest_s = target.recent_s[(target.num_recent - 1) % NUM_RECENT]
+    sums.fit[:] = 0.0
+    for place in range(min(target.num_recent, NUM_RECENT)):
+        since_s = target.recent_s[place] - newest_s
+        if since_s < -window_s:
+            continue
+        for k in range(target.views.shape[0]):
+            x, y, z = target.recent_m[place, 0, k], target.recent_m[place, 1, k], target.recent_m[place, 2, k]
+            known = x == x
+            x, y, z = x if known else 0.0, y if known else 0.0, z if known else 0.0
+            one = 1.0 if known else 0.0
+            sums.fit[0, k] += one
+            sums.fit[1, k] += one * since_s
+            sums.fit[2, k] += one * since_s * since_s
+            sums.fit[3, k] += x
+            sums.fit[4, k] += y
+            sums.fit[5, k] += z
+            sums.fit[6, k] += since_s * x
+            sums.fit[7, k] += since_s * y
+            sums.fit[8, k] += since_s * z
+    for k in range(target.views.shape[0]):
+        count, s1 = sums.fit[0, k], sums.fit[1, k]
+        spread = count * sums.fit[2, k] - s1 * s1
+        over = 1.0 / spread
+        over = over if (count >= 3) & (spread > 0) else 0.0
+        target.velocity_m_s[0, k] = (count * sums.fit[6, k] - s1 * sums.fit[3, k]) * over
+        target.velocity_m_s[1, k] = (count * sums.fit[7, k] - s1 * sums.fit[4, k]) * over
+        target.velocity_m_s[2, k] = (count * sums.fit[8, k] - s1 * sums.fit[5, k]) * over
+    target.is_fitted = True
+
+
+@kernel
+@no_type_check
+def _expect(target, sums, time_s, center_m, limits):
+    """Linear motion (eq. 5), standing still after a while; and what eq. 4 needs of it in a camera."""
+    if not target.is_fitted and time_s > target.moved_s:
+        _fit_velocity(target, sums, limits.velocity_window_s)
+    center_x, center_y, center_z = center_m[0], center_m[1], center_m[2]
+    for k in range(target.views.shape[0]):
+        ahead_s = min(time_s - target.updated_s[k], limits.max_extrapolation_s)
+        x_m = target.xyz_m[0, k] + ahead_s * target.velocity_m_s[0, k]
+        y_m = target.xyz_m[1, k] + ahead_s * target.velocity_m_s[1, k]
+        z_m = target.xyz_m[2, k] + ahead_s * target.velocity_m_s[2, k]
+        target.expected_m[0, k] = x_m
+        target.expected_m[1, k] = y_m
+        target.expected_m[2, k] = z_m
+        x_m, y_m, z_m = x_m - center_x, y_m - center_y, z_m - center_z
+        target.offset_m[0, k] = x_m
+        target.offset_m[1, k] = y_m
+        target.offset_m[2, k] = z_m
+        target.squared_m2[k] = x_m * x_m + y_m * y_m + z_m * z_m
+    known_s, decay = np.nan, 0.0
+    for k in range(target.views.shape[0]):
+        if target.updated_s[k] != known_s:  # most joints were updated together
+            known_s = target.updated_s[k]
+            decay = limits.weight_3d * np.exp(-limits.lambda_a_hz * (time_s - known_s))
+        target.decay_3d[k] = decay
+
+
+@kernel
+@no_type_check
+def _affinity(target, view, body, scale_2d, decay_2d, over_alpha_3d):
+    """Affinity A of a target and a detection (eq. 1, 2 and 4); -inf where they share too few joints."""
+    total, count = 0.0, 0.0
+    for k in range(body.score.shape[0]):
+        along_m = (
+            target.offset_m[0, k] * body.rays[0, k]
+            + target.offset_m[1, k] * body.rays[1, k]
+            + target.offset_m[2, k] * body.rays[2, k]
+        )
+        across2 = target.squared_m2[k] - along_m * along_m
+        across_m = np.sqrt(across2 if across2 > 0 else 0.0)
+        term_3d = 1.0 - across_m * over_alpha_3d
+        term_3d = term_3d if (term_3d > -1.0) & (along_m >= 0) else -1.0
+        dx, dy = body.points_px[0, k] - view.last_px[0, k], body.points_px[1, k] - view.last_px[1, k]
+        moved2 = dx * dx + dy * dy
+        term_2d = 1.0 - np.sqrt(moved2) * scale_2d
+        term_2d = term_2d if term_2d > -1.0 else -1.0
+        term_2d = term_2d if moved2 >= 0 else 0.0
+        known = (body.score[k] > 0) & (target.squared_m2[k] >= 0)
+        total += target.decay_3d[k] * term_3d + decay_2d * term_2d if known else 0.0
+        count += 1.0 if known else 0.0
+    return total / count if count >= _MIN_JOINTS else -np.inf
+
+
+@kernel
+@no_type_check
+def hungarian(num_rows, num_columns, room):
+    """Columns of the largest total ``room.gain`` to ``room.row_of``; rows <= columns.
+
+    Shortest augmenting paths (Jonker and Volgenant); everything is counted from 1, 0 means none.
+    """
+    gain, row_price, column_price, row_of = room.gain, room.row_price, room.column_price, room.row_of
+    before, slack, done = room.before, room.slack, room.done
+    row_price[: num_rows + 1] = 0.0
+    column_price[: num_columns + 1] = 0.0
+    row_of[: num_columns + 1] = 0
+    for row in range(1, num_rows + 1):
+        row_of[0] = row
+        column = 0
+        slack[: num_columns + 1] = np.inf
+        done[: num_columns + 1] = False
+        while row_of[column] != 0:
+            done[column] = True
+            at, nearest, step = row_of[column], 0, np.inf
+            for j in range(1, num_columns + 1):
+                if not done[j]:
+                    cost = -gain[at - 1, j - 1] - row_price[at] - column_price[j]
+                    if cost < slack[j]:
+                        slack[j] = cost
+                        before[j] = column
+                    if slack[j] < step:
+                        step = slack[j]
+                        nearest = j
+            for j in range(num_columns + 1):
+                if done[j]:
+                    row_price[row_of[j]] += step
+                    column_price[j] -= step
+                else:
+                    slack[j] -= step
+            column = nearest
+        while column != 0:
+            row_of[column] = row_of[before[column]]
+            column = before[column]
+
+
+@kernel
+@no_type_check
+def assign(num_rows, num_columns, room):
+    """Match ``room.rows`` to ``room.columns`` for the largest total affinity; a pair needs a positive one.
+
+    Where no two rows want one column, nor a row two columns, the positive pairs are the solution as they stand.
+    """
+    affinity, rows, columns, match = room.affinity, room.rows, room.columns, room.match
+    contested = False
+    room.wanted[:num_columns] = 0
+    for i in range(num_rows):
+        wants = 0
+        for j in range(num_columns):
+            if affinity[rows[i], columns[j]] > 0:
+                wants += 1
+                room.wanted[j] += 1
+                match[rows[i]] = columns[j]
+                contested = contested or wants > 1 or room.wanted[j] > 1
+    if not contested:
+        return
+    is_wide = num_rows <= num_columns
+    for i in range(num_rows):
+        match[rows[i]] = -1
+        for j in range(num_columns):
+            value = max(affinity[rows[i], columns[j]], 0.0)
+            room.gain[i if is_wide else j, j if is_wide else i] = value
+    hungarian(min(num_rows, num_columns), max(num_rows, num_columns), room)
+    for place in range(max(num_rows, num_columns)):
+        partner = room.row_of[place + 1] - 1
+        if partner >= 0:
+            i, j = (partner, place) if is_wide else (place, partner)
+            if affinity[rows[i], columns[j]] > 0:
+                match[rows[i]] = columns[j]
+
+
+@kernel
+@no_type_check
+def epipolar_affinity(fundamental, left_px, left_score, right_px, right_score, alpha_px):
+    """Affinity A_e of detections in two cameras (eq. 12-13), -inf where they share too few joints."""
+    total, count = 0.0, 0
+    for k in range(left_score.shape[0]):
+        if left_score[k] > 0 and right_score[k] > 0:
+            x, y, u, v = left_px[k, 0], left_px[k, 1], right_px[k, 0], right_px[k, 1]
+            f = fundamental
+            # The epipolar line in the left image, and the slope of the one in the right.
+            a, b = f[0, 0] * u + f[0, 1] * v + f[0, 2], f[1, 0] * u + f[1, 1] * v + f[1, 2]
+            c = f[2, 0] * u + f[2, 1] * v + f[2, 2]
+            d, e = f[0, 0] * x + f[1, 0] * y + f[2, 0], f[0, 1] * x + f[1, 1] * y + f[2, 1]
+            across = abs(a * x + b * y + c)
+            distance_px = 0.5 * across * (1.0 / np.sqrt(a * a + b * b) + 1.0 / np.sqrt(d * d + e * e))
+            total += max(1.0 - distance_px / alpha_px, -1.0)
+            count += 1
+    return total / count if count >= _MIN_JOINTS else -np.inf
+
+
+@kernel
+@no_type_check
+def _may_start_somebody(frames, rig, limits, pool, camera, time_s):
+    """Whether two unmatched detections, one of this camera and one of another, have a positive affinity."""
+    for other in range(len(pool.num_rows)):
+        if other == camera or time_s - pool.time_s[other] >= limits.instant_s:
+            continue
+        for i in range(pool.num_rows[camera]):
+            row = pool.rows[camera, i]
+            for j in range(pool.num_rows[other]):
+                twin = pool.rows[other, j]
+                affinity = epipolar_affinity(
+                    rig.fundamental[camera, other],
+                    frames.points_px[row],
+                    frames.score[row],
+                    frames.points_px[twin],
+                    frames.score[twin],
+                    limits.alpha_epipolar_px,
+                )
+                if affinity > 0:
+                    return True
+    return False
+
+
+@kernel
+@no_type_check
+def _bury(targets, time_s, limits):
+    """End targets that two cameras have not seen for long."""
+    kept = 0
+    for place in range(targets.alive[0]):
+        slot = targets.order[place]
+        target = targets.state[slot]
+        limit_s = limits.max_unseen_s if target.confirmed else limits.max_unseen_tentative_s
+        if time_s - max(target.supported_s, target.moved_s) <= limit_s:
+            targets.order[place], targets.order[kept] = targets.order[kept], slot
+            kept += 1
+    targets.alive[0] = kept
+
+
+@kernel
+@no_type_check
+def _same_place(one, other, duplicate_m):
+    count, x, y, z = 0.0, 0.0, 0.0, 0.0
+    for k in range(one.views.shape[0]):
+        dx, dy, dz = (
+            one.xyz_m[0, k] - other.xyz_m[0, k],
+            one.xyz_m[1, k] - other.xyz_m[1, k],
+            one.xyz_m[2, k] - other.xyz_m[2, k],
+        )
+        known = dx == dx
+        count += 1.0 if known else 0.0
+        x += dx if known else 0.0
+        y += dy if known else 0.0
+        z += dz if known else 0.0
+    # No mean distance is shorter than the distance of the means.
+    if count < _MIN_JOINTS or x * x + y * y + z * z >= (duplicate_m * count) ** 2:
+        return False
+    total_m = 0.0
+    for k in range(one.views.shape[0]):
+        dx, dy, dz = (
+            one.xyz_m[0, k] - other.xyz_m[0, k],
+            one.xyz_m[1, k] - other.xyz_m[1, k],
+            one.xyz_m[2, k] - other.xyz_m[2, k],
+        )
+        apart_m = np.sqrt(dx * dx + dy * dy + dz * dz)
+        total_m += apart_m if dx == dx else 0.0
+    return total_m < duplicate_m * count
+
+
+@kernel
+@no_type_check
+def _is_better(one, other, time_s, limits):
+    """Which of two duplicates stays: the one seen now, else the one seen more often, else the older."""
+    one_is_old = time_s - one.supported_s > limits.velocity_window_s
+    other_is_old = time_s - other.supported_s > limits.velocity_window_s
+    if one_is_old != other_is_old:
+        return other_is_old
+    if one.num_supported != other.num_supported:
+        return one.num_supported > other.num_supported
+    return one.target_id < other.target_id
+
+
+@kernel
+@no_type_check
+def _merge_duplicates(targets, time_s, limits, replaced_by, room):
+    """Two targets in one place are one person: the better one stays, see ``reference.Tracker``."""
+    count = targets.alive[0]
+    gone = room.gone
+    gone[:count] = False
+    any_gone = False
+    for i in range(count):
+        for j in range(i + 1, count):
+            one, other = targets.state[targets.order[i]], targets.state[targets.order[j]]
+            if gone[i] or gone[j] or not _same_place(one, other, limits.duplicate_m):
+                continue
+            any_gone = True
+            stays = _is_better(one, other, time_s, limits)
+            gone[j if stays else i] = True
+            loser, twin = (other, one) if stays else (one, other)
+            if not loser.confirmed:
+                replaced_by[loser.target_id] = twin.target_id
+    if any_gone:
+        kept = 0
+        for place in range(count):
+            slot = targets.order[place]
+            if not gone[place]:
+                targets.order[place], targets.order[kept] = targets.order[kept], slot
+                kept += 1
+        targets.alive[0] = kept
+
+
+@kernel
+@no_type_check
+def prepare(targets, frames, first, num_detections, world_ray_from_image):
+    """Lay out the detections of a frame, and their viewing rays (eq. 3)."""
+    m = world_ray_from_image
+    for number in range(num_detections):
+        body = targets.bodies[number]
+        for k in range(frames.score.shape[1]):
+            body.points_px[0, k] = frames.points_px[first + number, k, 0]
+            body.points_px[1, k] = frames.points_px[first + number, k, 1]
+            body.score[k] = frames.score[first + number, k]
+        for k in range(body.score.shape[0]):
+            # What is not used must not spoil sums with NaN.
+            u = body.points_px[0, k] if body.score[k] > 0 else 0.0
+            v = body.points_px[1, k] if body.score[k] > 0 else 0.0
+            x, y = m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2]
+            z = m[2, 0] * u + m[2, 1] * v + m[2, 2]
+            over = 1.0 / np.sqrt(x * x + y * y + z * z)
+            body.points_px[0, k] = u
+            body.points_px[1, k] = v
+            body.rays[0, k] = x * over
+            body.rays[1, k] = y * over
+            body.rays[2, k] = z * over
+
+
+@kernel
+@no_type_check
+def _choose(targets, num_detections, room):
+    """Match targets to detections; those who earned their birth choose first."""
+    count = targets.alive[0]
+    for chooses in (True, False):
+        num_rows, num_columns = 0, 0
+        for i in range(count):
+            if targets.state[targets.order[i]].confirmed == chooses:
+                room.rows[num_rows] = i
+                num_rows += 1
+        for j in range(num_detections):
+            if room.free[j]:
+                room.columns[num_columns] = j
+                num_columns += 1
+        if num_rows > 0 and num_columns > 0:
+            assign(num_rows, num_columns, room)
+        for i in range(num_rows):
+            if room.match[room.rows[i]] >= 0:
+                room.free[room.match[room.rows[i]]] = False
+
+
+@kernel
+@no_type_check
+def track(start, frames, rig, limits, targets, pool, outcome, room):
+    """Match frames to targets from frame ``start`` on.
+
+    Returns
+    -------
+        The frame after which somebody new may be there: detections in the pool ask for it. Else the number of frames.
+    """
+    affinity, match, free = room.affinity, room.match, room.free
+    over_alpha_3d = 1.0 / limits.alpha_3d_m
+
+    for event in range(start, len(frames.time_s)):
+        time_s, camera = frames.time_s[event], frames.camera[event]
+        first, num_detections = frames.first[event], frames.last[event] - frames.first[event]
+        if time_s > outcome.merged_s[0]:
+            _merge_duplicates(targets, time_s, limits, outcome.replaced_by, room)
+            outcome.merged_s[0] = time_s
+            _bury(targets, time_s, limits)
+        count = targets.alive[0]
+        free[:num_detections] = True
+        if count > 0 and num_detections > 0:
+            prepare(targets, frames, first, num_detections, rig.world_ray_from_image[camera])
+            for i in range(count):
+                slot = targets.order[i]
+                target, view = targets.state[slot], targets.views[slot, camera]
+                _expect(target, targets.sums[0], time_s, rig.center_m[camera], limits)
+                gap_s = time_s - targets.matched_s[slot, camera]
+                decay_2d = limits.weight_2d * np.exp(-limits.lambda_a_hz * gap_s)
+                scale_2d = 1.0 / (limits.alpha_2d_px_s * gap_s)
+                for j in range(num_detections):
+                    affinity[i, j] = _affinity(target, view, targets.bodies[j], scale_2d, decay_2d, over_alpha_3d)
+                match[i] = -1
+            _choose(targets, num_detections, room)
+            for i in range(count):
+                if match[i] >= 0:
+                    slot = targets.order[i]
+                    outcome.identity[first + match[i]] = targets.state[slot].target_id
+                    observe(targets, slot, camera, time_s, match[i], rig.image_from_world, limits)
+                    move(targets, slot, time_s, limits, outcome.earned)
+
+        unmatched = 0
+        for j in range(num_detections):
+            if free[j]:
+                pool.rows[camera, unmatched] = first + j
+                unmatched += 1
+        pool.num_rows[camera] = unmatched
+        pool.time_s[camera] = time_s
+        if unmatched > 0 and _may_start_somebody(frames, rig, limits, pool, camera, time_s):
+            return event
+    return len(frames.time_s)
+
+
+@kernel
+@no_type_check
+def sample_observations(rows, bodies, instants_s, half_s, lambda_t_hz, min_score, seen_px, ideal_px, score, used):
+    """Fill in what each camera saw of a person at the output instants; see ``observations.observations_at``.
+
+    Parameters
+    ----------
+    rows
+        The person's detections, ascending, at most one a camera and frame.
+    bodies
+        ``observations.Bodies``.
+    seen_px, ideal_px, score, used
+        Filled in where there is an observation, (frames, cameras, joints[, 2]).
+    """
+    start = 0
+    while start < len(rows):
+        camera = bodies.camera[rows[start]]
+        stop = start
+        while stop < len(rows) and bodies.camera[rows[stop]] == camera:
+            stop += 1
+        after = start
+        for frame in range(len(instants_s)):
+            time_s = instants_s[frame]
+            while after < stop and bodies.time_s[rows[after]] < time_s:
+                after += 1
+            right = rows[min(after, stop - 1)]
+            is_exact = after < stop and bodies.time_s[right] == time_s
+            left = right if is_exact else rows[max(after - 1, start)]
+            to_left_s, to_right_s = abs(time_s - bodies.time_s[left]), abs(bodies.time_s[right] - time_s)
+            nearest, gap_s = (left, to_left_s) if to_left_s <= to_right_s else (right, to_right_s)
+            is_between = bodies.frame[right] - bodies.frame[left] == 1 and gap_s > 1e-3 * half_s
+            if not is_between and gap_s > half_s:
+                continue
+            share = to_left_s / (to_left_s + to_right_s) if is_between else 0.0
+            decay = np.exp(-lambda_t_hz * gap_s)
+            for k in range(score.shape[2]):
+                one, two, part = nearest, nearest, 0.0
+                if is_between:
+                    blended = bodies.seen_px[left, k, 0] + bodies.seen_px[left, k, 1]
+                    blended += bodies.seen_px[right, k, 0] + bodies.seen_px[right, k, 1]
+                    if blended == blended:
+                        one, two, part = left, right, share
+                    elif gap_s > half_s:
+                        continue
+                x = (1 - part) * bodies.seen_px[one, k, 0] + part * bodies.seen_px[two, k, 0]
+                y = (1 - part) * bodies.seen_px[one, k, 1] + part * bodies.seen_px[two, k, 1]
+                if x + y == x + y:
+                    value = min(bodies.score[one, k], bodies.score[two, k]) * decay
+                    seen_px[frame, camera, k, 0], seen_px[frame, camera, k, 1] = x, y
+                    score[frame, camera, k] = value
+                    used[frame, camera, k] = value if value >= min_score else 0.0
+                    x = (1 - part) * bodies.ideal_px[one, k, 0] + part * bodies.ideal_px[two, k, 0]
+                    y = (1 - part) * bodies.ideal_px[one, k, 1] + part * bodies.ideal_px[two, k, 1]
+                    ideal_px[frame, camera, k, 0], ideal_px[frame, camera, k, 1] = x, y
+        start = stop

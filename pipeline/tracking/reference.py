@@ -1,0 +1,298 @@
+"""The tracker of ``kernels.py`` in plain numpy: slow, and close to the paper (Chen et al. 2020, algorithm 1).
+
+Each frame comes from one camera at its own time: no synchronisation is assumed. Its detections are matched to targets
+in 3D space; what stays unmatched starts new targets together with the most recent frames of the other cameras. Tests
+hold the kernels to it, and the benchmark compares their speed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.data import Camera
+from pipeline.geometry.camera import rays_in_world
+from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
+from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict, ray_distance_m
+from pipeline.tracking.assignment import assign
+from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body
+from pipeline.tracking.kernels import NUM_RECENT, Frames, Rig
+from pipeline.tracking.observations import NOBODY
+from pipeline.tracking.parameters import TrackingParameters
+
+
+@dataclass(slots=True, eq=False)
+class Target:
+    """A person being tracked: the state that the paper keeps (section 3.2).
+
+    Parameters
+    ----------
+    target_id
+        From 0, in order of birth.
+    xyz_m, updated_s
+        Last position of each joint (NaN if it never had one) and its time t'.
+    last_px, weight, matched_s
+        For every camera the joints of the last match (undistorted, NaN where unseen), the factors of their rows, and
+        its time t'' (-inf if there was none).
+    velocity_m_s, is_fitted
+        Of each joint, 0 while unknown; and whether it knows the newest position.
+    recent, recent_since_s
+        Instants and positions behind the velocity, and when the newest was first taken.
+    moved_s
+        When a joint was located last.
+    supported_s, num_supported, confirmed
+        Last instant at which two cameras saw the target together, how many of them there were, and whether these were
+        enough.
+    """
+
+    target_id: int
+    xyz_m: Float[np.ndarray, "joints 3"]
+    updated_s: Float[np.ndarray, " joints"]
+    velocity_m_s: Float[np.ndarray, "joints 3"]
+    last_px: Float[np.ndarray, "cameras joints 2"]
+    weight: Float[np.ndarray, "cameras joints"]
+    matched_s: Float[np.ndarray, " cameras"]
+    recent: list[tuple[float, Float[np.ndarray, "joints 3"]]] = field(default_factory=list)
+    recent_since_s: float = -np.inf
+    is_fitted: bool = True
+    moved_s: float = -np.inf
+    supported_s: float = -np.inf
+    num_supported: int = 0
+    confirmed: bool = False
+
+    @classmethod
+    def empty(cls, target_id: int, num_cameras: int, num_joints: int) -> "Target":
+        """Make a target that nobody has seen yet."""
+        return cls(
+            target_id=target_id,
+            xyz_m=np.full((num_joints, 3), np.nan),
+            updated_s=np.full(num_joints, -np.inf),
+            velocity_m_s=np.zeros((num_joints, 3)),
+            last_px=np.full((num_cameras, num_joints, 2), np.nan),
+            weight=np.zeros((num_cameras, num_joints)),
+            matched_s=np.full(num_cameras, -np.inf),
+        )
+
+    def expect(self, time_s: float, parameters: TrackingParameters) -> Float[np.ndarray, "joints 3"]:
+        """Where the joints should be (eq. 5)."""
+        if not self.is_fitted and time_s > self.moved_s:
+            self._fit_velocity(parameters.velocity_window_s)
+        return predict(self.xyz_m, self.velocity_m_s, time_s - self.updated_s, parameters.max_extrapolation_s)
+
+    def _fit_velocity(self, window_s: float) -> None:
+        """Linear least squares over the recent positions (eq. 5); two alone would take the noise for speed."""
+        since_s = np.array([at_s for at_s, _ in self.recent]) - self.recent[-1][0]
+        positions_m = np.array([xyz_m for _, xyz_m in self.recent])
+        known = np.isfinite(positions_m[..., 0]) & (since_s >= -window_s)[:, None]
+        count = known.sum(0)
+        mean_s = (known * since_s[:, None]).sum(0) / np.maximum(count, 1)
+        centred_s = np.where(known, since_s[:, None] - mean_s, 0.0)
+        spread = (centred_s**2).sum(0)
+        slope = np.einsum("nj,nja->ja", centred_s, np.where(known[..., None], positions_m, 0.0))
+        usable = (count >= 3) & (spread > 0)
+        self.velocity_m_s = np.where(usable[:, None], slope / np.where(usable, spread, 1.0)[:, None], 0.0)
+        self.is_fitted = True
+
+    def observe(
+        self,
+        one: Unmatched,
+        expected_m: Float[np.ndarray, "joints 3"],
+        image_from_world: Float[np.ndarray, "cameras 3 4"],
+        parameters: TrackingParameters,
+    ) -> None:
+        """Take a matched detection for the last one of its camera, weighted by confidence and by surprise."""
+        rows = plane_rows(image_from_world[one.camera][None], one.points_px[None])[0]
+        distance2_m2 = (((rows[..., :3] @ expected_m[..., None])[..., 0] + rows[..., 3]) ** 2).sum(-1)
+        doubt = parameters.alpha_3d_m**2 / (parameters.alpha_3d_m**2 + distance2_m2)
+        self.last_px[one.camera] = one.points_px
+        self.weight[one.camera] = one.score * np.sqrt(np.where(np.isnan(doubt), 1.0, doubt))
+        self.matched_s[one.camera] = one.time_s
+
+    def move(
+        self, time_s: float, image_from_world: Float[np.ndarray, "cameras 3 4"], parameters: TrackingParameters
+    ) -> None:
+        """Triangulate incrementally from the last match of every camera (eq. 6-11)."""
+        age_s = time_s - self.matched_s
+        fresh = age_s < parameters.velocity_window_s
+        penalty = np.where(fresh, np.exp(-parameters.lambda_t_hz * np.where(fresh, age_s, 0.0)), 0.0)
+        xyz_m = triangulate(image_from_world, self.last_px, penalty[:, None] * self.weight)
+        found = np.isfinite(xyz_m[:, 0])
+        self.xyz_m = np.where(found[:, None], xyz_m, self.xyz_m)
+        self.updated_s = np.where(found, time_s, self.updated_s)
+        self.moved_s = time_s if found.any() else self.moved_s
+        self.is_fitted = False
+        spacing_s = parameters.velocity_window_s / (NUM_RECENT - 1)
+        if self.recent and time_s - self.recent_since_s < spacing_s:
+            self.recent.pop()
+        else:
+            self.recent_since_s = time_s
+        self.recent = [*self.recent, (time_s, xyz_m)][-NUM_RECENT:]
+        if time_s > self.supported_s and np.sum(age_s < parameters.instant_s) >= 2:
+            self.supported_s = time_s
+            self.num_supported += 1
+            self.confirmed |= self.num_supported >= parameters.confirm_instants
+
+
+class Tracker:
+    """Matches detections to people, one frame of one camera at a time; see ``tracker.Tracker``."""
+
+    def __init__(self, cameras: Sequence[Camera], rig: Rig, frames: Frames, parameters: TrackingParameters) -> None:
+        self._cameras = cameras
+        self._rig = rig
+        self._frames = frames
+        self._parameters = parameters
+        self._unmatched: list[list[Unmatched]] = [[] for _ in cameras]
+        self._replaced: dict[int, int] = {}
+        self._earned: set[int] = set()
+        self._num_born = 0
+        self._identity = np.full(len(frames.score), NOBODY)
+        self.targets: list[Target] = []
+
+    def run(self) -> Int[np.ndarray, " detections"]:
+        """Go through all frames; the identity of every detection."""
+        merged_s = -np.inf
+        for time_s, camera, first, last in zip(*(array.tolist() for array in self._frames[:4]), strict=True):
+            if time_s > merged_s:
+                self._merge_duplicates(time_s)
+                self._bury(time_s)
+                merged_s = time_s
+            self._step(camera, time_s, range(first, last))
+        return np.array([self._final(identity) for identity in self._identity.tolist()], int)
+
+    def _final(self, identity: int) -> int:
+        while identity in self._replaced:
+            identity = self._replaced[identity]
+        return identity if identity in self._earned else NOBODY
+
+    def _step(self, camera: int, time_s: float, rows: range) -> None:
+        bodies = [
+            Unmatched(
+                camera,
+                row,
+                time_s,
+                np.where(self._frames.score[row][:, None] > 0, self._frames.points_px[row], np.nan),
+                self._frames.score[row],
+            )
+            for row in rows
+        ]
+        expected_m = [target.expect(time_s, self._parameters) for target in self.targets]
+        matched = self._match(camera, time_s, bodies, expected_m)
+        for i, j in matched:
+            self._identity[bodies[j].row] = self.targets[i].target_id
+            self.targets[i].observe(bodies[j], expected_m[i], self._rig.image_from_world, self._parameters)
+            self._move(self.targets[i], time_s)
+        taken = {j for _, j in matched}
+        self._unmatched[camera] = [body for j, body in enumerate(bodies) if j not in taken]
+        if self._unmatched[camera]:
+            self._start_targets(time_s)
+
+    def _move(self, target: Target, time_s: float) -> None:
+        target.move(time_s, self._rig.image_from_world, self._parameters)
+        if target.confirmed:
+            self._earned.add(target.target_id)
+
+    def _match(
+        self,
+        camera: int,
+        time_s: float,
+        bodies: Sequence[Unmatched],
+        expected_m: Sequence[Float[np.ndarray, "joints 3"]],
+    ) -> list[tuple[int, int]]:
+        """Pairs of target and detection by the affinity of eq. 1; confirmed targets choose first."""
+        if not self.targets or not bodies:
+            return []
+        points_px = np.array([body.points_px for body in bodies])
+        gap_s = np.array([time_s - target.matched_s[camera] for target in self.targets])
+        age_s = np.array([time_s - target.updated_s for target in self.targets])
+        affinities = affinity(
+            correspondence_2d(
+                points_px, np.array([target.last_px[camera] for target in self.targets]), gap_s, self._parameters
+            ),
+            correspondence_3d(
+                rays_in_world(self._cameras[camera], points_px),
+                self._rig.center_m[camera],
+                np.array(expected_m),
+                age_s,
+                self._parameters,
+            ),
+        )
+        pairs: list[tuple[int, int]] = []
+        free = np.ones(len(bodies), bool)
+        for confirmed in (True, False):
+            rows = np.flatnonzero([target.confirmed == confirmed for target in self.targets])
+            columns = np.flatnonzero(free)
+            chosen = assign(affinities[np.ix_(rows, columns)])
+            pairs.extend((int(rows[i]), int(columns[j])) for i, j in chosen)
+            free[[int(columns[j]) for _, j in chosen]] = False
+        return sorted(pairs)
+
+    def _start_targets(self, time_s: float) -> None:
+        """New targets from what is unmatched in every camera's most recent frame."""
+        pool = [one for view in self._unmatched for one in view if time_s - one.time_s < self._parameters.instant_s]
+        for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
+            group.sort(key=lambda one: one.time_s)
+            views = [one.camera for one in group]
+            xyz_m = triangulate_robust(
+                self._rig.image_from_world[views],
+                np.array([one.points_px for one in group]),
+                np.array([one.score for one in group]),
+            )
+            if not is_body(xyz_m, self._spread_m(group, xyz_m), self._parameters):
+                continue
+            target = Target.empty(self._num_born, len(self._cameras), len(xyz_m))
+            self._num_born += 1
+            for one in group:
+                target.observe(one, xyz_m, self._rig.image_from_world, self._parameters)
+                self._identity[one.row] = target.target_id
+                self._unmatched[one.camera].remove(one)
+            self._move(target, time_s)
+            self.targets.append(target)
+
+    def _spread_m(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
+        distances_m = np.array(
+            [
+                ray_distance_m(
+                    xyz_m, self._rig.center_m[one.camera], rays_in_world(self._cameras[one.camera], one.points_px)
+                )
+                for one in group
+            ]
+        )
+        known = distances_m[np.isfinite(distances_m)]
+        return float(np.median(known)) if known.size else np.inf
+
+    def _bury(self, time_s: float) -> None:
+        """End targets that two cameras have not seen for long."""
+        limits_s = {True: self._parameters.max_unseen_s, False: self._parameters.max_unseen_tentative_s}
+        self.targets = [
+            target
+            for target in self.targets
+            if time_s - max(target.supported_s, target.moved_s) <= limits_s[target.confirmed]
+        ]
+
+    def _merge_duplicates(self, time_s: float) -> None:
+        """Two targets in one place are one person: the one that is seen now, or was seen more often, stays.
+
+        A tentative target's detections go over to the one that stays. A confirmed one has a past of its own, such as
+        somebody who left and coasts into another's way: it ends there, and its past stays what it was.
+        """
+
+        def rank(target: Target) -> tuple[bool, int, int]:
+            is_old = time_s - target.supported_s > self._parameters.velocity_window_s
+            return (is_old, -target.num_supported, target.target_id)
+
+        gone: set[int] = set()
+        for i, one in enumerate(self.targets):
+            for other in self.targets[i + 1 :]:
+                if gone & {one.target_id, other.target_id} or not self._same_place(one, other):
+                    continue
+                twin, loser = sorted((one, other), key=rank)
+                gone.add(loser.target_id)
+                if not loser.confirmed:
+                    self._replaced[loser.target_id] = twin.target_id
+        self.targets = [target for target in self.targets if target.target_id not in gone]
+
+    def _same_place(self, a: Target, b: Target) -> bool:
+        apart_m = np.linalg.norm(a.xyz_m - b.xyz_m, axis=-1)
+        known = np.isfinite(apart_m)
+        return bool(known.sum() >= 3 and apart_m[known].mean() < self._parameters.duplicate_m)

@@ -1,0 +1,50 @@
+"""``python -m pipeline.tracking.warm_up``: compile everything that tracking needs, so that no request has to."""
+
+import numpy as np
+
+from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
+from pipeline.geometry.camera import project
+from pipeline.geometry.rigid import Rigid3
+from pipeline.joints import BODY_25, COCO_17
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+_NUM_FRAMES = 10
+_RATE_HZ = 25.0
+
+
+def warm_up() -> None:
+    """Track somebody who stands before three cameras, for every number of lanes that a joint set needs."""
+    for num_joints in (len(COCO_17.names), len(BODY_25.names)):
+        _track_somebody(num_joints)
+
+
+def _track_somebody(num_joints: int) -> None:
+    body_m = np.random.default_rng(0).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
+    cameras = [_camera(number) for number in range(3)]
+    detections = {
+        camera.name: Detections(
+            camera=camera.name,
+            frame=np.arange(_NUM_FRAMES),
+            keypoints_px=read_only(np.repeat(project(camera, body_m)[None], _NUM_FRAMES, axis=0)),
+            score=read_only(np.ones((_NUM_FRAMES, num_joints))),
+            box_px=np.zeros((_NUM_FRAMES, 4)),
+        )
+        for camera in cameras
+    }
+    times = {camera.name: FrameTimes(np.arange(_NUM_FRAMES) / _RATE_HZ) for camera in cameras}
+    timebase = Timebase(0.0, _RATE_HZ, _NUM_FRAMES)
+    reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
+
+
+def _camera(number: int) -> Camera:
+    """A camera 4 m from the origin, a metre above the floor."""
+    cos, sin = np.cos(number), np.sin(number)
+    rotation = np.array([[-sin, cos, 0.0], [0.0, 0.0, -1.0], [-cos, -sin, 0.0]])
+    matrix = np.array([[800.0, 0.0, 639.5], [0.0, 800.0, 359.5], [0.0, 0.0, 1.0]])
+    translation_m = np.array([0.0, 1.0, 4.0])
+    return Camera(f"cam{number}", (1280, 720), matrix, np.array([-0.1, 0.0, 0.0, 0.0]), Rigid3(rotation, translation_m))
+
+
+if __name__ == "__main__":
+    warm_up()
