@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,24 @@ def test_shelf() -> None:
     assert scores["association_accuracy"] >= 0.97
     assert min(scores["mota"].values()) >= 0.98
     assert min(scores["idf1"].values()) >= 0.99
+
+
+@pytest.mark.skipif(not FOLDER.is_dir(), reason="no Shelf benchmark at hand (MULTICAP_SHELF names its folder)")
+def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
+    # In a process of its own: checking the shapes of everything takes four times as long as the work.
+    command = [sys.executable, "-m", "api.cli", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]
+    result = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    scores = json.loads(result.stdout)
+    by_every = {row["every"]: row for row in scores["ablation"]["every"]}
+    assert scores["pcp"]["average"] == pytest.approx(by_every[5]["robust"])
+    lost = {kind: by_every[1][kind] - by_every[5][kind] for kind in ("robust", "conventional")}
+    assert lost["robust"] <= 3.0 < lost["conventional"]
+    association = scores["ablation"]["association"]
+    assert association["tracking"]["all"] > association["pairs_of_views"]["all"]
+    assert len(scores["ablation"]["weights"]) == 6
+    single = scores["ablation"]["single_view"]
+    assert all(single["idf1"][camera] < 0.9 for camera in single["idf1"])
+    assert set(scores["ablation"]["triangulation"]) >= {"conventional", "incremental_without_norm", "incremental"}
 
 
 def test_all_that_is_missing_is_said(tmp_path: Path) -> None:

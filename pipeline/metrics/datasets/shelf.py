@@ -6,7 +6,7 @@ and ``detections_*.npz`` (``cam``, ``frame`` = image number, ``kps``: bodies x 1
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,34 @@ def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray]) -> Dete
         keypoints_px=points_px,
         score=score,
         box_px=np.concatenate([np.nanmin(points_px, axis=1), np.nanmax(points_px, axis=1)], axis=1),
+    )
+
+
+def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBenchmark]:
+    """Keep every n-th image of each camera, the cameras at different phases (Chen et al. 2020, figure 4).
+
+    Returns
+    -------
+    thinned
+        What is left, as of cameras of a lower frame rate that are not synchronised; the truth at its output frames.
+    kept
+        The same detections, with the numbers and the truth of all images.
+    """
+    num_frames = benchmark.timebase.num_frames
+    times, thinned, kept = {}, {}, {}
+    for number, camera in enumerate(benchmark.cameras):
+        phase = number * every // len(benchmark.cameras)
+        times[camera.name] = FrameTimes(benchmark.times[camera.name].time_s[phase::every])
+        one = benchmark.detections[camera.name]
+        rows = np.flatnonzero(one.frame % every == phase)
+        kept[camera.name] = Detections(
+            one.camera, one.frame[rows], one.keypoints_px[rows], one.score[rows], one.box_px[rows]
+        )
+        thinned[camera.name] = replace(kept[camera.name], frame=one.frame[rows] // every)
+    timebase = Timebase(0.0, FRAME_RATE_HZ / every, -(-num_frames // every))
+    return (
+        ShelfBenchmark(benchmark.cameras, times, thinned, timebase, benchmark.truth_m[:, ::every]),
+        replace(benchmark, detections=kept),
     )
 
 

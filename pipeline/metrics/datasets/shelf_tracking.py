@@ -26,6 +26,7 @@ from pipeline.joints import COCO_17
 from pipeline.metrics.datasets.shelf import ShelfBenchmark
 from pipeline.metrics.mot import MotFrame, box_overlap, score_mot
 from pipeline.metrics.pcp import LIMB_JOINTS, benchmark_joints
+from pipeline.metrics.single_view import track_boxes
 
 _NEAR_M = 0.5
 _OVERLAP = 0.5
@@ -33,19 +34,12 @@ _NEAR_BOX_HEIGHT = 0.25
 _GHOST_S = 1.0
 
 
-def score_tracking(
-    tracks: Sequence[Track3D], identities: Mapping[str, Int[np.ndarray, " _"]], benchmark: ShelfBenchmark
-) -> dict[str, Any]:
-    """Score tracks, and the identities that association gave to detections.
-
-    Parameters
-    ----------
-    identities
-        By camera one a detection, negative for none; as of ``tracking.associate.associate``.
+def score_tracking(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[str, Any]:
+    """Score tracks.
 
     Returns
     -------
-        ``association_accuracy``, ``mota`` and ``idf1`` by camera, ``ghost_tracks``; fractions of 1.
+        ``mota``, ``idf1``, ``false_positives`` and ``missed`` by camera, ``ghost_tracks``; fractions of 1 and numbers.
     """
     predicted_m = _on_frames(tracks, benchmark)
     # Mean joint distance of every track to every actor in every frame; NaN where one of the two is not there.
@@ -56,9 +50,10 @@ def score_tracking(
     lengths_s = np.array([track.num_frames for track in tracks]) / benchmark.timebase.frame_rate_hz
     is_near = (distance_m <= _NEAR_M).any((0, 2))
     return {
-        "association_accuracy": _association_accuracy(identities, benchmark),
         "mota": {name: scores.mota for name, scores in by_camera.items()},
         "idf1": {name: scores.idf1 for name, scores in by_camera.items()},
+        "false_positives": {name: scores.false_positives for name, scores in by_camera.items()},
+        "missed": {name: scores.missed for name, scores in by_camera.items()},
         "ghost_tracks": int(np.count_nonzero((lengths_s > _GHOST_S) & ~is_near)),
     }
 
@@ -117,24 +112,84 @@ def _mot_frames(
     return frames
 
 
-def _association_accuracy(identities: Mapping[str, Int[np.ndarray, " _"]], benchmark: ShelfBenchmark) -> float | None:
-    """``None`` if no detection is near an actor."""
-    actors: list[np.ndarray] = []
-    given: list[np.ndarray] = []
-    for camera in benchmark.cameras:
+def association_accuracy(
+    identities: Mapping[str, Int[np.ndarray, " _"]], benchmark: ShelfBenchmark, by_frame: bool = False
+) -> dict[str, float | None]:
+    """Share of the detections of annotated actors that went to the actor, by camera and over ``all`` of them.
+
+    Parameters
+    ----------
+    identities
+        By camera one a detection, negative for none; as of ``tracking.associate.associate``.
+    by_frame
+        Match identities to actors anew in every frame, for methods that know nothing of the frame before.
+
+    Returns
+    -------
+        ``None`` if no detection is near an actor.
+    """
+    actors, given, cameras, frames = [], [], [], []
+    for number, camera in enumerate(benchmark.cameras):
         detections = benchmark.detections[camera.name]
         actor = _actor_of(camera, detections.frame, detections.keypoints_px, benchmark)
-        actors.append(actor[actor >= 0])
-        given.append(identities[camera.name][actor >= 0])
-    actor, identity = np.concatenate(actors), np.concatenate(given)
-    if not len(actor):
-        return None
+        near = actor >= 0
+        actors.append(actor[near])
+        given.append(identities[camera.name][near])
+        cameras.append(np.full(near.sum(), number))
+        frames.append(detections.frame[near])
+    actor, identity, camera_number = np.concatenate(actors), np.concatenate(given), np.concatenate(cameras)
+    group = np.concatenate(frames) if by_frame else np.zeros(len(actor), int)
+    is_right = np.zeros(len(actor), bool)
+    for number in np.unique(group):
+        rows = np.flatnonzero(group == number)
+        is_right[rows] = _went_to_actor(actor[rows], identity[rows], len(benchmark.truth_m))
+    found = {
+        camera.name: float(is_right[camera_number == number].mean()) if (camera_number == number).any() else None
+        for number, camera in enumerate(benchmark.cameras)
+    }
+    return {"all": float(is_right.mean()) if len(actor) else None, **found}
+
+
+def _went_to_actor(
+    actor: Int[np.ndarray, " n"], identity: Int[np.ndarray, " n"], num_actors: int
+) -> Bool[np.ndarray, " n"]:
+    """Whether each identity is its actor's, actors and identities matched one to one for as many as possible."""
     names, columns = np.unique(identity, return_inverse=True)
-    counts = np.zeros((len(benchmark.truth_m), len(names)))
+    counts = np.zeros((num_actors, len(names)))
     np.add.at(counts, (actor, columns), 1)
     counts[:, names < 0] = 0
     rows, chosen = linear_sum_assignment(-counts)
-    return float(counts[rows, chosen].sum() / len(actor))
+    pairs = np.zeros(counts.shape, bool)
+    pairs[rows, chosen] = counts[rows, chosen] > 0
+    return pairs[actor, columns]
+
+
+def score_single_view(benchmark: ShelfBenchmark) -> dict[str, dict[str, Any]]:
+    """MOTA and IDF1 of a tracker that sees one camera only (table 4 of the paper); see ``single_view``.
+
+    A detection that is not matched counts as a false positive only if it is near an annotated actor.
+    """
+    scores: dict[str, dict[str, Any]] = {"mota": {}, "idf1": {}, "switches": {}}
+    truth = benchmark.truth_m
+    for camera in benchmark.cameras:
+        one = benchmark.detections[camera.name]
+        limbs_px = one.keypoints_px[:, COCO_17.indices(LIMB_JOINTS)]
+        known = np.isfinite(limbs_px).any((1, 2))
+        box_px = np.full((len(limbs_px), 4), np.nan)
+        box_px[known] = np.concatenate([np.nanmin(limbs_px[known], axis=1), np.nanmax(limbs_px[known], axis=1)], axis=1)
+        identity = track_boxes(one.frame, np.nan_to_num(box_px))
+        near = _actor_of(camera, one.frame, one.keypoints_px, benchmark) >= 0
+        truth_px, seen = _boxes(camera, truth), _is_seen(camera, truth)
+        frames = []
+        for frame in range(benchmark.timebase.num_frames):
+            people, rows = np.flatnonzero(seen[:, frame]), np.flatnonzero((one.frame == frame) & known)
+            overlap = box_overlap(truth_px[people, frame], box_px[rows])
+            counts = near[rows] | (overlap >= _OVERLAP).any(0)
+            frames.append(MotFrame(people, identity[rows[counts]], overlap[:, counts]))
+        found = score_mot(frames)
+        for name, by_camera in scores.items():
+            by_camera[camera.name] = getattr(found, name)
+    return scores
 
 
 def _actor_of(

@@ -65,3 +65,15 @@ def test_partition_is_exact(groups: list[int], seed: int) -> None:
     affinities = half + half.T
     gain = sum(affinities[i, j] for part in partition(affinities, cameras) for i, j in combinations(part, 2))
     np.testing.assert_allclose(gain, _best_by_enumeration(affinities, cameras), atol=1e-6)
+
+
+@given(groups=st.lists(st.integers(0, 2), min_size=2, max_size=6), seed=st.integers(0, 10_000))
+def test_partition_of_people_who_stand_apart_is_exact(groups: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    person = rng.integers(0, 2, len(groups))
+    same = person[:, None] == person[None, :]
+    noise = np.triu(rng.uniform(-0.4, 0.1, same.shape), 1)
+    affinities = np.where(same, 0.7, 0.0) + noise + noise.T
+    cameras = np.array(groups)
+    gain = sum(affinities[i, j] for part in partition(affinities, cameras) for i, j in combinations(part, 2))
+    np.testing.assert_allclose(gain, _best_by_enumeration(affinities, cameras), atol=1e-6)

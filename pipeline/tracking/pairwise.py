@@ -1,0 +1,47 @@
+"""The baseline that the paper compares with: detections of one instant matched in pairs of views (its algorithm 2)."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Int
+
+from pipeline.data import Camera, Detections, FrameTimes
+from pipeline.tracking.initialization import Unmatched, group_unmatched
+from pipeline.tracking.observations import NOBODY, gather
+from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.tracker import make_rig
+
+
+def associate_pairwise(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    parameters: TrackingParameters,
+) -> dict[str, Int[np.ndarray, " _"]]:
+    """Group the detections of every frame number across views by epipolar affinity and graph partitioning.
+
+    Nothing is known of the frame before: a group is a person of one frame only.
+
+    Returns
+    -------
+        As of ``associate.associate``, with a new identity for every group.
+    """
+    bodies = gather(cameras, times, detections, parameters.min_score)
+    fundamental = make_rig(cameras).fundamental
+    identity = np.full(len(bodies.frame), NOBODY)
+    num_groups = 0
+    for frame in np.unique(bodies.frame):
+        pool = [
+            Unmatched(
+                int(bodies.camera[row]),
+                row,
+                float(bodies.time_s[row]),
+                np.where(bodies.used[row][:, None] > 0, bodies.ideal_px[row], np.nan),
+                bodies.used[row],
+            )
+            for row in np.flatnonzero(bodies.frame == frame).tolist()
+        ]
+        for group in group_unmatched(pool, fundamental, parameters.alpha_epipolar_px):
+            identity[[one.row for one in group]] = num_groups
+            num_groups += 1
+    return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}
