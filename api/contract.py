@@ -9,7 +9,7 @@ from pydantic.json_schema import JsonSchemaMode
 
 from api import examples
 from api.errors import ErrorItem, ProblemDetails
-from api.form import CALIBRATION, VIDEOS
+from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS
 from api.schemas import Manifest
 from worker.jobs.spec import JobSpec
 
@@ -45,12 +45,19 @@ def problems(*statuses: int) -> Responses:
 
 
 def form_body(*documents: str) -> dict[str, Any]:
-    """Declare a form of videos, a calibration and some JSON parts."""
+    """Declare a form of videos or keypoints, a calibration and some JSON parts."""
     file = {"type": "string", "contentMediaType": "application/octet-stream"}
     parts = {part: {"$ref": _SCHEMA_REF.format(model=_DOCUMENTS[part].__name__)} for part in documents}
     properties = {
         VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "One a camera."},
+        KEYPOINTS: {
+            "type": "array",
+            "items": file,
+            "minItems": 1,
+            "description": "Instead of videos: a zip a camera, named as the camera, of OpenPose's JSON files.",
+        },
         CALIBRATION: file | {"description": "Of all cameras."},
+        TIMESTAMPS: file | {"description": "Of keypoints: CSV with the columns camera, frame and time_s."},
         **parts,
     }
     return {
@@ -61,7 +68,8 @@ def form_body(*documents: str) -> dict[str, Any]:
                     "schema": {
                         "type": "object",
                         "properties": properties,
-                        "required": [VIDEOS, CALIBRATION],
+                        "required": [CALIBRATION],
+                        "oneOf": [{"required": [VIDEOS]}, {"required": [KEYPOINTS]}],
                         "additionalProperties": False,
                     },
                     "encoding": {part: {"contentType": "application/json"} for part in documents},

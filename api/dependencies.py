@@ -35,6 +35,7 @@ class Services:
         """How much of a session is taken in."""
         return Limits(
             max_file_bytes=self.settings.max_file_bytes,
+            max_keypoints_bytes=self.settings.max_keypoints_bytes,
             max_session_bytes=self.settings.max_session_bytes,
             max_calibration_bytes=self.settings.max_calibration_bytes,
             max_json_bytes=self.settings.max_json_bytes,

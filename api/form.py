@@ -14,7 +14,9 @@ from pathlib import Path
 
 from api.errors import ApiError, ErrorItem, pointer_to
 
-VIDEOS, CALIBRATION = "videos", "calibration"
+VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
+VIEWS = (VIDEOS, KEYPOINTS)
+"""Parts of which a form has one a camera; of the other files it has one."""
 
 _MAX_NAME_BYTES = 200
 # Parts beyond the videos: a few, right or wrong. Without an end to them their errors would fill the memory.
@@ -26,6 +28,7 @@ class Limits:
     """How much is taken in."""
 
     max_file_bytes: int
+    max_keypoints_bytes: int
     max_session_bytes: int
     max_calibration_bytes: int
     max_json_bytes: int
@@ -55,7 +58,9 @@ class Form:
     """
 
     videos: tuple[ReceivedFile, ...]
+    keypoints: tuple[ReceivedFile, ...]
     calibration: ReceivedFile | None
+    timestamps: ReceivedFile | None
     documents: Mapping[str, bytes]
     errors: tuple[ErrorItem, ...]
 
@@ -86,8 +91,14 @@ class Parts:
         self._folder = folder
         self._limits = limits
         self._document_names = documents
-        self._files: dict[str, list[ReceivedFile]] = {VIDEOS: [], CALIBRATION: []}
-        self._counts: dict[str, int] = {VIDEOS: 0, CALIBRATION: 0}
+        self._max_file_bytes = {
+            VIDEOS: limits.max_file_bytes,
+            KEYPOINTS: limits.max_keypoints_bytes,
+            CALIBRATION: limits.max_calibration_bytes,
+            TIMESTAMPS: limits.max_calibration_bytes,
+        }
+        self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
+        self._counts = dict.fromkeys(self._max_file_bytes, 0)
         self._names: set[str] = set()
         self._documents: dict[str, bytearray] = {}
         self._errors: list[ErrorItem] = []
@@ -106,7 +117,7 @@ class Parts:
         self._max_bytes = self._limits.max_json_bytes
         self._write = _discard
         if part in self._files:
-            self._max_bytes = self._limits.max_file_bytes if part == VIDEOS else self._limits.max_calibration_bytes
+            self._max_bytes = self._max_file_bytes[part]
             self._begin_file(part, file_name or "")
         elif part in self._document_names and part not in self._documents:
             self._write = self._documents.setdefault(part, bytearray()).extend
@@ -134,13 +145,21 @@ class Parts:
 
     def form(self) -> Form:
         """All parts, once the body has ended."""
-        for part, kind in ((VIDEOS, "a video"), (CALIBRATION, "a calibration")):
-            if not self._counts[part]:
-                self._blame("missing_part", f"The form has no {part}: a session needs {kind}.", f"/{part}")
-        calibration = self._files[CALIBRATION]
+        if not any(self._counts[part] for part in VIEWS):
+            message = "The form has no videos and no keypoints: a session needs either."
+            self._blame("missing_part", message, f"/{VIDEOS}")
+        if not self._counts[CALIBRATION]:
+            message = "The form has no calibration: a session needs one."
+            self._blame("missing_part", message, f"/{CALIBRATION}")
+        if self._counts[VIDEOS]:
+            for part in (KEYPOINTS, TIMESTAMPS):
+                if self._counts[part]:
+                    self._blame("part_not_allowed", "A session of videos has no such files.", f"/{part}")
         return Form(
             videos=tuple(self._files[VIDEOS]),
-            calibration=calibration[0] if calibration else None,
+            keypoints=tuple(self._files[KEYPOINTS]),
+            calibration=next(iter(self._files[CALIBRATION]), None),
+            timestamps=next(iter(self._files[TIMESTAMPS]), None),
             documents={name: bytes(content) for name, content in self._documents.items()},
             errors=tuple(self._errors),
         )
@@ -155,12 +174,12 @@ class Parts:
     def _begin_file(self, part: str, name: str) -> None:
         index = self._counts[part]
         self._counts[part] += 1
-        pointer = f"/{VIDEOS}/{index}" if part == VIDEOS else f"/{CALIBRATION}"
-        if part == VIDEOS and index >= self._limits.max_videos:
+        pointer = f"/{part}/{index}" if part in VIEWS else f"/{part}"
+        if part in VIEWS and index >= self._limits.max_videos:
             if index == self._limits.max_videos:
-                self._blame("too_many_videos", f"A session has {self._limits.max_videos} videos at most.", pointer)
-        elif part == CALIBRATION and index > 0:
-            self._blame("duplicate_part", "A session has one calibration.", pointer)
+                self._blame(f"too_many_{part}", f"A session has {self._limits.max_videos} {part} at most.", pointer)
+        elif part not in VIEWS and index > 0:
+            self._blame("duplicate_part", f"A session has one file of {part}.", pointer)
         elif message := name_error(name):
             self._blame("file_name_invalid", message, pointer)
         elif _folded(name) in self._names:

@@ -4,7 +4,7 @@ import contextlib
 import shutil
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 import anyio
@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api.dependencies import Services
 from api.errors import ErrorItem, unprocessable, validation_items
-from api.form import Form, ReceivedFile
+from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, ReceivedFile
 from api.multipart import receive_form
 from api.preflight import InvalidFilesError
 from api.schemas import Manifest
@@ -24,6 +24,9 @@ from worker.jobs.model import InputFile, Session
 from worker.jobs.spec import JobSpec
 
 MANIFEST, SPEC = "manifest", "spec"
+
+# What a file is called in a session where the form's part has another name.
+_KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -56,12 +59,11 @@ async def take_in(request: Request, services: Services, documents: frozenset[str
         errors = [*form.errors, *manifest_errors, *spec_errors]
         preflight: Mapping[str, Any] = {}
         record = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
-        if form.calibration and form.videos and not form.errors:
+        if not form.errors:
             try:
                 preflight = await anyio.to_thread.run_sync(
                     services.preflight.check,
-                    [video.path for video in form.videos],
-                    form.calibration.path,
+                    _arguments(form, manifest or Manifest()),
                     record,
                     limiter=services.preflight_limiter,
                 )
@@ -93,20 +95,38 @@ def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None
         return None, list(validation_items(error.errors(), f"/{part}"))
 
 
+def _files(form: Form) -> dict[str, ReceivedFile]:
+    """All files of the form by their pointers."""
+    views = ((VIDEOS, form.videos), (KEYPOINTS, form.keypoints))
+    files = {f"/{part}/{index}": file for part, several in views for index, file in enumerate(several)}
+    for part, one in ((CALIBRATION, form.calibration), (TIMESTAMPS, form.timestamps)):
+        if one is not None:
+            files[f"/{part}"] = one
+    return files
+
+
+def _arguments(form: Form, manifest: Manifest) -> list[str]:
+    """What the check is told."""
+    paths: dict[str, list[str]] = {}
+    for pointer, file in _files(form).items():
+        paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
+    arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
+    return arguments if manifest.frame_rate_hz is None else [*arguments, f"--frame-rate={manifest.frame_rate_hz!r}"]
+
+
 def _located(item: ErrorItem, form: Form) -> ErrorItem:
-    """Point from a problem with a file to the file's part of the form."""
-    pointers = {video.name: f"/videos/{index}" for index, video in enumerate(form.videos)}
-    if form.calibration:
-        pointers[form.calibration.name] = "/calibration"
-    return item.model_copy(update={"pointer": pointers.get(item.file or "")})
+    """Point from a problem with a file, or with what is in an archive, to the file's part of the form."""
+    pointers = {file.name: pointer for pointer, file in _files(form).items()}
+    of_archive = {PurePosixPath(file.name).stem: pointers[file.name] for file in form.keypoints}
+    file = item.file or ""
+    pointer = pointers.get(file) or of_archive.get(file.split("/")[0])
+    return item.model_copy(update={"pointer": pointer})
 
 
 def _keep(services: Services, form: Form, manifest: Manifest, preflight: Mapping[str, Any], record: Path) -> Session:
     """Move the files to the artifact store, then say so in the database; neither without the other."""
     session_id = str(uuid_utils.uuid7())
-    received = [("video", video) for video in form.videos]
-    if form.calibration:
-        received.append(("calibration", form.calibration))
+    received = [(_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(form).items()]
     files = [_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(received)]
     with contextlib.ExitStack() as undo:
         undo.callback(services.artifacts.delete_prefix, f"sessions/{session_id}/")

@@ -47,11 +47,13 @@ class Preflight:
     max_bytes: int
     max_record_bytes: int
 
-    def check(self, videos: Sequence[Path], calibration: Path, record: Path) -> Mapping[str, Any]:
+    def check(self, arguments: Sequence[str], record: Path) -> Mapping[str, Any]:
         """Find out what a session is.
 
         Parameters
         ----------
+        arguments
+            The files of the session, and what was said of them.
         record
             Where the program is to keep what the workers need to know of the files.
 
@@ -66,9 +68,8 @@ class Preflight:
         ApiError
             500 if the program itself fails.
         """
-        arguments = ["--videos", *map(str, videos), "--calibration", str(calibration), "--record", str(record)]
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
-            exit_code = self._run([*self.command, *arguments], output, log)
+            exit_code = self._run([*self.command, *arguments, "--record", str(record)], output, log)
             said = _read(output, self.max_bytes)
             if exit_code == 0 and record.is_file() and (found := _parsed(said)) is not None:
                 return found

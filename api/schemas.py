@@ -33,19 +33,26 @@ class Manifest(BaseModel):
     name: Annotated[str, AfterValidator(_printable)] = Field(
         default="untitled", min_length=1, max_length=200, description="For people."
     )
+    frame_rate_hz: float | None = Field(
+        default=None,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Of keypoints without timestamps; 25 if nobody says another.",
+    )
 
 
 class FileOut(_Answer):
     """A file of a session."""
 
     name: str
-    kind: str = Field(description="`video` or `calibration`.")
+    kind: str = Field(description="`video`, `keypoints`, `calibration` or `timestamps`.")
     num_bytes: int
     sha256: str
 
 
 class CameraOut(_Answer):
-    """A camera of the calibration with its video."""
+    """A camera of the calibration with its video or its keypoints."""
 
     name: str
     file: str

@@ -56,10 +56,11 @@ class Settings(BaseSettings):
     )
 
     max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Of one video.")
+    max_keypoints_bytes: int = Field(default=1 * GIB, gt=0, description="Of the archive of a camera's keypoints.")
     max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Of all files of a session.")
     max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Of a calibration file.")
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
-    max_cameras: int = Field(default=64, gt=0, description="Videos of a session.")
+    max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
 
     chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
 
@@ -70,7 +71,7 @@ class Settings(BaseSettings):
     preflight_timeout_s: float = Field(default=300.0, gt=0, description="How long the check may take.")
     max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="How much the check may say.")
     max_record_bytes: int = Field(
-        default=256 * MIB, gt=0, description="Of what the check keeps for the workers: times of all frames."
+        default=1 * GIB, gt=0, description="Of what the check keeps for the workers: times of all frames, keypoints."
     )
     max_parallel_preflights: int = Field(default=2, gt=0, description="Checks at the same time.")
 

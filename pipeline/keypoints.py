@@ -51,6 +51,8 @@ class KeypointSession:
         By camera name.
     joints
         What the joint axis of the detections holds.
+    folders
+        The folder that each camera's files were in; by camera name.
     warnings
         What a person should know, a sentence each.
     """
@@ -60,6 +62,7 @@ class KeypointSession:
     timebase: Timebase
     detections: Mapping[str, Detections]
     joints: JointSet
+    folders: Mapping[str, str]
     warnings: tuple[str, ...]
 
 
@@ -116,6 +119,7 @@ def open_keypoints(
         timebase=timebase,
         detections={camera: _as_detections(camera, list(of.values()), joints) for camera, of in found.items()},
         joints=joints,
+        folders=pairs,
         warnings=tuple(warnings),
     )
 
@@ -238,7 +242,7 @@ def _times_from_rate(
     """Frame k of all cameras at k over the frame rate."""
     rate_hz = DEFAULT_FRAME_RATE_HZ if frame_rate_hz is None else frame_rate_hz
     if frame_rate_hz is None:
-        warnings.append(f"The frame rate is taken to be {rate_hz:g} Hz; --frame-rate says another one.")
+        warnings.append(f"The frame rate is taken to be {rate_hz:g} Hz: none was given.")
     if not 1.0 <= rate_hz <= 1000.0:
         problems.append(Problem("frame_rate", f"{rate_hz:g} Hz is no frame rate.", hint="Use 1 to 1000 Hz."))
         return {}, None

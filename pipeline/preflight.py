@@ -1,54 +1,80 @@
-"""Check a session in a process of its own: ``python -m pipeline.preflight --videos FILE... --calibration FILE``.
+"""Check a session in a process of its own.
 
-Prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the session is. So a caller that must not load
-the science, or must not be hurt by a stranger's file, can still know all about a session. ``--record FILE`` keeps what
-was found, so that nobody has to look through the videos again.
+``python -m pipeline.preflight (--videos FILE... | --keypoints ZIP... [--timestamps FILE] [--frame-rate HZ])
+--calibration FILE`` prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the session is. So a
+caller that must not load the science, or must not be hurt by a stranger's file, can still know all about a session.
+``--record FILE`` keeps what was found, so that nobody has to look through the files again.
 """
 
 import argparse
 import json
 import sys
+import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import InputError
-from pipeline.records_npz import encode_session
+from pipeline.keypoints import KeypointSession, open_keypoints
+from pipeline.keypoints_zip import unpack_keypoints
+from pipeline.records_npz import encode_keypoints, encode_session
 from pipeline.session import CaptureSession, open_session
 
 EXIT_BAD_INPUT = 2
 
 
-def report(session: CaptureSession) -> dict[str, Any]:
-    """Cameras with their videos, the shared clock, and warnings."""
+def report(session: CaptureSession | KeypointSession, files: Sequence[str]) -> dict[str, Any]:
+    """Cameras with their files, the shared clock, and warnings."""
+    rates_hz = (
+        [video.frame_rate_hz for video in session.videos]
+        if isinstance(session, CaptureSession)
+        else [session.timebase.frame_rate_hz] * len(session.cameras)
+    )
     return {
         "cameras": [
             {
                 "name": camera.name,
-                "file": video.path.name,
+                "file": file,
                 "size_px": list(camera.size_px),
-                "frame_rate_hz": video.frame_rate_hz,
-                "num_frames": video.num_frames,
+                "frame_rate_hz": rate_hz,
+                "num_frames": len(session.times[camera.name].time_s),
             }
-            for camera, video in zip(session.cameras, session.videos, strict=True)
+            for camera, file, rate_hz in zip(session.cameras, files, rates_hz, strict=True)
         ],
         "timebase": asdict(session.timebase),
         "warnings": list(session.warnings),
     }
 
 
+def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
+    session = open_session(arguments.videos, arguments.calibration)
+    return report(session, [video.path.name for video in session.videos]), encode_session(session)
+
+
+def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        unpack_keypoints(arguments.keypoints, Path(folder))
+        session = open_keypoints(Path(folder), arguments.calibration, arguments.timestamps, arguments.frame_rate)
+    files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
+    return report(session, files), encode_keypoints(session)
+
+
 def main() -> int:
     """Run the check and return the exit code."""
     parser = argparse.ArgumentParser(description="Check a capture session.")
-    parser.add_argument("--videos", nargs="+", type=Path, required=True)
+    views = parser.add_mutually_exclusive_group(required=True)
+    views.add_argument("--videos", nargs="+", type=Path)
+    views.add_argument("--keypoints", nargs="+", type=Path)
     parser.add_argument("--calibration", type=Path, required=True)
+    parser.add_argument("--timestamps", type=Path)
+    parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args()
     try:
-        session = open_session(arguments.videos, arguments.calibration)
+        found, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
         if arguments.record:
-            arguments.record.write_bytes(encode_session(session))
-        found = report(session)
+            arguments.record.write_bytes(record)
     except InputError as error:
         found = {"problems": [asdict(problem) for problem in error.problems]}
     sys.stdout.write(json.dumps(found, allow_nan=False) + "\n")

@@ -6,15 +6,20 @@ Only plain arrays are written and read (no pickles): a file that was tampered wi
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, Detections, FrameTimes, Observations, SkeletonMotion, Track3D
+from pipeline.data import Camera, Detections, FrameTimes, Observations, SkeletonMotion, Timebase, Track3D
 from pipeline.geometry.rigid import Rigid3
+from pipeline.joints import JointSet
+from pipeline.keypoints import KeypointSession
 from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
+
+_DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
 
 
 def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -28,10 +33,38 @@ def _decode(content: bytes) -> dict[str, np.ndarray]:
         return dict(archive)
 
 
+def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """What the head and the arrays of an archive say of cameras."""
+    head = [{"name": camera.name, "size_px": camera.size_px} for camera in cameras]
+    arrays: dict[str, np.ndarray] = {}
+    for k, camera in enumerate(cameras):
+        arrays |= {
+            f"matrix_{k}": camera.matrix,
+            f"distortion_{k}": camera.distortion,
+            f"rotation_{k}": camera.cam_from_world.rotation,
+            f"translation_m_{k}": camera.cam_from_world.translation_m,
+        }
+    return head, arrays
+
+
+def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.ndarray]) -> tuple[Camera, ...]:
+    return tuple(
+        Camera(
+            name=one["name"],
+            size_px=tuple(one["size_px"]),
+            matrix=arrays[f"matrix_{k}"],
+            distortion=arrays[f"distortion_{k}"],
+            cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
+        )
+        for k, one in enumerate(head)
+    )
+
+
 def encode_session(session: CaptureSession) -> bytes:
     """Write what is known of a session's cameras and videos; of the videos' paths only the names."""
+    cameras, arrays = _cameras(session.cameras)
     head = {
-        "cameras": [{"name": camera.name, "size_px": camera.size_px} for camera in session.cameras],
+        "cameras": cameras,
         "videos": [
             {
                 "file": video.path.name,
@@ -44,13 +77,9 @@ def encode_session(session: CaptureSession) -> bytes:
         ],
         "warnings": session.warnings,
     }
-    arrays: dict[str, np.ndarray] = {"head": np.array(json.dumps(head))}
+    arrays["head"] = np.array(json.dumps(head))
     for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
         arrays |= {
-            f"matrix_{k}": camera.matrix,
-            f"distortion_{k}": camera.distortion,
-            f"rotation_{k}": camera.cam_from_world.rotation,
-            f"translation_m_{k}": camera.cam_from_world.translation_m,
             f"pts_{k}": video.pts,
             f"keyframe_pts_{k}": video.keyframe_pts,
             f"video_time_s_{k}": video.time_s,
@@ -63,16 +92,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
     """Read what ``encode_session`` wrote; the videos are in ``folder`` by their names."""
     arrays = _decode(content)
     head = json.loads(str(arrays["head"]))
-    cameras = tuple(
-        Camera(
-            name=one["name"],
-            size_px=tuple(one["size_px"]),
-            matrix=arrays[f"matrix_{k}"],
-            distortion=arrays[f"distortion_{k}"],
-            cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
-        )
-        for k, one in enumerate(head["cameras"])
-    )
+    cameras = _decode_cameras(head["cameras"], arrays)
     return CaptureSession(
         cameras=cameras,
         videos=tuple(
@@ -93,6 +113,43 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
     )
 
 
+def encode_keypoints(session: KeypointSession) -> bytes:
+    """Write a session of keypoints, all of it: nobody needs its files again."""
+    cameras, arrays = _cameras(session.cameras)
+    head = {
+        "cameras": cameras,
+        "folders": dict(session.folders),
+        "joints": asdict(session.joints),
+        "timebase": asdict(session.timebase),
+        "warnings": session.warnings,
+    }
+    arrays["head"] = np.array(json.dumps(head))
+    for k, camera in enumerate(session.cameras):
+        found = session.detections[camera.name]
+        arrays[f"time_s_{k}"] = session.times[camera.name].time_s
+        arrays |= {f"{name}_{k}": getattr(found, name) for name in _DETECTION_ARRAYS}
+    return _encode(arrays)
+
+
+def decode_keypoints(content: bytes) -> KeypointSession:
+    """Read what ``encode_keypoints`` wrote."""
+    arrays = _decode(content)
+    head = json.loads(str(arrays["head"]))
+    cameras = _decode_cameras(head["cameras"], arrays)
+    return KeypointSession(
+        cameras=cameras,
+        times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
+        timebase=Timebase(**head["timebase"]),
+        detections={
+            camera.name: Detections(camera.name, *(arrays[f"{name}_{k}"] for name in _DETECTION_ARRAYS))
+            for k, camera in enumerate(cameras)
+        },
+        joints=JointSet(tuple(head["joints"]["names"]), tuple((one, other) for one, other in head["joints"]["bones"])),
+        folders=head["folders"],
+        warnings=tuple(head["warnings"]),
+    )
+
+
 def encode_detections(detections: Detections) -> bytes:
     """Write the detections of one camera."""
     return _encode({field.name: np.asarray(getattr(detections, field.name)) for field in fields(detections)})
@@ -101,8 +158,7 @@ def encode_detections(detections: Detections) -> bytes:
 def decode_detections(content: bytes) -> Detections:
     """Read what ``encode_detections`` wrote."""
     arrays = _decode(content)
-    camera = str(arrays["camera"])
-    return Detections(camera, arrays["frame"], arrays["keypoints_px"], arrays["score"], arrays["box_px"])
+    return Detections(str(arrays["camera"]), *(arrays[name] for name in _DETECTION_ARRAYS))
 
 
 def encode_tracks(tracks: Sequence[Track3D], observations: Sequence[Observations]) -> bytes:

@@ -16,7 +16,7 @@ from worker.jobs.spec import JobSpec
 DETECT, ASSOCIATE, FIT, EXPORT = "detect", "associate", "fit", "export"
 
 # A stage's number goes up with every change of its code that changes what it leaves.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, ASSOCIATE: 1, FIT: 1, EXPORT: 1}
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, ASSOCIATE: 2, FIT: 1, EXPORT: 1}
 
 DEFAULT_CHUNK_FRAMES = 100
 
@@ -37,18 +37,28 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
 
     Returns
     -------
-        The stages in their order: detect (map), associate, fit and export (one chunk each).
+        The stages in their order: detect (map), associate, fit and export (one chunk each). A session of keypoints has
+        nothing to detect.
     """
-    detect = _key(DETECT, {"detector": spec.detector}, _inputs(session))
-    associate = _key(ASSOCIATE, {"method": spec.method}, [detect])
+    inputs = _inputs(session)
+    detects: tuple[StagePlan, ...] = ()
+    if not is_of_keypoints(session):
+        inputs = [_key(DETECT, {"detector": spec.detector}, inputs)]
+        detects = (StagePlan(DETECT, _map_chunks(session, inputs[0], chunk_frames)),)
+    associate = _key(ASSOCIATE, {"method": spec.method}, inputs)
     fit = _key(FIT, {}, [associate])
     export = _key(EXPORT, {}, [associate, fit])
     return (
-        StagePlan(DETECT, _map_chunks(session, detect, chunk_frames)),
+        *detects,
         StagePlan(ASSOCIATE, _reduce(associate)),
         StagePlan(FIT, _reduce(fit)),
         StagePlan(EXPORT, _reduce(export)),
     )
+
+
+def is_of_keypoints(session: Session) -> bool:
+    """Whether the client sent keypoints instead of videos."""
+    return any(file.kind == "keypoints" for file in session.files)
 
 
 def _map_chunks(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
@@ -75,8 +85,9 @@ def _reduce(stage_key: str) -> tuple[ChunkPlan, ...]:
 
 
 def _inputs(session: Session) -> list[str]:
-    """What the files are; names count, because videos and cameras find each other by name."""
-    return sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
+    """What the files are, and how keypoints are timed; names count: files and cameras find each other by name."""
+    files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
+    return [*files, repr(session.preflight["timebase"]["frame_rate_hz"])] if is_of_keypoints(session) else files
 
 
 def _key(stage: str, choices: Mapping[str, Any], inputs: Sequence[str]) -> str:

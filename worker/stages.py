@@ -11,11 +11,14 @@ from pathlib import Path
 
 from pipeline.data import Reconstruction, SkeletonMotion
 from pipeline.detect.chunk import concatenate, detect_chunk
-from pipeline.detect.detector import Detector, open_detector
-from pipeline.errors import ModelError
+from pipeline.detect.detector import open_detector
+from pipeline.errors import ModelError, PipelineError
 from pipeline.export.results import result_files
+from pipeline.joints import JointSet
+from pipeline.keypoints import KeypointSession
 from pipeline.records_npz import (
     decode_detections,
+    decode_keypoints,
     decode_motions,
     decode_session,
     decode_tracks,
@@ -23,7 +26,7 @@ from pipeline.records_npz import (
     encode_motions,
     encode_tracks,
 )
-from pipeline.run import associate, fit
+from pipeline.run import Views, associate, fit
 from pipeline.session import CaptureSession
 from pipeline.tracking.warm_up import warm_up as warm_up_tracking
 from pipeline.video.timeline import span_s
@@ -31,7 +34,7 @@ from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore, record_key
 from worker.jobs.model import Session
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, is_of_keypoints
 
 _detector = functools.cache(open_detector)
 
@@ -44,22 +47,28 @@ class _OpenSession:
     def __init__(self) -> None:
         self._files = contextlib.ExitStack()
         self._id: str | None = None
-        self._capture: CaptureSession
+        self._views: Views
 
-    def capture(self, session: Session, artifacts: ArtifactStore) -> CaptureSession:
+    def views(self, session: Session, artifacts: ArtifactStore) -> Views:
         """Open a session, unless it is open."""
         if self._id == session.id:
-            return self._capture
+            return self._views
         self._files.close()
         self._id = None
+        with artifacts.open(record_key(session.id)) as record:
+            content = record.read()
+        self._views = (
+            decode_keypoints(content) if is_of_keypoints(session) else self._capture(session, artifacts, content)
+        )
+        self._id = session.id
+        return self._views
+
+    def _capture(self, session: Session, artifacts: ArtifactStore, record: bytes) -> CaptureSession:
         folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
         for file in session.files:
             stored = self._files.enter_context(artifacts.local_path(file.key))
             (folder / file.name).symlink_to(stored.absolute())
-        with artifacts.open(record_key(session.id)) as record:
-            self._capture = decode_session(record.read(), folder)
-        self._id = session.id
-        return self._capture
+        return decode_session(record, folder)
 
 
 _open = _OpenSession()
@@ -72,44 +81,51 @@ def warm_up() -> None:
     warm_up_tracking()
 
 
-def _capture_of(work: Work) -> tuple[CaptureSession, Detector]:
-    return _open.capture(work.session, work.artifacts), _detector(work.claim.spec.detector)
+def _views_of(work: Work) -> tuple[Views, JointSet]:
+    """The session, and what its detections' joints are."""
+    views = _open.views(work.session, work.artifacts)
+    return views, views.joints if isinstance(views, KeypointSession) else _detector(work.claim.spec.detector).joints
 
 
 def detect(work: Work) -> Outcome:
     """Find all bodies in a range of a camera's frames."""
-    session, detector = _capture_of(work)
+    session, _ = _views_of(work)
+    if isinstance(session, KeypointSession):
+        raise PipelineError("A session of keypoints has no videos.")
     chunk = work.claim.payload
     span = span_s(session.timebase, chunk["start_frame"], chunk["stop_frame"])
+    detector = _detector(work.claim.spec.detector)
     return Outcome(encode_detections(detect_chunk(session, chunk["camera"], span, detector, work.on_unit)))
 
 
 def associate_people(work: Work) -> Outcome:
     """Turn the detections of all chunks into tracks: one pass in time order."""
-    session, detector = _capture_of(work)
+    session, joints = _views_of(work)
+    if isinstance(session, KeypointSession):
+        return Outcome(encode_tracks(*associate(session, session.detections)))
     chunks = (decode_detections(content) for content in work.outputs(DETECT))
     cameras = [camera.name for camera in session.cameras]
-    return Outcome(encode_tracks(*associate(session, concatenate(chunks, cameras, len(detector.joints.names)))))
+    return Outcome(encode_tracks(*associate(session, concatenate(chunks, cameras, len(joints.names)))))
 
 
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
-    session, detector = _capture_of(work)
+    session, joints = _views_of(work)
     tracks, _ = decode_tracks(*work.outputs(ASSOCIATE))
     motions: list[SkeletonMotion] = []
     for track in tracks:
-        motions.extend(fit(session, [track], detector.joints))
+        motions.extend(fit(session, [track], joints))
         work.on_unit()
     return Outcome(encode_motions(motions))
 
 
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
-    session, detector = _capture_of(work)
+    session, joints = _views_of(work)
     tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
     reconstruction = Reconstruction(
         cameras=session.cameras,
-        joints=detector.joints,
+        joints=joints,
         timebase=session.timebase,
         tracks=tracks,
         observations=observations,

@@ -21,7 +21,7 @@ _LOCATION = {"headers": {"Location": {"description": "Address of the session.", 
     openapi_extra=form_body(MANIFEST),
 )
 async def create_session(request: Request, response: Response, services: ServicesDep) -> SessionOut:
-    """Send a session: its videos and their calibration.
+    """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
     Every file is checked. The answer says what was found, or all that is wrong.
     """

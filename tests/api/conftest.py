@@ -29,7 +29,8 @@ PREFLIGHT = """
 import json, pathlib, sys, time
 arguments = sys.argv[1:]
 at = arguments.index("--calibration")
-videos = [pathlib.Path(name) for name in arguments[arguments.index("--videos") + 1 : at]]
+(kind,) = {"--videos", "--keypoints"}.intersection(arguments)
+videos = [pathlib.Path(name) for name in arguments[arguments.index(kind) + 1 : at]]
 problems = []
 for video in videos:
     with video.open("rb") as file:
@@ -112,6 +113,12 @@ def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam
     return [*parts, ("calibration", ("calibration.toml", calibration))]
 
 
+def keypoint_form(archives: int = 2) -> list[tuple[str, Any]]:
+    """Parts of a good session of keypoints."""
+    parts: list[tuple[str, Any]] = [("keypoints", (f"cam_{index}.zip", b"archive")) for index in range(archives)]
+    return [*parts, ("timestamps", ("timestamps.csv", b"camera,frame,time_s")), form(0)[0]]
+
+
 @contextlib.contextmanager
 def running(settings: Settings) -> Iterator[Live]:
     """Serve on a free port of loopback."""
@@ -161,6 +168,7 @@ def make_settings(
             "broker_url": NO_BROKER,
             "preflight_command": preflight_command,
             "max_file_bytes": 100_000,
+            "max_keypoints_bytes": 50_000,
             "max_session_bytes": 250_000,
             "max_calibration_bytes": 10_000,
             "max_json_bytes": 1_000,

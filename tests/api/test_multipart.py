@@ -22,7 +22,12 @@ from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 
 LIMITS = Limits(
-    max_file_bytes=10_000, max_session_bytes=20_000, max_calibration_bytes=5_000, max_json_bytes=500, max_videos=3
+    max_file_bytes=10_000,
+    max_keypoints_bytes=10_000,
+    max_session_bytes=20_000,
+    max_calibration_bytes=5_000,
+    max_json_bytes=500,
+    max_videos=3,
 )
 HEAD = 'Content-Disposition: form-data; name="{}"; filename="{}"\r\nContent-Type: video/mp4\r\n\r\n'
 # Full of what looks like a boundary.

@@ -37,7 +37,7 @@ def test_check_that_hangs_is_killed(make_settings: Callable[..., Settings]) -> N
 def test_check_is_killed_with_its_children(tmp_path: Path) -> None:
     script = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(47.11)'])"
     with pytest.raises(InvalidFilesError):
-        Preflight((sys.executable, "-c", script), 1.0, 1000, 1000).check([tmp_path], tmp_path, tmp_path / "record")
+        Preflight((sys.executable, "-c", script), 1.0, 1000, 1000).check([], tmp_path / "record")
     deadline_s = time.monotonic() + 5
     while any("47.11" in str(process.info["cmdline"]) for process in psutil.process_iter(["cmdline"])):
         assert time.monotonic() < deadline_s
@@ -59,9 +59,7 @@ def test_check_is_killed_with_its_children(tmp_path: Path) -> None:
 )
 def test_check_that_makes_no_sense(tmp_path: Path, script: str, status: int) -> None:
     with pytest.raises(ApiError) as raised:
-        Preflight((sys.executable, "-c", script), 10.0, 1_000_000, 1000).check(
-            [tmp_path], tmp_path, tmp_path / "record"
-        )
+        Preflight((sys.executable, "-c", script), 10.0, 1_000_000, 1000).check([], tmp_path / "record")
     assert raised.value.status == status
 
 

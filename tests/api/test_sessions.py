@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from api.settings import Settings
-from tests.api.conftest import Live, form, problem_of, running
+from tests.api.conftest import Live, form, keypoint_form, problem_of, running
 
 
 def test_session_says_what_was_found(live: Live) -> None:
@@ -33,6 +33,25 @@ def test_session_says_what_was_found(live: Live) -> None:
     }  # fmt: skip
     assert session["preflight"]["warnings"] == ["The cameras are close together."]
     assert live.client.get(session["links"]["self"]).json() == session
+
+
+def test_a_session_of_keypoints(live: Live) -> None:
+    manifest = ("manifest", (None, b'{"frame_rate_hz": 50.0}'))
+    answer = live.client.post("/v1/sessions", files=[*keypoint_form(), manifest])
+    assert answer.status_code == 201, answer.text
+    kinds = {file["name"]: file["kind"] for file in answer.json()["files"]}
+    assert kinds == {
+        "cam_0.zip": "keypoints",
+        "cam_1.zip": "keypoints",
+        "calibration.toml": "calibration",
+        "timestamps.csv": "timestamps",
+    }
+
+
+def test_what_is_wrong_in_an_archive_points_to_it(live: Live) -> None:
+    parts = [("keypoints", ("cam_0.zip", b"archive")), ("keypoints", ("cam_1.zip", b"WRONG")), form(0)[0]]
+    problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
+    assert [(item["pointer"], item["file"]) for item in problem["errors"]] == [("/keypoints/1", "cam_1.zip")]
 
 
 def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None:
@@ -111,6 +130,12 @@ def test_unusual_names_are_kept(live: Live, name: str) -> None:
         ([*form(), ("calibration", ("other.toml", b""))], {("/calibration", "duplicate_part")}),
         ([*form(), *[("manifest", (None, b"{}"))] * 2], {("/manifest", "duplicate_part")}),
         (form(7), {("/videos/4", "too_many_videos")}),
+        (keypoint_form(5), {("/keypoints/4", "too_many_keypoints")}),
+        (
+            [*keypoint_form(), form()[0]],
+            {("/keypoints", "part_not_allowed"), ("/timestamps", "part_not_allowed")},
+        ),
+        (keypoint_form()[:3], {("/calibration", "missing_part")}),
         (
             [*form(1), ("videos", ("a/b", b"")), ("y~/", (None, b""))],
             {("/videos/1", "file_name_invalid"), ("/y~0~1", "unknown_part")},
@@ -131,6 +156,7 @@ def test_wrong_parts(live: Live, parts: Any, errors: set[tuple[str, str]]) -> No
         (b"\xff", "/manifest"),
         (b'{"units": "mm"}', "/manifest/units"),
         (b'{"name": 3}', "/manifest/name"),
+        (b'{"frame_rate_hz": 0}', "/manifest/frame_rate_hz"),
         (b'{"name": "a\\u0000b"}', "/manifest/name"),
         (b'{"name": "' + b"x" * 201 + b'"}', "/manifest/name"),
         (b'{"name": "\\ud800"}', "/manifest"),

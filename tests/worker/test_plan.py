@@ -119,3 +119,10 @@ def test_keys_are_unique_and_safe_as_names() -> None:
     found = [key for stage in keys(make_session(1000)).values() for key in stage]
     assert len(set(found)) == len(found)
     assert all(len(key) == 64 and key.isalnum() for key in found)
+
+
+def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
+    files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
+    session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
+    assert list(keys(session)) == [ASSOCIATE, FIT, EXPORT]
+    assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, FIT, EXPORT))

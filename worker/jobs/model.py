@@ -63,7 +63,7 @@ class InputFile:
     """A file of a session, in the artifact store under ``key``."""
 
     name: str
-    kind: str  # "video" or "calibration"
+    kind: str  # "video", "keypoints", "calibration" or "timestamps"
     key: str
     num_bytes: int
     sha256: str

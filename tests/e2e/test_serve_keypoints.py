@@ -1,0 +1,77 @@
+"""A session of keypoints through the service: the same files as without it."""
+
+import io
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from api.commands.reconstruct import write_results
+from pipeline.keypoints import open_keypoints
+from pipeline.run import reconstruct_keypoints
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
+from tests.e2e.serving import Served, digests
+
+pytestmark = pytest.mark.xdist_group("sample")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("capture")
+    for name, content in simulation_files(record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4)):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return folder
+
+
+def archives(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
+    parts = []
+    for folder in sorted((capture / "keypoints").iterdir()):
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as entries:
+            for path in folder.iterdir():
+                entries.write(path, PurePosixPath(folder.name, path.name))
+        parts.append(("keypoints", (f"{folder.name}.zip", content.getvalue())))
+    return parts
+
+
+def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
+    one_each = [("calibration", "calibration.json"), ("timestamps", "timestamps.csv")]
+    return [*archives(capture), *((part, (name, (capture / name).read_bytes())) for part, name in one_each)]
+
+
+def test_the_same_files_as_without_the_service(served: Served, capture: Path, tmp_path: Path) -> None:
+    session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
+    write_results(reconstruct_keypoints(session), tmp_path)
+    answer = served.client.post("/v1/jobs", files=files(capture))
+    assert answer.status_code == 202, answer.text
+    job = served.wait_for_end(answer.json()["id"])
+    assert job["state"] == "succeeded", job
+    assert [stage["name"] for stage in job["stages"]] == ["associate", "fit", "export"]
+    assert len(json.loads((tmp_path / "metrics.json").read_bytes())["people"]) >= 2
+    assert served.downloads(job["id"]) == digests(tmp_path)
+
+
+def test_everything_that_is_wrong_with_archives_at_once(served: Served, capture: Path) -> None:
+    parts = files(capture)
+    name, content = parts[0][1]
+    with zipfile.ZipFile(io.BytesIO(content)) as entries:
+        frames = entries.namelist()
+    broken = io.BytesIO()
+    with zipfile.ZipFile(broken, "w") as entries:
+        entries.writestr(frames[0], '{"people": [')
+    parts[0] = ("keypoints", (name, broken.getvalue()))
+    problem = served.client.post("/v1/sessions", files=parts)
+    assert problem.status_code == 422
+    (error,) = problem.json()["errors"]
+    assert error["pointer"] == "/keypoints/0"
+    assert error["file"].endswith("_keypoints.json")
+
+    parts[1] = ("keypoints", (parts[1][1][0], b"no archive"))
+    parts[2] = ("keypoints", (parts[2][1][0], b"no archive either"))
+    problem = served.client.post("/v1/sessions", files=parts)
+    assert {error["pointer"] for error in problem.json()["errors"]} == {"/keypoints/1", "/keypoints/2"}
