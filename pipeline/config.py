@@ -1,6 +1,7 @@
 """What a reconstruction may be asked for."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 Method = Literal["tracking"]
@@ -8,7 +9,7 @@ Method = Literal["tracking"]
 
 @dataclass(frozen=True, slots=True)
 class ReconstructionConfig:
-    """Choices of one reconstruction; the result depends on the first two only.
+    """Choices of one reconstruction; the result depends on the first three only.
 
     Parameters
     ----------
@@ -16,6 +17,9 @@ class ReconstructionConfig:
         How detections become tracks.
     detector
         A network of ``pipeline.detect.models``.
+    tracking
+        Parameters of the tracker by name, instead of those that are derived from the session; see
+        ``tracking.parameters.TrackingParameters``.
     chunk_frames
         Output frames of one chunk: what is decoded and detected as one piece, of one camera.
     processes
@@ -24,5 +28,6 @@ class ReconstructionConfig:
 
     method: Method = "tracking"
     detector: str = "movenet-multipose"
+    tracking: Mapping[str, float] = field(default_factory=dict)
     chunk_frames: int = 100
     processes: int = 1

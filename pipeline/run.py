@@ -8,6 +8,7 @@ import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from types import MappingProxyType
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
@@ -21,7 +22,7 @@ from pipeline.progress import OnProgress, Progress, silent
 from pipeline.session import CaptureSession
 from pipeline.skeleton.solve import motion_from_track
 from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.parameters import derive_parameters
+from pipeline.tracking.parameters import TrackingParameters, change_parameters, derive_parameters
 from pipeline.video.timeline import chunk_ranges
 
 Span = tuple[float, float]
@@ -46,10 +47,11 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a video can't be decoded.
+        If a video can't be decoded, or there is no such parameter.
     ModelError
         If the detector is not installed.
     """
+    parameters = tracking_parameters(session, config.tracking)
     detector = open_detector(config.detector)
     cameras = [camera.name for camera in session.cameras]
     chunks = [(camera, span) for span in chunk_ranges(session.timebase, config.chunk_frames) for camera in cameras]
@@ -59,25 +61,35 @@ def reconstruct(
         else _map_in_processes(session, chunks, config, on_progress)
     )
     detections = concatenate(detected, cameras, len(detector.joints.names))
-    return _reconstruct_people(session, detections, detector.joints, on_progress)
+    return _reconstruct_people(session, detections, detector.joints, parameters, on_progress)
 
 
-def reconstruct_keypoints(session: KeypointSession, on_progress: OnProgress = silent) -> Reconstruction:
+def reconstruct_keypoints(
+    session: KeypointSession, tracking: Mapping[str, float] = MappingProxyType({}), on_progress: OnProgress = silent
+) -> Reconstruction:
     """Reconstruct everybody from 2D joints that another program found.
 
     Parameters
     ----------
+    tracking
+        As in ``ReconstructionConfig``.
     on_progress
         Called after every step, from the calling thread.
     """
-    return _reconstruct_people(session, session.detections, session.joints, on_progress)
+    return _reconstruct_people(
+        session, session.detections, session.joints, tracking_parameters(session, tracking), on_progress
+    )
 
 
 def _reconstruct_people(
-    session: Views, detections: Mapping[str, Detections], joints: JointSet, on_progress: OnProgress
+    session: Views,
+    detections: Mapping[str, Detections],
+    joints: JointSet,
+    parameters: TrackingParameters,
+    on_progress: OnProgress,
 ) -> Reconstruction:
     on_progress(Progress("associate", 0, 1))
-    tracks, observations = associate(session, detections)
+    tracks, observations = associate(session, detections, parameters)
     on_progress(Progress("associate", 1, 1))
     on_progress(Progress("fit", 0, 1))
     motions = fit(session, tracks, joints)
@@ -93,11 +105,21 @@ def _reconstruct_people(
     )
 
 
+def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
+    """Those derived from the session, but for what was asked to be otherwise.
+
+    Raises
+    ------
+    InputError
+        If a parameter does not exist, or can't have that value.
+    """
+    return change_parameters(derive_parameters(session.cameras, session.timebase.frame_rate_hz), changes)
+
+
 def associate(
-    session: Views, detections: Mapping[str, Detections]
+    session: Views, detections: Mapping[str, Detections], parameters: TrackingParameters
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order."""
-    parameters = derive_parameters(session.cameras, session.timebase.frame_rate_hz)
     return reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
 
 

@@ -26,7 +26,7 @@ from pipeline.records_npz import (
     encode_motions,
     encode_tracks,
 )
-from pipeline.run import Views, associate, fit
+from pipeline.run import Views, associate, fit, tracking_parameters
 from pipeline.session import CaptureSession
 from pipeline.tracking.warm_up import warm_up as warm_up_tracking
 from pipeline.video.timeline import span_s
@@ -102,10 +102,11 @@ def associate_people(work: Work) -> Outcome:
     """Turn the detections of all chunks into tracks: one pass in time order."""
     session, joints = _views_of(work)
     if isinstance(session, KeypointSession):
-        return Outcome(encode_tracks(*associate(session, session.detections)))
-    chunks = (decode_detections(content) for content in work.outputs(DETECT))
-    cameras = [camera.name for camera in session.cameras]
-    return Outcome(encode_tracks(*associate(session, concatenate(chunks, cameras, len(joints.names)))))
+        detections = session.detections
+    else:
+        chunks = (decode_detections(content) for content in work.outputs(DETECT))
+        detections = concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
+    return Outcome(encode_tracks(*associate(session, detections, tracking_parameters(session))))
 
 
 def fit_skeletons(work: Work) -> Outcome:

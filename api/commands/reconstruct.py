@@ -1,7 +1,7 @@
 """`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -82,6 +82,22 @@ def _check_sources(
         raise InputError(problems)
 
 
+def _tracking_parameters(said: Sequence[str]) -> dict[str, float]:
+    """NAME=VALUE pairs as numbers by name."""
+    changes: dict[str, float] = {}
+    problems = []
+    for text in said:
+        name, _, value = text.partition("=")
+        try:
+            changes[name.strip()] = float(value)
+        except ValueError:
+            hint = "Write it as alpha_3d_m=0.2."
+            problems.append(Problem("parameter_unreadable", f"{text!r} is no NAME=NUMBER.", hint=hint))
+    if problems:
+        raise InputError(problems)
+    return changes
+
+
 def command(
     calibration: Annotated[Path, typer.Option(help="Cameras: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
@@ -102,6 +118,12 @@ def command(
     ] = None,
     method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
+    tracking: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="A parameter of the tracker, see docs/tracking.md; as often as needed."
+        ),
+    ] = None,
     chunk_frames: Annotated[
         int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
     ] = 100,
@@ -114,6 +136,7 @@ def command(
         if method != "tracking":
             raise InputError([Problem("unknown_method", f"There is no method '{method}'.", hint="Use 'tracking'.")])
         _check_sources(videos, keypoints, timestamps, frame_rate)
+        parameters = _tracking_parameters(tracking or [])
         session: Views
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate)
@@ -123,10 +146,14 @@ def command(
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))
         if isinstance(session, KeypointSession):
-            reconstruction = reconstruct_keypoints(session, bars.update)
+            reconstruction = reconstruct_keypoints(session, parameters, bars.update)
         else:
             config = ReconstructionConfig(
-                method="tracking", detector=detector, chunk_frames=chunk_frames, processes=processes
+                method="tracking",
+                detector=detector,
+                tracking=parameters,
+                chunk_frames=chunk_frames,
+                processes=processes,
             )
             reconstruction = reconstruct(session, config, bars.update)
         paths = write_results(reconstruction, out)

@@ -64,6 +64,14 @@ def test_an_unknown_method_or_detector_is_refused(tmp_path: Path) -> None:
     assert json.loads(result.stdout)["problems"][0]["code"] == "unknown_method"
 
 
+def test_parameters_of_the_tracker_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    arguments = [f"--videos={tmp_path}", f"--calibration={tmp_path}", f"--out={tmp_path}", "--json"]
+    result = runner.invoke(app, ["reconstruct", *arguments, "--tracking=alpha_3d_m=far", "--tracking=0.2"])
+    assert result.exit_code == 2
+    codes = [problem["code"] for problem in json.loads(result.stdout)["problems"]]
+    assert codes == ["parameter_unreadable"] * 2
+
+
 def test_wrong_usage_exits_with_2() -> None:
     assert runner.invoke(app, ["reconstruct"]).exit_code == 2
     assert runner.invoke(app, ["fly"]).exit_code == 2

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from pipeline.data import Camera
+from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
-from pipeline.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
+from pipeline.tracking.parameters import TrackingParameters, change_parameters, derive_parameters, viewed_point_m
 
 
 @pytest.fixture
@@ -71,3 +72,13 @@ def test_defaults_follow_the_session(ring: tuple[Camera, ...]) -> None:
     assert fast.lambda_t_hz == 2 * slow.lambda_t_hz
     doubled = tuple(replace(camera, matrix=camera.matrix * [[2.0], [2.0], [1.0]]) for camera in ring)
     np.testing.assert_allclose(derive_parameters(doubled, 25.0).alpha_2d_px_s, 2 * slow.alpha_2d_px_s)
+
+
+def test_every_parameter_can_be_set_and_a_wrong_one_is_said(parameters: TrackingParameters) -> None:
+    changed = change_parameters(parameters, {"alpha_3d_m": 0.3, "weight_2d": 0.0, "confirm_instants": 5.0})
+    assert (changed.alpha_3d_m, changed.weight_2d, changed.confirm_instants) == (0.3, 0.0, 5)
+    assert changed.lambda_a_hz == parameters.lambda_a_hz
+    wrong = {"alpha": 1.0, "alpha_3d_m": -1.0, "lambda_t_hz": float("nan"), "confirm_instants": 1.5}
+    with pytest.raises(InputError) as raised:
+        change_parameters(parameters, wrong)
+    assert [problem.field for problem in raised.value.problems] == [None, *list(wrong)[1:]]
