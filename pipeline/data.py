@@ -50,6 +50,8 @@ class Camera:
         OpenCV's distortion coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; empty for none.
     cam_from_world
         Extrinsics: ``x_in_cam = R x_in_world + t``.
+    section
+        What a calibration file calls the camera beside its name, if it does; files may bear this name too.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Camera:
     matrix: Float[np.ndarray, "3 3"]
     distortion: Float[np.ndarray, " coefficients"]
     cam_from_world: Rigid3
+    section: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

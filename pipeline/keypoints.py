@@ -97,7 +97,7 @@ def open_keypoints(
     folders = _camera_folders(folder, warnings, problems)
     pairs: Mapping[str, str] = {}
     if cameras and folders:
-        pairs, unpaired, shown = pair_by_name([camera.name for camera in cameras], list(folders), "folder")
+        pairs, unpaired, shown = pair_by_name(cameras, list(folders), "folder")
         problems += unpaired
         warnings += shown
     frames = {name: _read_folder(path, warnings, problems) for name, path in folders.items()}

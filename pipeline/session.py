@@ -65,9 +65,7 @@ def open_session(videos: Path | Sequence[Path], calibration: Path) -> CaptureSes
     problems.extend(found for found in probed if isinstance(found, Problem))
     infos = {path.stem: found for path, found in zip(paths, probed, strict=True) if isinstance(found, VideoInfo)}
     if cameras:
-        pairs, unpaired, shown = pair_by_name(
-            [camera.name for camera in cameras], [path.stem for path in paths], "video"
-        )
+        pairs, unpaired, shown = pair_by_name(cameras, [path.stem for path in paths], "video")
         problems += unpaired
         warnings += shown
         for camera in cameras:

@@ -28,6 +28,7 @@ from pipeline.export.results import result_files
 from pipeline.run import reconstruct
 from pipeline.samples import Sample
 from pipeline.session import CaptureSession, open_session
+from pipeline.tracking.warm_up import warm_up
 from pipeline.video.decode import decode
 from worker.jobs.spec import JobSpec
 
@@ -94,6 +95,7 @@ def pipeline(
             with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
                 list(pool.map(loop_video, videos, looped, repeat(loops)))
             videos = looped
+        warm_up()
         started_s = time.perf_counter()
         session = open_session(videos, sample.calibration)
         opened_s = time.perf_counter()
@@ -172,6 +174,7 @@ def service(
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         models.install(JobSpec().detector)
         sample = samples.install()
+        warm_up()
         library_s = time_library(sample, Path(folder) / "library")
         one, two = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
     result: Mapping[str, Any] = {

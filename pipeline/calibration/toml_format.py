@@ -52,6 +52,7 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
         distortion=section.get("distortions", []),
         rotation=_rotation_matrix(section.get("rotation")),
         translation_m=section.get("translation"),
+        section=section_name,
     )
 
 

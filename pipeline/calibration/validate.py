@@ -28,6 +28,7 @@ class RawCamera:
     distortion: Any
     rotation: Any
     translation_m: Any
+    section: str = ""
 
 
 def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
@@ -143,6 +144,7 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
             matrix=read_only(values["matrix"]),
             distortion=read_only(values["distortion"]),
             cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
+            section=one.section,
         ),
         [],
     )
