@@ -16,7 +16,7 @@ def pair_by_name(
     cameras
         A thing may bear the name of a camera, or that of its section in the calibration.
     names
-        Those of the things, without endings; each once.
+        Those of the things, without endings.
     thing
         What they are, such as ``video``; part of the problems' codes.
 
@@ -37,7 +37,7 @@ def pair_by_name(
         return pairs, [], [f"No {thing} bears the name of a camera. They were paired in sorted order: {shown}."]
     pairs = {}
     problems: list[Problem] = []
-    for name in sorted(names):
+    for name in sorted(set(names)):
         camera = known.get(name)
         if camera is None:
             problems.append(
