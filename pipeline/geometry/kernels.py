@@ -22,8 +22,9 @@ def view_dtype(lanes: int) -> np.dtype:
     return np.dtype(
         [
             ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9 and 11)
+            ("weight", np.float64, (lanes,)),
             ("base2", np.float64, (lanes,)),  # squared weight
-            ("distance2", np.float64, (lanes,)),  # squared distance of the point to the ray
+            ("seen_px", np.float64, (2, lanes)),
         ],
         align=True,
     )
@@ -42,7 +43,6 @@ def point_dtype(lanes: int) -> np.dtype:
             ("worst2", np.float64, (lanes,)),
             ("cost", np.float64, (lanes,)),
             ("kept_cost", np.float64, (lanes,)),
-            ("plain_worst2", np.float64, (lanes,)),
         ],
         align=True,
     )
@@ -112,8 +112,8 @@ def _fill_rows(image_from_world, points_px, weights, views):
 def _solve(views, point, scale_m):
     """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN where two views are wanting or all rays parallel.
 
-    Views are weighted by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``, with the distances of the point before; an infinite
-    scale gives all their full weight.
+    Views are weighted by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``, with the distance d of the point as it is to both
+    planes of a view: to first order that to its ray. An infinite scale gives all their full weight.
     """
     point.normal[:] = 0.0
     point.views[:] = 0.0
@@ -122,11 +122,14 @@ def _solve(views, point, scale_m):
     for c in range(len(views)):
         view = views[c]
         for k in range(view.base2.shape[0]):
-            share = scale2 / (scale2 + view.distance2[k])
-            share = 1.0 if is_plain else share
-            weight = view.base2[k] * share * share
             a0, a1, a2, a3 = view.rows[0, k], view.rows[1, k], view.rows[2, k], view.rows[3, k]
             b0, b1, b2, b3 = view.rows[4, k], view.rows[5, k], view.rows[6, k], view.rows[7, k]
+            x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
+            first, second = a0 * x + a1 * y + a2 * z + a3, b0 * x + b1 * y + b2 * z + b3
+            share = scale2 / (scale2 + first * first + second * second)
+            share = 1.0 if is_plain else share
+            share = share if share == share else 0.0
+            weight = view.base2[k] * share * share
             point.views[k] += 1.0 if weight > 0 else 0.0
             point.normal[0, k] += weight * (a0 * a0 + b0 * b0)
             point.normal[1, k] += weight * (a0 * a1 + b0 * b1)
@@ -155,13 +158,26 @@ def _solve(views, point, scale_m):
 
 @kernel
 @no_type_check
-def _measure(views, point, scale_m):
-    """Distances of the point to both planes of a view: to first order that to its ray; infinite for NaN.
-
-    Also the largest over the views in use (0 for NaN), and their cost by Geman-McClure.
-    """
-    scale2 = scale_m * scale_m
+def _measure_worst(views, point):
+    """Largest squared distance over the views in use, 0 where the point is not known."""
     point.worst2[:] = 0.0
+    for c in range(len(views)):
+        view = views[c]
+        for k in range(view.base2.shape[0]):
+            x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
+            first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
+            second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
+            squared = first * first + second * second
+            squared = squared if view.base2[k] > 0 else 0.0
+            # Compares as false with NaN.
+            point.worst2[k] = squared if squared > point.worst2[k] else point.worst2[k]
+
+
+@kernel
+@no_type_check
+def _measure_cost(views, point, scale_m):
+    """Geman-McClure cost of the point, infinite where it is not known."""
+    scale2 = scale_m * scale_m
     point.cost[:] = 0.0
     for c in range(len(views)):
         view = views[c]
@@ -170,12 +186,8 @@ def _measure(views, point, scale_m):
             first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
             second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
             squared = first * first + second * second
-            known = squared == squared
-            worst2 = squared if known & (view.base2[k] > 0) else 0.0
-            point.worst2[k] = worst2 if worst2 > point.worst2[k] else point.worst2[k]
             cost = view.base2[k] * squared / (squared + scale2)
-            point.cost[k] += cost if known else np.inf
-            view.distance2[k] = squared if known else np.inf
+            point.cost[k] += cost if squared == squared else np.inf
 
 
 @kernel
@@ -200,13 +212,11 @@ def _median_around(alone_m, frame, joint, axis, reach, window):
 @kernel
 @no_type_check
 def _triangulate_alone(views, point, scales_m):
-    """``triangulation.triangulate_robust`` without a guess; the point is measured at the strictest scale in the end."""
-    strictest_m = scales_m[-1]
+    """``triangulation.triangulate_robust`` without a guess; leaves the worst distance as well."""
     _solve(views, point, np.inf)
-    _measure(views, point, strictest_m)
+    _measure_worst(views, point)
     worst2 = 0.0
     for k in range(point.views.shape[0]):
-        point.plain_worst2[k] = point.worst2[k]
         worst2 = max(worst2, point.worst2[k])
     for step in range(len(scales_m) - 1):
         scale2 = scales_m[step] * scales_m[step]
@@ -217,14 +227,13 @@ def _triangulate_alone(views, point, scales_m):
                 point.kept_m[axis, k] = point.xyz_m[axis, k]
         _solve(views, point, scales_m[step])
         for k in range(point.views.shape[0]):
-            needed = point.plain_worst2[k] > scale2
+            needed = point.worst2[k] > scale2
             point.xyz_m[0, k] = point.xyz_m[0, k] if needed else point.kept_m[0, k]
             point.xyz_m[1, k] = point.xyz_m[1, k] if needed else point.kept_m[1, k]
             point.xyz_m[2, k] = point.xyz_m[2, k] if needed else point.kept_m[2, k]
-        _measure(views, point, strictest_m)
-    for _ in range(2):
-        _solve(views, point, strictest_m)
-        _measure(views, point, strictest_m)
+    _solve(views, point, scales_m[-1])
+    _solve(views, point, scales_m[-1])
+    _measure_worst(views, point)
 
 
 @kernel
@@ -251,15 +260,14 @@ def _from_guess(views, here, scales_m, frame, room, xyz_m):
     for k in range(num_joints):
         for axis in range(3):
             here.xyz_m[axis, k] = room.alone_m[frame, k, axis]
-    _measure(views, here, scales_m[-1])
+    _measure_cost(views, here, scales_m[-1])
     for k in range(num_joints):
         here.kept_cost[k] = here.cost[k]
         for axis in range(3):
             here.xyz_m[axis, k] = room.guess_m[k, axis]
     for step in (-2, -1, -1):
-        _measure(views, here, scales_m[-1])
         _solve(views, here, scales_m[step])
-    _measure(views, here, scales_m[-1])
+    _measure_cost(views, here, scales_m[-1])
     for k in range(num_joints):
         if room.disagree[frame, k] and here.cost[k] < here.kept_cost[k]:
             for axis in range(3):
@@ -308,7 +316,37 @@ def triangulate_over_time(image_from_world, points_px, weights, scales_m, disput
 
 @kernel
 @no_type_check
-def reprojection_errors(poses, matrices, distortions, xyz_m, points_px, weights, points, error_px, mean_weight, views):
+def _add_errors(here, view, p, m, d):
+    """Project the joints into a camera, distortion included, and add what they are off by."""
+    p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+    p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+    p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+    m00, m01, m02, m10, m11, m12 = m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2]
+    k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
+    s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
+    for k in range(view.weight.shape[0]):
+        x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
+        depth = p20 * x + p21 * y + p22 * z + p23
+        over = 1.0 / depth
+        over = over if depth > 1e-6 else np.nan
+        u, v = (p00 * x + p01 * y + p02 * z + p03) * over, (p10 * x + p11 * y + p12 * z + p13) * over
+        r2 = u * u + v * v
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        seen_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2)
+        seen_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2)
+        dx = m00 * seen_u + m01 * seen_v + m02 - view.seen_px[0, k]
+        dy = m10 * seen_u + m11 * seen_v + m12 - view.seen_px[1, k]
+        off_px = np.sqrt(dx * dx + dy * dy)
+        here.cost[k] += off_px if view.weight[k] > 0 else 0.0
+        here.kept_cost[k] += view.weight[k]
+        here.views[k] += 1.0 if view.weight[k] > 0 else 0.0
+
+
+@kernel
+@no_type_check
+def reprojection_errors(
+    poses, matrices, distortions, xyz_m, points_px, weights, points, views_room, error_px, mean_weight, views
+):
     """Mean reprojection error over the cameras that saw a joint, and how many those are.
 
     Parameters
@@ -325,49 +363,28 @@ def reprojection_errors(poses, matrices, distortions, xyz_m, points_px, weights,
         Pixels as seen, (frames, cameras, joints, 2).
     weights
         Above 0 where an observation was used, (frames, cameras, joints).
-    points
-        Room to work in, zeros (1,) of ``point_dtype``.
+    points, views_room
+        Room to work in, zeros (1,) of ``point_dtype`` and of ``view_dtype``.
     error_px
         Gets the error, (frames, joints), NaN where no camera saw the joint or it is not known.
     mean_weight, views
         Get the mean weight of the cameras that saw the joint, and how many they are, (frames, joints); 0 where there
         is no error.
     """
-    num_frames, num_cameras, num_joints = weights.shape
-    here = points[0]
-    for frame in range(num_frames):
+    here, view = points[0], views_room[0]
+    for frame in range(len(weights)):
         here.cost[:] = 0.0
         here.views[:] = 0.0
         here.kept_cost[:] = 0.0
-        for k in range(num_joints):
+        for k in range(weights.shape[2]):
             for axis in range(3):
                 here.xyz_m[axis, k] = xyz_m[frame, k, axis]
-        for c in range(num_cameras):
-            p, m, d = poses[c], matrices[c], distortions[c]
-            p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
-            p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
-            p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-            m00, m01, m02, m10, m11, m12 = m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2]
-            k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
-            s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
-            for k in range(num_joints):
-                x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
-                depth = p20 * x + p21 * y + p22 * z + p23
-                over = 1.0 / depth
-                over = over if depth > 1e-6 else np.nan
-                u, v = (p00 * x + p01 * y + p02 * z + p03) * over, (p10 * x + p11 * y + p12 * z + p13) * over
-                r2 = u * u + v * v
-                radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-                seen_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2)
-                seen_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2)
-                dx = m00 * seen_u + m01 * seen_v + m02 - points_px[frame, c, k, 0]
-                dy = m10 * seen_u + m11 * seen_v + m12 - points_px[frame, c, k, 1]
-                weight = weights[frame, c, k]
-                off_px = np.sqrt(dx * dx + dy * dy)
-                here.cost[k] += off_px if weight > 0 else 0.0
-                here.kept_cost[k] += weight
-                here.views[k] += 1.0 if weight > 0 else 0.0
-        for k in range(num_joints):
+        for c in range(weights.shape[1]):
+            for k in range(weights.shape[2]):
+                view.seen_px[0, k], view.seen_px[1, k] = points_px[frame, c, k, 0], points_px[frame, c, k, 1]
+                view.weight[k] = weights[frame, c, k]
+            _add_errors(here, view, poses[c], matrices[c], distortions[c])
+        for k in range(weights.shape[2]):
             seen = here.views[k]
             error, weight = here.cost[k] / seen, here.kept_cost[k] / seen
             located = (seen > 0) & (error == error)

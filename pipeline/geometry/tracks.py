@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from pipeline.compiled import round_up
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
-from pipeline.geometry.kernels import make_room, point_dtype, reprojection_errors, triangulate_over_time
+from pipeline.geometry.kernels import make_room, point_dtype, reprojection_errors, triangulate_over_time, view_dtype
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 
 # Frames on each side whose median says where a joint should be.
@@ -64,7 +64,7 @@ def reproject(
     mean_weight, views
         Mean weight of those cameras, and how many they are; 0 where there is no error.
     """
-    shape = xyz_m.shape[:2]
+    shape, lanes = xyz_m.shape[:2], round_up(xyz_m.shape[1])
     error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)
     reprojection_errors(
         np.array([camera.cam_from_world.matrix for camera in cameras]),
@@ -73,7 +73,8 @@ def reproject(
         xyz_m,
         points_px,
         weights,
-        np.zeros(1, point_dtype(round_up(shape[1]))),
+        np.zeros(1, point_dtype(lanes)),
+        np.zeros(1, view_dtype(lanes)),
         error_px,
         mean_weight,
         views,

@@ -38,46 +38,43 @@ def partition(
     -------
         Parts of at least two detections, each ascending.
     """
+    beyond_dispute = _partition_by_best(affinities, groups)
+    if beyond_dispute is not None:
+        return beyond_dispute
     possible = (affinities > 0) & (groups[:, None] != groups[None, :])
     _, labels = connected_components(csr_array(possible), directed=False)
     parts: list[tuple[int, ...]] = []
     for label in np.unique(labels):
         nodes = np.flatnonzero(labels == label)
-        if len(nodes) == 2:
-            parts.append((int(nodes[0]), int(nodes[1])))
-        elif len(nodes) > 2:
-            inside = _partition_by_best(affinities[np.ix_(nodes, nodes)], groups[nodes])
-            if inside is None:
-                inside = _partition_connected(affinities[np.ix_(nodes, nodes)], groups[nodes])
-            parts.extend(tuple(int(nodes[i]) for i in part) for part in inside)
+        inside = affinities[np.ix_(nodes, nodes)], groups[nodes]
+        found = _partition_by_best(*inside)
+        found = _partition_connected(*inside) if found is None else found
+        parts.extend(tuple(nodes[list(part)].tolist()) for part in found)
     return tuple(parts)
 
 
 def _partition_by_best(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
-) -> list[list[int]] | None:
+) -> tuple[tuple[int, ...], ...] | None:
     """The solution of eq. 14-16 where every node's best partner in every other camera is beyond dispute, else ``None``.
 
     A node has at most one partner in a camera. So no partition gains more than the sum of every node's best positive
     affinity to each camera; parts in which all are each other's best gain just that, and are the solution.
     """
-    same = groups[:, None] == groups[None, :]
-    gains = np.where(same | (affinities <= 0), 0.0, affinities)
-    best = np.zeros_like(same)
+    linked = np.eye(len(groups), dtype=bool)
+    rows = np.arange(len(groups))
     for group in np.unique(groups):
         members = np.flatnonzero(groups == group)
-        chosen = members[gains[:, members].argmax(1)]
-        rows = np.arange(len(groups))
-        best[rows, chosen] = gains[rows, chosen] > 0
-    linked = best | np.eye(len(groups), dtype=bool)
+        chosen = members[affinities[:, members].argmax(1)]
+        linked[rows, chosen] |= (affinities[rows, chosen] > 0) & (groups != group)
     if not np.array_equal(linked, linked.T) or not np.array_equal(linked, linked @ linked):
         return None
-    return [np.flatnonzero(row).tolist() for row in np.unique(linked, axis=0) if row.sum() >= 2]
+    return tuple(tuple(np.flatnonzero(row).tolist()) for row in np.unique(linked, axis=0)[::-1] if row.sum() >= 2)
 
 
 def _partition_connected(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
-) -> list[list[int]]:
+) -> tuple[tuple[int, ...], ...]:
     """Solve eq. 14-16 for one connected part of the graph."""
     num_nodes = len(groups)
     pairs = list(combinations(range(num_nodes), 2))
@@ -105,5 +102,5 @@ def _partition_connected(
     for (i, j), value in zip(pairs, np.round(solution.x), strict=True):
         chosen[i, j] = value > 0
     _, labels = connected_components(csr_array(chosen), directed=False)
-    parts = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
-    return [part for part in parts if len(part) >= 2]
+    parts = (tuple(np.flatnonzero(labels == label).tolist()) for label in np.unique(labels))
+    return tuple(part for part in parts if len(part) >= 2)

@@ -25,9 +25,9 @@ class Bodies(NamedTuple):
     seen_px, ideal_px
         Joints as seen and undistorted, (detections, joints, 2); one array if no camera distorts.
     score
-        The detector's, (detections, joints).
+        The detector's, (detections, joints), 0 for joints that it did not find.
     used
-        The same, 0 for joints that the detector did not find or is not sure of.
+        The same, 0 for joints that it is not sure of either.
     """
 
     camera: np.ndarray
@@ -50,7 +50,7 @@ def gather(
     seen_px = np.concatenate([one.keypoints_px for one in ordered])
     score = np.concatenate([one.score for one in ordered])
     # Compares as false with NaN.
-    usable = (score >= min_score) & (seen_px[..., 0] + seen_px[..., 1] > -np.inf)
+    score = score * (seen_px[..., 0] + seen_px[..., 1] > -np.inf)
     ideal_px = seen_px
     if any(np.any(camera.distortion) for camera in cameras):
         ideal_px = np.concatenate(
@@ -63,7 +63,7 @@ def gather(
         seen_px=seen_px,
         ideal_px=ideal_px,
         score=score,
-        used=score * usable,
+        used=score * (score >= min_score),
     )
 
 
