@@ -24,7 +24,7 @@ def view_dtype(lanes: int) -> np.dtype:
             ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9 and 11)
             ("weight", np.float64, (lanes,)),
             ("base2", np.float64, (lanes,)),  # squared weight
-            ("seen_px", np.float64, (2, lanes)),
+            ("px", np.float64, (2, lanes)),
         ],
         align=True,
     )
@@ -41,6 +41,7 @@ def point_dtype(lanes: int) -> np.dtype:
             ("xyz_m", np.float64, (3, lanes)),
             ("kept_m", np.float64, (3, lanes)),
             ("worst2", np.float64, (lanes,)),
+            ("plain_worst2", np.float64, (lanes,)),
             ("cost", np.float64, (lanes,)),
             ("kept_cost", np.float64, (lanes,)),
         ],
@@ -89,13 +90,17 @@ def _fill_rows(image_from_world, points_px, weights, views):
         p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
         p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
         for k in range(weights.shape[1]):
-            u, v, w = points_px[c, k, 0], points_px[c, k, 1], weights[c, k]
+            view.px[0, k], view.px[1, k] = points_px[c, k, 0], points_px[c, k, 1]
+            view.weight[k] = weights[c, k]
+        for k in range(view.weight.shape[0]):
+            u, v, w = view.px[0, k], view.px[1, k], view.weight[k]
             used = (w > 0) & (u + v == u + v)
             u, v = u if used else 0.0, v if used else 0.0
             a0, a1, a2, a3 = u * p20 - p00, u * p21 - p01, u * p22 - p02, u * p23 - p03
             b0, b1, b2, b3 = v * p20 - p10, v * p21 - p11, v * p22 - p12, v * p23 - p13
-            over_a = 1.0 / np.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
-            over_b = 1.0 / np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
+            norm_a, norm_b = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2), np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
+            over = 1.0 / (norm_a * norm_b)
+            over_a, over_b = over * norm_b, over * norm_a
             view.base2[k] = w * w if used else 0.0
             view.rows[0, k] = a0 * over_a
             view.rows[1, k] = a1 * over_a
@@ -113,10 +118,12 @@ def _solve(views, point, scale_m):
     """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN where two views are wanting or all rays parallel.
 
     Views are weighted by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``, with the distance d of the point as it is to both
-    planes of a view: to first order that to its ray. An infinite scale gives all their full weight.
+    planes of a view: to first order that to its ray. An infinite scale gives all their full weight. The largest d^2
+    over the views in use stays in ``worst2``, 0 where the point was not known.
     """
     point.normal[:] = 0.0
     point.views[:] = 0.0
+    point.worst2[:] = 0.0
     scale2 = scale_m * scale_m
     is_plain = scale2 == np.inf
     for c in range(len(views)):
@@ -126,9 +133,13 @@ def _solve(views, point, scale_m):
             b0, b1, b2, b3 = view.rows[4, k], view.rows[5, k], view.rows[6, k], view.rows[7, k]
             x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
             first, second = a0 * x + a1 * y + a2 * z + a3, b0 * x + b1 * y + b2 * z + b3
-            share = scale2 / (scale2 + first * first + second * second)
+            squared = first * first + second * second
+            share = scale2 / (scale2 + squared)
             share = 1.0 if is_plain else share
             share = share if share == share else 0.0
+            # Compares as false with NaN.
+            is_worst = (squared > point.worst2[k]) & (view.base2[k] > 0)
+            point.worst2[k] = squared if is_worst else point.worst2[k]
             weight = view.base2[k] * share * share
             point.views[k] += 1.0 if weight > 0 else 0.0
             point.normal[0, k] += weight * (a0 * a0 + b0 * b0)
@@ -154,23 +165,6 @@ def _solve(views, point, scale_m):
         point.xyz_m[0, k] = (aa * x + ab * y + ac * z) * over
         point.xyz_m[1, k] = (ab * x + bb * y + bc * z) * over
         point.xyz_m[2, k] = (ac * x + bc * y + cc * z) * over
-
-
-@kernel
-@no_type_check
-def _measure_worst(views, point):
-    """Largest squared distance over the views in use, 0 where the point is not known."""
-    point.worst2[:] = 0.0
-    for c in range(len(views)):
-        view = views[c]
-        for k in range(view.base2.shape[0]):
-            x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
-            first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
-            second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
-            squared = first * first + second * second
-            squared = squared if view.base2[k] > 0 else 0.0
-            # Compares as false with NaN.
-            point.worst2[k] = squared if squared > point.worst2[k] else point.worst2[k]
 
 
 @kernel
@@ -212,28 +206,39 @@ def _median_around(alone_m, frame, joint, axis, reach, window):
 @kernel
 @no_type_check
 def _triangulate_alone(views, point, scales_m):
-    """``triangulation.triangulate_robust`` without a guess; leaves the worst distance as well."""
+    """``triangulation.triangulate_robust`` without a guess; leaves the worst distance before the last step as well."""
     _solve(views, point, np.inf)
-    _measure_worst(views, point)
+    for k in range(point.views.shape[0]):
+        for axis in range(3):
+            point.kept_m[axis, k] = point.xyz_m[axis, k]
+    _solve(views, point, scales_m[-1])
     worst2 = 0.0
     for k in range(point.views.shape[0]):
+        point.plain_worst2[k] = point.worst2[k]
         worst2 = max(worst2, point.worst2[k])
+    if worst2 > scales_m[-2] * scales_m[-2]:
+        _anneal(views, point, scales_m, worst2)
+        _solve(views, point, scales_m[-1])
+    _solve(views, point, scales_m[-1])
+
+
+@kernel
+@no_type_check
+def _anneal(views, point, scales_m, worst2):
+    """Go back to the plain solution, and from scale to scale; a joint begins where the scale is below its worst."""
+    for k in range(point.views.shape[0]):
+        for axis in range(3):
+            point.xyz_m[axis, k] = point.kept_m[axis, k]
     for step in range(len(scales_m) - 1):
         scale2 = scales_m[step] * scales_m[step]
         if worst2 <= scale2:
             continue
-        for k in range(point.views.shape[0]):
-            for axis in range(3):
-                point.kept_m[axis, k] = point.xyz_m[axis, k]
         _solve(views, point, scales_m[step])
         for k in range(point.views.shape[0]):
-            needed = point.worst2[k] > scale2
-            point.xyz_m[0, k] = point.xyz_m[0, k] if needed else point.kept_m[0, k]
-            point.xyz_m[1, k] = point.xyz_m[1, k] if needed else point.kept_m[1, k]
-            point.xyz_m[2, k] = point.xyz_m[2, k] if needed else point.kept_m[2, k]
-    _solve(views, point, scales_m[-1])
-    _solve(views, point, scales_m[-1])
-    _measure_worst(views, point)
+            needed = point.plain_worst2[k] > scale2
+            for axis in range(3):
+                point.xyz_m[axis, k] = point.xyz_m[axis, k] if needed else point.kept_m[axis, k]
+                point.kept_m[axis, k] = point.xyz_m[axis, k]
 
 
 @kernel
@@ -334,8 +339,8 @@ def _add_errors(here, view, p, m, d):
         radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         seen_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2)
         seen_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2)
-        dx = m00 * seen_u + m01 * seen_v + m02 - view.seen_px[0, k]
-        dy = m10 * seen_u + m11 * seen_v + m12 - view.seen_px[1, k]
+        dx = m00 * seen_u + m01 * seen_v + m02 - view.px[0, k]
+        dy = m10 * seen_u + m11 * seen_v + m12 - view.px[1, k]
         off_px = np.sqrt(dx * dx + dy * dy)
         here.cost[k] += off_px if view.weight[k] > 0 else 0.0
         here.kept_cost[k] += view.weight[k]
@@ -381,7 +386,7 @@ def reprojection_errors(
                 here.xyz_m[axis, k] = xyz_m[frame, k, axis]
         for c in range(weights.shape[1]):
             for k in range(weights.shape[2]):
-                view.seen_px[0, k], view.seen_px[1, k] = points_px[frame, c, k, 0], points_px[frame, c, k, 1]
+                view.px[0, k], view.px[1, k] = points_px[frame, c, k, 0], points_px[frame, c, k, 1]
                 view.weight[k] = weights[frame, c, k]
             _add_errors(here, view, poses[c], matrices[c], distortions[c])
         for k in range(weights.shape[2]):

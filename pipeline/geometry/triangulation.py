@@ -138,6 +138,7 @@ def triangulate_robust(
         needed = (worst_m > scale_m)[..., None]
         points_m = np.where(needed, _reweighted(rows, base, points_m, scale_m), points_m)
     for _ in range(2):
+        worst_m = _worst_distance_m(rows, base, points_m)
         points_m = _reweighted(rows, base, points_m, SCALES_M[-1])
     if guess_m is None:
         return points_m
@@ -145,9 +146,7 @@ def triangulate_robust(
     for scale_m in (*SCALES_M[-2:], SCALES_M[-1]):
         from_guess = _reweighted(rows, base, from_guess, scale_m)
     better = _robust_cost(rows, base, from_guess) < _robust_cost(rows, base, points_m)
-    disputed = (_worst_distance_m(rows, base, points_m) > DISPUTED_M) & (
-        np.linalg.norm(guess_m - points_m, axis=-1) > DISPUTED_M
-    )
+    disputed = (worst_m > DISPUTED_M) & (np.linalg.norm(guess_m - points_m, axis=-1) > DISPUTED_M)
     return np.where((better & disputed)[..., None], from_guess, points_m)
 
 
