@@ -15,7 +15,9 @@ import numba
 from pipeline.packages.storage import home
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
-_SOURCES = [Path(__file__), *sorted(Path(__file__).parent.rglob("kernels.py"))]
+# With all that stands beside kernels: what they take from there is compiled into them.
+_FOLDERS = sorted({path.parent for path in Path(__file__).parent.rglob("*kernels.py")})
+_SOURCES = [Path(__file__), *(path for folder in _FOLDERS for path in sorted(folder.glob("*.py")))]
 
 
 def _cache_folder() -> Path | None:

@@ -37,6 +37,7 @@ def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
             left_bytes -= _unpack(archive, target, left_bytes)
         except _RefusedError as refused:
             message = str(refused)
+        # zipfile raises NotImplementedError for an unknown compression, RuntimeError for encryption.
         except (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, OSError, RuntimeError):
             message = "This is no zip archive, or it is broken or encrypted."
         else:

@@ -44,6 +44,7 @@ def point_dtype(lanes: int) -> np.dtype:
             ("plain_worst2", np.float64, (lanes,)),
             ("cost", np.float64, (lanes,)),
             ("kept_cost", np.float64, (lanes,)),
+            ("weight_sum", np.float64, (lanes,)),
         ],
         align=True,
     )
@@ -343,7 +344,7 @@ def _add_errors(here, view, p, m, d):
         dy = m10 * seen_u + m11 * seen_v + m12 - view.px[1, k]
         off_px = np.sqrt(dx * dx + dy * dy)
         here.cost[k] += off_px if view.weight[k] > 0 else 0.0
-        here.kept_cost[k] += view.weight[k]
+        here.weight_sum[k] += view.weight[k]
         here.views[k] += 1.0 if view.weight[k] > 0 else 0.0
 
 
@@ -380,7 +381,7 @@ def reprojection_errors(
     for frame in range(len(weights)):
         here.cost[:] = 0.0
         here.views[:] = 0.0
-        here.kept_cost[:] = 0.0
+        here.weight_sum[:] = 0.0
         for k in range(weights.shape[2]):
             for axis in range(3):
                 here.xyz_m[axis, k] = xyz_m[frame, k, axis]
@@ -391,7 +392,7 @@ def reprojection_errors(
             _add_errors(here, view, poses[c], matrices[c], distortions[c])
         for k in range(weights.shape[2]):
             seen = here.views[k]
-            error, weight = here.cost[k] / seen, here.kept_cost[k] / seen
+            error, weight = here.cost[k] / seen, here.weight_sum[k] / seen
             located = (seen > 0) & (error == error)
             views[frame, k] = seen if located else 0.0
             error_px[frame, k] = error if located else np.nan

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.tracking.affinity import epipolar_affinity
+from pipeline.data import Camera
+from pipeline.geometry.camera import center_in_world, rays_in_world
+from pipeline.tracking.affinity import epipolar_affinity, ray_distance_m
 from pipeline.tracking.assignment import partition
 from pipeline.tracking.parameters import TrackingParameters
 
@@ -50,6 +52,20 @@ def group_unmatched(
             affinities[np.ix_(rows, columns)] = block
             affinities[np.ix_(columns, rows)] = block.T
     return [[unmatched[i] for i in part] for part in partition(affinities, cameras)]
+
+
+def spread_m(cameras: Sequence[Camera], group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
+    """Median distance of a group's joints to the rays that made them; infinite if there is none."""
+    distances_m = np.array(
+        [
+            ray_distance_m(
+                xyz_m, center_in_world(cameras[one.camera]), rays_in_world(cameras[one.camera], one.points_px)
+            )
+            for one in group
+        ]
+    )
+    known = distances_m[np.isfinite(distances_m)]
+    return float(np.median(known)) if known.size else np.inf
 
 
 def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: TrackingParameters) -> bool:

@@ -1,164 +1,19 @@
 """Cross-view tracking (Chen et al. 2020, algorithm 1) as compiled loops over frames.
 
-``reference.py`` is the same method in plain numpy, to read first: tests hold these loops to it.
-
-The state is kept in records whose arrays have the joints last and a length known when a loop is compiled (a multiple of
-four: the joints, and lanes that stay unused). So a loop over the joints works on several at a time.
+``reference.py`` is the same method in plain numpy, to read first: tests hold these loops to it. What they work on is
+described in ``state.py``.
 """
 
-from functools import cache
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import numpy as np
 
 from pipeline.compiled import kernel
+from pipeline.tracking.assignment_kernels import assign
+from pipeline.tracking.state import NUM_NORMAL, NUM_RECENT
 
-# Positions kept for a velocity; more frequent ones replace the newest.
-NUM_RECENT = 8
-# The six entries of a symmetric 3x3 matrix, and the right-hand side of the normal equations.
-_NUM_NORMAL = 9
-_NUM_SUMS = 9
 _MIN_JOINTS = 3
 _MIN_DETERMINANT = 1e-5
-
-
-@cache
-def target_dtype(lanes: int) -> np.dtype:
-    """The state of a target; ``reference.Target`` says what the fields mean."""
-    return np.dtype(
-        [
-            ("target_id", np.int64),
-            ("xyz_m", np.float64, (3, lanes)),
-            ("updated_s", np.float64, (lanes,)),
-            ("velocity_m_s", np.float64, (3, lanes)),
-            ("expected_m", np.float64, (3, lanes)),  # where the joints should be now
-            ("offset_m", np.float64, (3, lanes)),  # the same as seen from the centre of the camera of now
-            ("squared_m2", np.float64, (lanes,)),  # its squared length
-            ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
-            ("normal_sum", np.float64, (_NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
-            ("views", np.float64, (lanes,)),  # how many those are
-            ("sum_s", np.float64),
-            ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
-            ("recent_s", np.float64, (NUM_RECENT,)),
-            ("recent_since_s", np.float64),  # when the newest of them was first taken
-            ("num_recent", np.int64),
-            ("is_fitted", np.bool_),
-            ("moved_s", np.float64),
-            ("supported_s", np.float64),
-            ("num_supported", np.int64),
-            ("confirmed", np.bool_),
-        ],
-        align=True,
-    )
-
-
-@cache
-def view_dtype(lanes: int) -> np.dtype:
-    """The last match of a target in a camera."""
-    return np.dtype([("normal", np.float64, (_NUM_NORMAL, lanes)), ("last_px", np.float64, (2, lanes))], align=True)
-
-
-@cache
-def body_dtype(lanes: int) -> np.dtype:
-    """A detection of the camera of now."""
-    return np.dtype(
-        [("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))],
-        align=True,
-    )
-
-
-@cache
-def sums_dtype(lanes: int) -> np.dtype:
-    """Sums behind the velocities of a target's joints."""
-    return np.dtype([("fit", np.float64, (_NUM_SUMS, lanes))], align=True)
-
-
-class Rig(NamedTuple):
-    """All cameras, as arrays."""
-
-    image_from_world: np.ndarray  # (cameras, 3, 4)
-    world_ray_from_image: np.ndarray  # (cameras, 3, 3)
-    center_m: np.ndarray  # (cameras, 3)
-    fundamental: np.ndarray  # (cameras, cameras, 3, 3), [left, right]
-
-
-class Frames(NamedTuple):
-    """All frames of all cameras in time order, and their detections: rows ``first:last`` of the last two arrays."""
-
-    time_s: np.ndarray
-    camera: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    points_px: np.ndarray  # (detections, joints, 2), undistorted
-    score: np.ndarray  # (detections, joints), 0 where a joint is not used
-
-
-class Limits(NamedTuple):
-    """``TrackingParameters`` as numbers in one order."""
-
-    alpha_2d_px_s: float
-    alpha_epipolar_px: float
-    alpha_3d_m: float
-    weight_2d: float
-    weight_3d: float
-    lambda_a_hz: float
-    lambda_t_hz: float
-    instant_s: float
-    velocity_window_s: float
-    confirm_instants: int
-    max_unseen_s: float
-    max_unseen_tentative_s: float
-    max_extrapolation_s: float
-    duplicate_m: float
-
-
-class Targets(NamedTuple):
-    """All targets, a slot each: ``order`` lists the slots of those alive in order of birth, ``alive[0]`` of them."""
-
-    alive: np.ndarray
-    order: np.ndarray
-    state: np.ndarray  # (slots,) of target_dtype
-    views: np.ndarray  # (slots, cameras) of view_dtype
-    matched_s: np.ndarray  # (slots, cameras)
-    counted: np.ndarray  # (slots, cameras): whether normal_sum has the view
-    bodies: np.ndarray  # (most detections in a frame,) of body_dtype
-    sums: np.ndarray  # (1,) of sums_dtype
-
-
-class Room(NamedTuple):
-    """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
-
-    affinity: np.ndarray  # (slots, most detections in a frame)
-    match: np.ndarray  # (slots,)
-    rows: np.ndarray  # (slots,)
-    columns: np.ndarray  # (most detections,)
-    free: np.ndarray  # (most detections,)
-    gone: np.ndarray  # (slots,)
-    wanted: np.ndarray  # (most detections,)
-    gain: np.ndarray  # (side, side), where side is the larger of slots and most detections
-    row_price: np.ndarray  # (side + 1,), as all that follow
-    column_price: np.ndarray
-    row_of: np.ndarray
-    before: np.ndarray
-    slack: np.ndarray
-    done: np.ndarray
-
-
-class Pool(NamedTuple):
-    """Detections of each camera's most recent frame that belong to nobody."""
-
-    rows: np.ndarray  # (cameras, most detections in a frame)
-    num_rows: np.ndarray
-    time_s: np.ndarray
-
-
-class Outcome(NamedTuple):
-    """What tracking finds out."""
-
-    identity: np.ndarray  # a detection
-    replaced_by: np.ndarray  # a target: a duplicate's twin, else -1
-    earned: np.ndarray  # a target: whether it was ever confirmed
-    merged_s: np.ndarray  # (1,): when duplicates were looked for last
 
 
 @kernel
@@ -198,7 +53,7 @@ def _drop_old_views(targets, slot, time_s, limits):
         weight = np.exp(-2 * limits.lambda_t_hz * (target.sum_s - targets.matched_s[slot, camera]))
         for k in range(target.views.shape[0]):
             target.views[k] -= 1.0 if view.normal[0, k] + view.normal[3, k] + view.normal[5, k] > 0 else 0.0
-        for entry in range(_NUM_NORMAL):
+        for entry in range(NUM_NORMAL):
             for k in range(target.views.shape[0]):
                 total = target.normal_sum[entry, k] - weight * view.normal[entry, k]
                 target.normal_sum[entry, k] = total if target.views[k] > 0 else 0.0
@@ -422,82 +277,6 @@ def _affinity(target, view, body, scale_2d, decay_2d, over_alpha_3d):
         total += target.decay_3d[k] * term_3d + decay_2d * term_2d if known else 0.0
         count += 1.0 if known else 0.0
     return total / count if count >= _MIN_JOINTS else -np.inf
-
-
-@kernel
-@no_type_check
-def hungarian(num_rows, num_columns, room):
-    """Columns of the largest total ``room.gain`` to ``room.row_of``; rows <= columns.
-
-    Shortest augmenting paths (Jonker and Volgenant); everything is counted from 1, 0 means none.
-    """
-    gain, row_price, column_price, row_of = room.gain, room.row_price, room.column_price, room.row_of
-    before, slack, done = room.before, room.slack, room.done
-    row_price[: num_rows + 1] = 0.0
-    column_price[: num_columns + 1] = 0.0
-    row_of[: num_columns + 1] = 0
-    for row in range(1, num_rows + 1):
-        row_of[0] = row
-        column = 0
-        slack[: num_columns + 1] = np.inf
-        done[: num_columns + 1] = False
-        while row_of[column] != 0:
-            done[column] = True
-            at, nearest, step = row_of[column], 0, np.inf
-            for j in range(1, num_columns + 1):
-                if not done[j]:
-                    cost = -gain[at - 1, j - 1] - row_price[at] - column_price[j]
-                    if cost < slack[j]:
-                        slack[j] = cost
-                        before[j] = column
-                    if slack[j] < step:
-                        step = slack[j]
-                        nearest = j
-            for j in range(num_columns + 1):
-                if done[j]:
-                    row_price[row_of[j]] += step
-                    column_price[j] -= step
-                else:
-                    slack[j] -= step
-            column = nearest
-        while column != 0:
-            row_of[column] = row_of[before[column]]
-            column = before[column]
-
-
-@kernel
-@no_type_check
-def assign(num_rows, num_columns, room):
-    """Match ``room.rows`` to ``room.columns`` for the largest total affinity; a pair needs a positive one.
-
-    Where no two rows want one column, nor a row two columns, the positive pairs are the solution as they stand.
-    """
-    affinity, rows, columns, match = room.affinity, room.rows, room.columns, room.match
-    contested = False
-    room.wanted[:num_columns] = 0
-    for i in range(num_rows):
-        wants = 0
-        for j in range(num_columns):
-            if affinity[rows[i], columns[j]] > 0:
-                wants += 1
-                room.wanted[j] += 1
-                match[rows[i]] = columns[j]
-                contested = contested or wants > 1 or room.wanted[j] > 1
-    if not contested:
-        return
-    is_wide = num_rows <= num_columns
-    for i in range(num_rows):
-        match[rows[i]] = -1
-        for j in range(num_columns):
-            value = max(affinity[rows[i], columns[j]], 0.0)
-            room.gain[i if is_wide else j, j if is_wide else i] = value
-    hungarian(min(num_rows, num_columns), max(num_rows, num_columns), room)
-    for place in range(max(num_rows, num_columns)):
-        partner = room.row_of[place + 1] - 1
-        if partner >= 0:
-            i, j = (partner, place) if is_wide else (place, partner)
-            if affinity[rows[i], columns[j]] > 0:
-                match[rows[i]] = columns[j]
 
 
 @kernel
@@ -729,75 +508,3 @@ def track(start, frames, rig, limits, targets, pool, outcome, room):
         if unmatched > 0 and _may_start_somebody(frames, rig, limits, pool, camera, time_s):
             return event
     return len(frames.time_s)
-
-
-@kernel
-@no_type_check
-def _copy_observation(bodies, row, decay, min_score, seen_px, ideal_px, score, used):
-    """What a camera saw in one frame; loops of few arrays each, so that they work on several numbers at a time."""
-    for k in range(seen_px.shape[0]):
-        seen_px[k, 0] = bodies.seen_px[row, k, 0]
-        seen_px[k, 1] = bodies.seen_px[row, k, 1]
-    for k in range(seen_px.shape[0]):
-        ideal_px[k, 0] = bodies.ideal_px[row, k, 0]
-        ideal_px[k, 1] = bodies.ideal_px[row, k, 1]
-    for k in range(score.shape[0]):
-        score[k] = bodies.score[row, k] * decay
-    for k in range(score.shape[0]):
-        used[k] = score[k] if score[k] >= min_score else 0.0
-
-
-@kernel
-@no_type_check
-def _blend_observation(bodies, left, right, share, decay, min_score, seen_px, ideal_px, score, used):
-    """Between two frames of a camera, where both show a joint."""
-    for k in range(score.shape[0]):
-        value = min(bodies.score[left, k], bodies.score[right, k]) * decay
-        if value > 0:
-            for axis in range(2):
-                one, two = bodies.seen_px[left, k, axis], bodies.seen_px[right, k, axis]
-                seen_px[k, axis] = (1 - share) * one + share * two
-                one, two = bodies.ideal_px[left, k, axis], bodies.ideal_px[right, k, axis]
-                ideal_px[k, axis] = (1 - share) * one + share * two
-            score[k] = value
-            used[k] = value if value >= min_score else 0.0
-
-
-@kernel
-@no_type_check
-def sample_observations(rows, bodies, instants_s, half_s, lambda_t_hz, min_score, seen_px, ideal_px, score, used):
-    """Fill in what each camera saw of a person at the output instants; see ``observations.observations_at``.
-
-    Parameters
-    ----------
-    rows
-        The person's detections, ascending, at most one a camera and frame.
-    bodies
-        ``observations.Bodies``.
-    seen_px, ideal_px, score, used
-        Filled in where there is an observation, (frames, cameras, joints[, 2]).
-    """
-    start = 0
-    while start < len(rows):
-        camera = bodies.camera[rows[start]]
-        stop = start
-        while stop < len(rows) and bodies.camera[rows[stop]] == camera:
-            stop += 1
-        after = start
-        for frame in range(len(instants_s)):
-            time_s = instants_s[frame]
-            while after < stop and bodies.time_s[rows[after]] < time_s:
-                after += 1
-            right = rows[min(after, stop - 1)]
-            is_exact = after < stop and bodies.time_s[right] == time_s
-            left = right if is_exact else rows[max(after - 1, start)]
-            to_left_s, to_right_s = abs(time_s - bodies.time_s[left]), abs(bodies.time_s[right] - time_s)
-            nearest, gap_s = (left, to_left_s) if to_left_s <= to_right_s else (right, to_right_s)
-            decay = np.exp(-lambda_t_hz * gap_s) if gap_s > 0 else 1.0
-            ours = seen_px[frame, camera], ideal_px[frame, camera], score[frame, camera], used[frame, camera]
-            if gap_s <= half_s:
-                _copy_observation(bodies, nearest, decay, min_score, *ours)
-            if bodies.frame[right] - bodies.frame[left] == 1 and gap_s > 1e-3 * half_s:
-                share = to_left_s / (to_left_s + to_right_s)
-                _blend_observation(bodies, left, right, share, decay, min_score, *ours)
-        start = stop

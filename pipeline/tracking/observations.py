@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.tracking.kernels import sample_observations
+from pipeline.tracking.observation_kernels import sample_observations
 from pipeline.tracking.parameters import TrackingParameters
 
 NOBODY = -1

@@ -14,12 +14,12 @@ from jaxtyping import Float, Int
 from pipeline.data import Camera
 from pipeline.geometry.camera import rays_in_world
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
-from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict, ray_distance_m
+from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.assignment import assign
-from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body
-from pipeline.tracking.kernels import NUM_RECENT, Frames, Rig
+from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body, spread_m
 from pipeline.tracking.observations import NOBODY
 from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.state import NUM_RECENT, Frames, Rig
 
 
 @dataclass(slots=True, eq=False)
@@ -238,7 +238,7 @@ class Tracker:
                 np.array([one.points_px for one in group]),
                 np.array([one.score for one in group]),
             )
-            if not is_body(xyz_m, self._spread_m(group, xyz_m), self._parameters):
+            if not is_body(xyz_m, spread_m(self._cameras, group, xyz_m), self._parameters):
                 continue
             target = Target.empty(self._num_born, len(self._cameras), len(xyz_m))
             self._num_born += 1
@@ -248,18 +248,6 @@ class Tracker:
                 self._unmatched[one.camera].remove(one)
             self._move(target, time_s)
             self.targets.append(target)
-
-    def _spread_m(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
-        distances_m = np.array(
-            [
-                ray_distance_m(
-                    xyz_m, self._rig.center_m[one.camera], rays_in_world(self._cameras[one.camera], one.points_px)
-                )
-                for one in group
-            ]
-        )
-        known = distances_m[np.isfinite(distances_m)]
-        return float(np.median(known)) if known.size else np.inf
 
     def _bury(self, time_s: float) -> None:
         """End targets that two cameras have not seen for long."""

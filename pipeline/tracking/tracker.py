@@ -5,17 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.compiled import round_up
 from pipeline.data import Camera, FrameTimes
-from pipeline.geometry.camera import center_in_world, image_from_world, rays_in_world
+from pipeline.geometry.camera import center_in_world, image_from_world
 from pipeline.geometry.epipolar import fundamental_matrix
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.tracking import kernels
-from pipeline.tracking.affinity import ray_distance_m
-from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body
-from pipeline.tracking.kernels import Frames, Limits, Outcome, Pool, Rig, Room, Targets
+from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body, spread_m
 from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
 
 _FIRST_SLOTS = 16
 
@@ -63,42 +61,6 @@ def make_frames(times: Sequence[FrameTimes], bodies: Bodies) -> Frames:
         np.concatenate(last)[in_time],
         points_px=bodies.ideal_px,
         score=bodies.used,
-    )
-
-
-def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detections: int) -> Targets:
-    """Room for so many targets, none of them alive."""
-    lanes = round_up(num_joints)
-    return Targets(
-        alive=np.zeros(1, np.int64),
-        order=np.arange(num_slots),
-        state=np.zeros(num_slots, kernels.target_dtype(lanes)),
-        views=np.zeros((num_slots, num_cameras), kernels.view_dtype(lanes)),
-        matched_s=np.zeros((num_slots, num_cameras)),
-        counted=np.zeros((num_slots, num_cameras), bool),
-        bodies=np.zeros(most_detections, kernels.body_dtype(lanes)),
-        sums=np.zeros(1, kernels.sums_dtype(lanes)),
-    )
-
-
-def make_room(num_slots: int, most_detections: int) -> Room:
-    """Arrays to work in."""
-    side = max(num_slots, most_detections)
-    return Room(
-        affinity=np.empty((num_slots, most_detections)),
-        match=np.empty(num_slots, np.int64),
-        rows=np.empty(num_slots, np.int64),
-        columns=np.empty(most_detections, np.int64),
-        free=np.empty(most_detections, bool),
-        gone=np.empty(num_slots, bool),
-        wanted=np.empty(most_detections, np.int64),
-        gain=np.empty((side, side)),
-        row_price=np.empty(side + 1),
-        column_price=np.empty(side + 1),
-        row_of=np.empty(side + 1, np.int64),
-        before=np.empty(side + 1, np.int64),
-        slack=np.empty(side + 1),
-        done=np.empty(side + 1, bool),
     )
 
 
@@ -154,7 +116,7 @@ class Tracker:
         return final[self._outcome.identity]
 
     def states(self) -> np.ndarray:
-        """State of those alive, in order of birth; records of ``kernels.target_dtype``."""
+        """State of those alive, in order of birth; records of ``state.target_dtype``."""
         return self._targets.state[self._targets.order[: self._targets.alive[0]]]
 
     def _final_identities(self) -> Int[np.ndarray, " targets"]:
@@ -176,7 +138,7 @@ class Tracker:
         for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
             group.sort(key=lambda one: one.time_s)
             xyz_m = self._locate(group)
-            if is_body(xyz_m, self._spread_m(group, xyz_m), self._parameters):
+            if is_body(xyz_m, spread_m(self._cameras, group, xyz_m), self._parameters):
                 self._add_target(group, xyz_m, time_s)
 
     def _points_px(self, row: int) -> Float[np.ndarray, "joints 2"]:
@@ -189,19 +151,6 @@ class Tracker:
             np.array([[one.points_px for one in group]]),
             np.array([[one.score for one in group]]),
         )[0]
-
-    def _spread_m(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
-        """Median distance of joints to the rays that made them."""
-        distances_m = np.array(
-            [
-                ray_distance_m(
-                    xyz_m, self._rig.center_m[one.camera], rays_in_world(self._cameras[one.camera], one.points_px)
-                )
-                for one in group
-            ]
-        )
-        known = distances_m[np.isfinite(distances_m)]
-        return float(np.median(known)) if known.size else np.inf
 
     def _add_target(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"], time_s: float) -> None:
         self._make_room()

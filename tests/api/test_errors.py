@@ -98,7 +98,7 @@ def test_json_of_another_type_is_not_read(live: Live) -> None:
 
 def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
-        raise RuntimeError("/root/secret/path is gone")
+        raise RuntimeError("/srv/secret/path is gone")
 
     monkeypatch.setattr(live.services.store, "jobs", fail)
     answer = live.client.get("/v1/jobs")

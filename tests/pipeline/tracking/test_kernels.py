@@ -11,12 +11,14 @@ from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.simulation.scenes import SCENES, record
-from pipeline.tracking import kernels, reference
+from pipeline.tracking import kernels, observation_kernels, reference
 from pipeline.tracking.affinity import epipolar_affinity
+from pipeline.tracking.assignment_kernels import assign
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
-from pipeline.tracking.tracker import Tracker, make_frames, make_rig, make_room
+from pipeline.tracking.state import make_room
+from pipeline.tracking.tracker import Tracker, make_frames, make_rig
 from pipeline.tracking.warm_up import warm_up
 
 
@@ -69,7 +71,7 @@ def test_assignment_is_scipys(seed: int) -> None:
     room = make_room(num_rows, num_columns)
     room.affinity[:] = affinity
     room.rows[:], room.columns[:], room.match[:] = np.arange(num_rows), np.arange(num_columns), -1
-    kernels.assign(num_rows, num_columns, room)
+    assign(num_rows, num_columns, room)
     rows, columns = linear_sum_assignment(np.maximum(affinity, 0.0), maximize=True)
     expected = np.full(num_rows, -1)
     expected[rows] = np.where(affinity[rows, columns] > 0, columns, -1)
@@ -93,11 +95,12 @@ def test_epipolar_affinity_is_that_of_the_reference(ring: tuple[Camera, ...]) ->
 
 def test_nothing_is_left_to_compile_after_warming_up() -> None:
     warm_up()
-    known = {name: len(getattr(kernels, name).signatures) for name in ("track", "observe", "sample_observations")}
+    compiled = (kernels.track, kernels.observe, observation_kernels.sample_observations)
+    known = [len(one.signatures) for one in compiled]
     simulation = record(replace(SCENES["room"], duration_s=1.0), 0)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
     tracks, _ = reconstruct_tracks(
         simulation.cameras, simulation.times, simulation.detections, simulation.timebase, parameters
     )
     assert tracks
-    assert {name: len(getattr(kernels, name).signatures) for name in known} == known
+    assert [len(one.signatures) for one in compiled] == known

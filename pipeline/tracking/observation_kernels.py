@@ -1,0 +1,79 @@
+"""What each camera saw at the output instants, as compiled loops."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from pipeline.compiled import kernel
+
+
+@kernel
+@no_type_check
+def _copy_observation(bodies, row, decay, min_score, seen_px, ideal_px, score, used):
+    """What a camera saw in one frame; loops of few arrays each, so that they work on several numbers at a time."""
+    for k in range(seen_px.shape[0]):
+        seen_px[k, 0] = bodies.seen_px[row, k, 0]
+        seen_px[k, 1] = bodies.seen_px[row, k, 1]
+    for k in range(seen_px.shape[0]):
+        ideal_px[k, 0] = bodies.ideal_px[row, k, 0]
+        ideal_px[k, 1] = bodies.ideal_px[row, k, 1]
+    for k in range(score.shape[0]):
+        score[k] = bodies.score[row, k] * decay
+    for k in range(score.shape[0]):
+        used[k] = score[k] if score[k] >= min_score else 0.0
+
+
+@kernel
+@no_type_check
+def _blend_observation(bodies, left, right, share, decay, min_score, seen_px, ideal_px, score, used):
+    """Between two frames of a camera, where both show a joint."""
+    for k in range(score.shape[0]):
+        value = min(bodies.score[left, k], bodies.score[right, k]) * decay
+        if value > 0:
+            for axis in range(2):
+                one, two = bodies.seen_px[left, k, axis], bodies.seen_px[right, k, axis]
+                seen_px[k, axis] = (1 - share) * one + share * two
+                one, two = bodies.ideal_px[left, k, axis], bodies.ideal_px[right, k, axis]
+                ideal_px[k, axis] = (1 - share) * one + share * two
+            score[k] = value
+            used[k] = value if value >= min_score else 0.0
+
+
+@kernel
+@no_type_check
+def sample_observations(rows, bodies, instants_s, half_s, lambda_t_hz, min_score, seen_px, ideal_px, score, used):
+    """Fill in what each camera saw of a person at the output instants; see ``observations.observations_at``.
+
+    Parameters
+    ----------
+    rows
+        The person's detections, ascending, at most one a camera and frame.
+    bodies
+        ``observations.Bodies``.
+    seen_px, ideal_px, score, used
+        Filled in where there is an observation, (frames, cameras, joints[, 2]).
+    """
+    start = 0
+    while start < len(rows):
+        camera = bodies.camera[rows[start]]
+        stop = start
+        while stop < len(rows) and bodies.camera[rows[stop]] == camera:
+            stop += 1
+        after = start
+        for frame in range(len(instants_s)):
+            time_s = instants_s[frame]
+            while after < stop and bodies.time_s[rows[after]] < time_s:
+                after += 1
+            right = rows[min(after, stop - 1)]
+            is_exact = after < stop and bodies.time_s[right] == time_s
+            left = right if is_exact else rows[max(after - 1, start)]
+            to_left_s, to_right_s = abs(time_s - bodies.time_s[left]), abs(bodies.time_s[right] - time_s)
+            nearest, gap_s = (left, to_left_s) if to_left_s <= to_right_s else (right, to_right_s)
+            decay = np.exp(-lambda_t_hz * gap_s) if gap_s > 0 else 1.0
+            ours = seen_px[frame, camera], ideal_px[frame, camera], score[frame, camera], used[frame, camera]
+            if gap_s <= half_s:
+                _copy_observation(bodies, nearest, decay, min_score, *ours)
+            if bodies.frame[right] - bodies.frame[left] == 1 and gap_s > 1e-3 * half_s:
+                share = to_left_s / (to_left_s + to_right_s)
+                _blend_observation(bodies, left, right, share, decay, min_score, *ours)
+        start = stop
