@@ -3,7 +3,7 @@
 import typer
 
 from api.commands import benchmark, demo, evaluate, models, reconstruct, samples, serve, simulate
-from pipeline.memory import give_pictures_back
+from pipeline.memory import keep_freed_memory
 
 app = typer.Typer(
     name="multicap",
@@ -24,7 +24,7 @@ app.add_typer(samples.app, name="samples")
 
 def main() -> None:
     """Run the command line."""
-    give_pictures_back()
+    keep_freed_memory()
     app()
 
 

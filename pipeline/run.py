@@ -17,7 +17,6 @@ from pipeline.detect.detector import Detector, open_detector
 from pipeline.errors import PipelineError
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
-from pipeline.memory import give_pictures_back
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.session import CaptureSession
 from pipeline.skeleton.solve import motion_from_track
@@ -155,7 +154,6 @@ class _Worker:
 
     @classmethod
     def start(cls, session: CaptureSession, detector_name: str) -> None:
-        give_pictures_back()
         cls.session = session
         cls.detector = open_detector(detector_name)
 

@@ -37,10 +37,8 @@ shutting_down = ForkedFlag()
 def process_runner() -> Runner:
     """Connect this process to the store and load the science, once."""
     # The main process never loads it: its children are forked, and libraries with threads don't survive that.
-    from pipeline.memory import give_pictures_back  # noqa: PLC0415
     from worker.stages import STAGES, warm_up  # noqa: PLC0415
 
-    give_pictures_back()
     warm_up()
     settings = WorkerSettings()
     return Runner(

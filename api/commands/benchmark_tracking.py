@@ -30,7 +30,7 @@ _SIZES = ((3, 3, 60.0), (5, 4, 60.0), (12, 4, 40.0), (28, 16, 20.0))
 _NUM_CAMERAS = (2, 4, 8, 12, 16, 20, 24, 28, 31)
 _NUM_DOME_PEOPLE = 7
 _DOME_S = 10.0
-_REPEATS = 5
+_REPEATS = 15
 # The baseline explodes: it is not asked for more cameras once a frame takes so long.
 _PAIRWISE_FRAMES = 4
 _PAIRWISE_LIMIT_MS = 2000.0

@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.data import Detections, read_only
 from pipeline.detect.detector import Bodies, Detector
+from pipeline.memory import give_pictures_back
 from pipeline.session import CaptureSession
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
@@ -36,6 +37,7 @@ def detect_chunk(
     InputError
         If a frame can't be decoded.
     """
+    give_pictures_back()
     video = session.videos[[one.name for one in session.cameras].index(camera)]
     frames = frames_in(session.times[camera], *span_s)
     bodies: list[tuple[int, Bodies]] = []

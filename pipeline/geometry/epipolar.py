@@ -1,21 +1,29 @@
 """Two-view geometry: fundamental matrices and epipolar distances."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Camera
 
 
-def fundamental_matrix(left: Camera, right: Camera) -> Float[np.ndarray, "3 3"]:
-    """Fundamental matrix F of undistorted pixels, ``x_left^T F x_right = 0``.
+def fundamental_matrices(cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras cameras 3 3"]:
+    """Fundamental matrices F of undistorted pixels, ``x_left^T F x_right = 0`` with ``F = result[left, right]``.
 
-    ``F x_right`` is the epipolar line in the left image, ``F^T x_left`` the one in the right.
+    ``F x_right`` is the epipolar line in the left image, ``F^T x_left`` the one in the right. Those of a camera with
+    itself are zero.
     """
-    left_from_right = left.cam_from_world @ right.cam_from_world.inverse()
-    tx, ty, tz = left_from_right.translation_m
-    cross = np.array([[0.0, -tz, ty], [tz, 0.0, -tx], [-ty, tx, 0.0]])
-    essential = cross @ left_from_right.rotation
-    return np.linalg.inv(left.matrix).T @ essential @ np.linalg.inv(right.matrix)
+    rotations = np.array([camera.cam_from_world.rotation for camera in cameras])
+    translations_m = np.array([camera.cam_from_world.translation_m for camera in cameras])
+    to_normalised = np.linalg.inv(np.array([camera.matrix for camera in cameras]))
+    left_from_right = rotations[:, None] @ rotations.swapaxes(-1, -2)
+    tx, ty, tz = np.moveaxis(translations_m[:, None] - (left_from_right @ translations_m[..., None])[..., 0], -1, 0)
+    none = np.zeros_like(tx)
+    cross = np.stack([none, -tz, ty, tz, none, -tx, -ty, tx, none], axis=-1).reshape(left_from_right.shape)
+    fundamentals = to_normalised.swapaxes(-1, -2)[:, None] @ cross @ left_from_right @ to_normalised
+    fundamentals[np.diag_indices(len(cameras))] = 0.0
+    return fundamentals
 
 
 def distance_to_line_px(

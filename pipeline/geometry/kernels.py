@@ -21,9 +21,12 @@ def view_dtype(lanes: int) -> np.dtype:
     """What a camera says of the joints."""
     return np.dtype(
         [
-            ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9 and 11)
-            ("weight", np.float64, (lanes,)),
+            ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9)
+            ("over2", np.float64, (2, lanes)),  # one over their squared norms (eq. 11)
+            ("normal", np.float64, (_NUM_NORMAL, lanes)),  # what they add to the normal equations at weight 1
             ("base2", np.float64, (lanes,)),  # squared weight
+            ("weight", np.float64, (lanes,)),  # the same times what the robust loss leaves of it
+            ("off2", np.float64, (lanes,)),  # squared distance to the point, 0 where that or the view does not count
             ("px", np.float64, (2, lanes)),
         ],
         align=True,
@@ -41,7 +44,7 @@ def point_dtype(lanes: int) -> np.dtype:
             ("xyz_m", np.float64, (3, lanes)),
             ("kept_m", np.float64, (3, lanes)),
             ("worst2", np.float64, (lanes,)),
-            ("plain_worst2", np.float64, (lanes,)),
+            ("num_far", np.float64, (lanes,)),
             ("cost", np.float64, (lanes,)),
             ("kept_cost", np.float64, (lanes,)),
             ("weight_sum", np.float64, (lanes,)),
@@ -61,30 +64,27 @@ class Room(NamedTuple):
 
     views: np.ndarray  # (cameras,) of view_dtype
     points: np.ndarray  # (1,) of point_dtype
-    alone_m: np.ndarray  # (frames, joints, 3): positions without the neighbours' say
-    disagree: np.ndarray  # (frames, joints): whether views do
     guess_m: np.ndarray  # (joints, 3)
+    before_m: np.ndarray  # (reach + 1, joints, 3): the last frames as they were, in turn
     window: np.ndarray  # (2 * reach + 1,)
 
 
-def make_room(shape: tuple[int, int, int], reach: int) -> Room:
-    """Room for ``triangulate_over_time``; the shape is (frames, cameras, joints)."""
-    num_frames, num_cameras, num_joints = shape
+def make_room(num_cameras: int, num_joints: int, reach: int) -> Room:
+    """Room for ``triangulate_alone`` and ``settle_disputes``."""
     lanes = round_up(num_joints)
     return Room(
         np.zeros(num_cameras, view_dtype(lanes)),
         np.zeros(1, point_dtype(lanes)),
-        np.empty((num_frames, num_joints, 3)),
-        np.empty((num_frames, num_joints), bool),
         np.zeros((num_joints, 3)),
+        np.empty((reach + 1, num_joints, 3)),
         np.empty(2 * reach + 1),
     )
 
 
 @kernel
 @no_type_check
-def _fill_rows(image_from_world, points_px, weights, views):
-    """Normalised rows of each view (Chen et al. 2020, eq. 7-9 and 11)."""
+def _fill_rows(image_from_world, points_px, weights, min_weight, views):
+    """Rows of each view and their norms (Chen et al. 2020, eq. 7-9 and 11)."""
     for c in range(len(views)):
         view, p = views[c], image_from_world[c]
         p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
@@ -95,63 +95,79 @@ def _fill_rows(image_from_world, points_px, weights, views):
             view.weight[k] = weights[c, k]
         for k in range(view.weight.shape[0]):
             u, v, w = view.px[0, k], view.px[1, k], view.weight[k]
-            used = (w > 0) & (u + v == u + v)
+            used = (w > 0) & (w >= min_weight) & (u + v == u + v)
+            w = w if used else 0.0
             u, v = u if used else 0.0, v if used else 0.0
             a0, a1, a2, a3 = u * p20 - p00, u * p21 - p01, u * p22 - p02, u * p23 - p03
             b0, b1, b2, b3 = v * p20 - p10, v * p21 - p11, v * p22 - p12, v * p23 - p13
-            norm_a, norm_b = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2), np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
-            over = 1.0 / (norm_a * norm_b)
-            over_a, over_b = over * norm_b, over * norm_a
-            view.base2[k] = w * w if used else 0.0
-            view.rows[0, k] = a0 * over_a
-            view.rows[1, k] = a1 * over_a
-            view.rows[2, k] = a2 * over_a
-            view.rows[3, k] = a3 * over_a
-            view.rows[4, k] = b0 * over_b
-            view.rows[5, k] = b1 * over_b
-            view.rows[6, k] = b2 * over_b
-            view.rows[7, k] = b3 * over_b
+            norm_a2, norm_b2 = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2
+            over = 1.0 / (norm_a2 * norm_b2)
+            view.base2[k] = w * w
+            view.weight[k] = w * w
+            over_a2, over_b2 = over * norm_b2, over * norm_a2
+            view.over2[0, k] = over_a2
+            view.over2[1, k] = over_b2
+            view.rows[0, k] = a0
+            view.rows[1, k] = a1
+            view.rows[2, k] = a2
+            view.rows[3, k] = a3
+            view.rows[4, k] = b0
+            view.rows[5, k] = b1
+            view.rows[6, k] = b2
+            view.rows[7, k] = b3
+            view.normal[0, k] = over_a2 * a0 * a0 + over_b2 * b0 * b0
+            view.normal[1, k] = over_a2 * a0 * a1 + over_b2 * b0 * b1
+            view.normal[2, k] = over_a2 * a0 * a2 + over_b2 * b0 * b2
+            view.normal[3, k] = over_a2 * a1 * a1 + over_b2 * b1 * b1
+            view.normal[4, k] = over_a2 * a1 * a2 + over_b2 * b1 * b2
+            view.normal[5, k] = over_a2 * a2 * a2 + over_b2 * b2 * b2
+            view.normal[6, k] = -(over_a2 * a0 * a3 + over_b2 * b0 * b3)
+            view.normal[7, k] = -(over_a2 * a1 * a3 + over_b2 * b1 * b3)
+            view.normal[8, k] = -(over_a2 * a2 * a3 + over_b2 * b2 * b3)
 
 
 @kernel
 @no_type_check
-def _solve(views, point, scale_m):
-    """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN where two views are wanting or all rays parallel.
+def _reweigh(views, point, scale_m):
+    """Weight views by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``.
 
-    Views are weighted by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``, with the distance d of the point as it is to both
-    planes of a view: to first order that to its ray. An infinite scale gives all their full weight. The largest d^2
-    over the views in use stays in ``worst2``, 0 where the point was not known.
+    The d is the distance of the point as it is to both planes of a view: to first order that to its ray. Its square
+    stays in ``off2``.
     """
-    point.normal[:] = 0.0
-    point.views[:] = 0.0
-    point.worst2[:] = 0.0
     scale2 = scale_m * scale_m
-    is_plain = scale2 == np.inf
     for c in range(len(views)):
         view = views[c]
         for k in range(view.base2.shape[0]):
-            a0, a1, a2, a3 = view.rows[0, k], view.rows[1, k], view.rows[2, k], view.rows[3, k]
-            b0, b1, b2, b3 = view.rows[4, k], view.rows[5, k], view.rows[6, k], view.rows[7, k]
             x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
-            first, second = a0 * x + a1 * y + a2 * z + a3, b0 * x + b1 * y + b2 * z + b3
-            squared = first * first + second * second
+            first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
+            second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
+            squared = first * first * view.over2[0, k] + second * second * view.over2[1, k]
             share = scale2 / (scale2 + squared)
-            share = 1.0 if is_plain else share
-            share = share if share == share else 0.0
-            # Compares as false with NaN.
-            is_worst = (squared > point.worst2[k]) & (view.base2[k] > 0)
-            point.worst2[k] = squared if is_worst else point.worst2[k]
-            weight = view.base2[k] * share * share
+            share = share if squared == squared else 0.0
+            view.off2[k] = squared if (squared >= 0) & (view.base2[k] > 0) else 0.0
+            view.weight[k] = view.base2[k] * share * share
+
+
+@kernel
+@no_type_check
+def _solve(views, point):
+    """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN where two views are wanting or all rays parallel."""
+    point.normal[:] = 0.0
+    point.views[:] = 0.0
+    for c in range(len(views)):
+        view = views[c]
+        for k in range(view.weight.shape[0]):
+            weight = view.weight[k]
             point.views[k] += 1.0 if weight > 0 else 0.0
-            point.normal[0, k] += weight * (a0 * a0 + b0 * b0)
-            point.normal[1, k] += weight * (a0 * a1 + b0 * b1)
-            point.normal[2, k] += weight * (a0 * a2 + b0 * b2)
-            point.normal[3, k] += weight * (a1 * a1 + b1 * b1)
-            point.normal[4, k] += weight * (a1 * a2 + b1 * b2)
-            point.normal[5, k] += weight * (a2 * a2 + b2 * b2)
-            point.normal[6, k] -= weight * (a0 * a3 + b0 * b3)
-            point.normal[7, k] -= weight * (a1 * a3 + b1 * b3)
-            point.normal[8, k] -= weight * (a2 * a3 + b2 * b3)
+            point.normal[0, k] += weight * view.normal[0, k]
+            point.normal[1, k] += weight * view.normal[1, k]
+            point.normal[2, k] += weight * view.normal[2, k]
+            point.normal[3, k] += weight * view.normal[3, k]
+            point.normal[4, k] += weight * view.normal[4, k]
+            point.normal[5, k] += weight * view.normal[5, k]
+            point.normal[6, k] += weight * view.normal[6, k]
+            point.normal[7, k] += weight * view.normal[7, k]
+            point.normal[8, k] += weight * view.normal[8, k]
     for k in range(point.views.shape[0]):
         a, b, c, d = point.normal[0, k], point.normal[1, k], point.normal[2, k], point.normal[3, k]
         e, f = point.normal[4, k], point.normal[5, k]
@@ -180,63 +196,81 @@ def _measure_cost(views, point, scale_m):
             x, y, z = point.xyz_m[0, k], point.xyz_m[1, k], point.xyz_m[2, k]
             first = view.rows[0, k] * x + view.rows[1, k] * y + view.rows[2, k] * z + view.rows[3, k]
             second = view.rows[4, k] * x + view.rows[5, k] * y + view.rows[6, k] * z + view.rows[7, k]
-            squared = first * first + second * second
+            squared = first * first * view.over2[0, k] + second * second * view.over2[1, k]
             cost = view.base2[k] * squared / (squared + scale2)
             point.cost[k] += cost if squared == squared else np.inf
 
 
 @kernel
 @no_type_check
-def _median_around(alone_m, frame, joint, axis, reach, window):
+def _median_around(xyz_m, frame, joint, axis, reach, room):
     """Median over a frame and its neighbours on each side, NaN where none of them has the joint."""
     count = 0
-    for other in range(max(frame - reach, 0), min(frame + reach + 1, alone_m.shape[0])):
-        value = alone_m[other, joint, axis]
+    for other in range(max(frame - reach, 0), min(frame + reach + 1, xyz_m.shape[0])):
+        is_past = other < frame
+        value = room.before_m[other % (reach + 1), joint, axis] if is_past else xyz_m[other, joint, axis]
         if value == value:
             place = count
-            while place > 0 and window[place - 1] > value:
-                window[place] = window[place - 1]
+            while place > 0 and room.window[place - 1] > value:
+                room.window[place] = room.window[place - 1]
                 place -= 1
-            window[place] = value
+            room.window[place] = value
             count += 1
     if count == 0:
         return np.nan
-    return 0.5 * (window[(count - 1) // 2] + window[count // 2])
+    return 0.5 * (room.window[(count - 1) // 2] + room.window[count // 2])
 
 
 @kernel
 @no_type_check
 def _triangulate_alone(views, point, scales_m):
-    """``triangulation.triangulate_robust`` without a guess; leaves the worst distance before the last step as well."""
-    _solve(views, point, np.inf)
+    """``triangulation.triangulate_robust`` without a guess; ``off2`` stays as it was before the last step."""
+    _solve(views, point)
     for k in range(point.views.shape[0]):
         for axis in range(3):
             point.kept_m[axis, k] = point.xyz_m[axis, k]
-    _solve(views, point, scales_m[-1])
-    worst2 = 0.0
-    for k in range(point.views.shape[0]):
-        point.plain_worst2[k] = point.worst2[k]
-        worst2 = max(worst2, point.worst2[k])
-    if worst2 > scales_m[-2] * scales_m[-2]:
-        _anneal(views, point, scales_m, worst2)
-        _solve(views, point, scales_m[-1])
-    _solve(views, point, scales_m[-1])
+    _reweigh(views, point, scales_m[-1])
+    _count_far(views, point, scales_m[-2])
+    num_far = 0.0
+    for k in range(point.num_far.shape[0]):
+        num_far += point.num_far[k]
+    if num_far > 0:
+        _anneal(views, point, scales_m)
+        _reweigh(views, point, scales_m[-1])
+    _solve(views, point)
+    _reweigh(views, point, scales_m[-1])
+    _solve(views, point)
 
 
 @kernel
 @no_type_check
-def _anneal(views, point, scales_m, worst2):
-    """Go back to the plain solution, and from scale to scale; a joint begins where the scale is below its worst."""
-    for k in range(point.views.shape[0]):
-        for axis in range(3):
-            point.xyz_m[axis, k] = point.kept_m[axis, k]
+def _count_far(views, point, limit_m):
+    """How many views are farther from a joint than ``limit_m``; a count, since a largest takes slow masked stores."""
+    limit2 = limit_m * limit_m
+    point.num_far[:] = 0.0
+    for c in range(len(views)):
+        view = views[c]
+        for k in range(point.num_far.shape[0]):
+            point.num_far[k] += 1.0 if view.off2[k] > limit2 else 0.0
+
+
+@kernel
+@no_type_check
+def _anneal(views, point, scales_m):
+    """Go from scale to scale; a joint begins where the scale is below its worst."""
+    worst2 = 0.0
+    point.worst2[:] = 0.0
+    for c in range(len(views)):
+        for k in range(point.worst2.shape[0]):
+            point.worst2[k] = max(point.worst2[k], views[c].off2[k])
+            worst2 = max(worst2, views[c].off2[k])
     for step in range(len(scales_m) - 1):
-        scale2 = scales_m[step] * scales_m[step]
-        if worst2 <= scale2:
+        if worst2 <= scales_m[step] * scales_m[step]:
             continue
-        _solve(views, point, scales_m[step])
-        for k in range(point.views.shape[0]):
-            needed = point.plain_worst2[k] > scale2
+        _reweigh(views, point, scales_m[step])
+        _solve(views, point)
+        for k in range(point.worst2.shape[0]):
+            needed = point.worst2[k] > scales_m[step] * scales_m[step]
             for axis in range(3):
                 point.xyz_m[axis, k] = point.xyz_m[axis, k] if needed else point.kept_m[axis, k]
                 point.kept_m[axis, k] = point.xyz_m[axis, k]
@@ -244,49 +278,8 @@ def _anneal(views, point, scales_m, worst2):
 
 @kernel
 @no_type_check
-def _disputed(alone_m, frame, disputed_m, reach, room):
-    """Whether any joint's views disagree, and its neighbours too; ``room.disagree`` and ``room.guess_m`` tell which."""
-    any_disputed = False
-    for k in range(alone_m.shape[1]):
-        if room.disagree[frame, k]:
-            apart2 = 0.0
-            for axis in range(3):
-                room.guess_m[k, axis] = _median_around(alone_m, frame, k, axis, reach, room.window)
-                apart2 += (room.guess_m[k, axis] - alone_m[frame, k, axis]) ** 2
-            room.disagree[frame, k] = apart2 > disputed_m * disputed_m
-            any_disputed |= room.disagree[frame, k]
-    return any_disputed
-
-
-@kernel
-@no_type_check
-def _from_guess(views, here, scales_m, frame, room, xyz_m):
-    """Start disputed joints from their guess, and keep what costs less."""
-    num_joints = xyz_m.shape[1]
-    for k in range(num_joints):
-        for axis in range(3):
-            here.xyz_m[axis, k] = room.alone_m[frame, k, axis]
-    _measure_cost(views, here, scales_m[-1])
-    for k in range(num_joints):
-        here.kept_cost[k] = here.cost[k]
-        for axis in range(3):
-            here.xyz_m[axis, k] = room.guess_m[k, axis]
-    for step in (-2, -1, -1):
-        _solve(views, here, scales_m[step])
-    _measure_cost(views, here, scales_m[-1])
-    for k in range(num_joints):
-        if room.disagree[frame, k] and here.cost[k] < here.kept_cost[k]:
-            for axis in range(3):
-                xyz_m[frame, k, axis] = here.xyz_m[axis, k]
-
-
-@kernel
-@no_type_check
-def triangulate_over_time(image_from_world, points_px, weights, scales_m, disputed_m, reach, room, xyz_m):
-    """Triangulate every frame robustly; where views disagree, the neighbouring frames propose a start.
-
-    The loops of ``triangulation.triangulate_robust``, first without a guess, then with the running median of that as
-    the guess.
+def triangulate_alone(image_from_world, points_px, weights, min_weight, scales_m, disputed_m, room, xyz_m, disputed):
+    """Triangulate every frame robustly: ``triangulation.triangulate_robust`` without a guess.
 
     Parameters
     ----------
@@ -294,30 +287,88 @@ def triangulate_over_time(image_from_world, points_px, weights, scales_m, disput
         Projection matrices to undistorted pixels, (cameras, 3, 4).
     points_px
         Undistorted pixels, (frames, cameras, joints, 2); NaN where unseen.
-    weights
-        Factors of a view's rows, (frames, cameras, joints); 0 leaves the view out.
+    weights, min_weight
+        Factors of a view's rows, (frames, cameras, joints); 0, or less than ``min_weight``, leaves the view out.
     scales_m, disputed_m
         ``triangulation.SCALES_M`` and ``triangulation.DISPUTED_M``.
-    reach
-        Frames on each side whose median is the guess.
     room
         See ``make_room``.
     xyz_m
         Gets the world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the point.
+    disputed
+        Gets whether the views of a joint disagree, (frames, joints).
     """
     views, here = room.views, room.points[0]
     for frame in range(len(points_px)):
-        _fill_rows(image_from_world, points_px[frame], weights[frame], views)
+        _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, views)
         _triangulate_alone(views, here, scales_m)
+        _count_far(views, here, disputed_m)
         for k in range(points_px.shape[2]):
-            room.disagree[frame, k] = here.worst2[k] > disputed_m * disputed_m
+            disputed[frame, k] = here.num_far[k] > 0
             for axis in range(3):
-                room.alone_m[frame, k, axis] = here.xyz_m[axis, k]
                 xyz_m[frame, k, axis] = here.xyz_m[axis, k]
+
+
+@kernel
+@no_type_check
+def _neighbours_object(xyz_m, frame, disputed, disputed_m, reach, room):
+    """Keep a dispute only where the neighbouring frames see the joint elsewhere, in ``room.guess_m``."""
+    any_disputed = False
+    for k in range(xyz_m.shape[1]):
+        if disputed[k]:
+            apart2 = 0.0
+            for axis in range(3):
+                room.guess_m[k, axis] = _median_around(xyz_m, frame, k, axis, reach, room)
+                apart2 += (room.guess_m[k, axis] - xyz_m[frame, k, axis]) ** 2
+            disputed[k] = apart2 > disputed_m * disputed_m
+            any_disputed |= disputed[k]
+    return any_disputed
+
+
+@kernel
+@no_type_check
+def _from_guess(views, here, scales_m, disputed, guess_m, xyz_m):
+    """Start disputed joints from their guess, and keep what costs less."""
+    num_joints = len(xyz_m)
+    for k in range(num_joints):
+        for axis in range(3):
+            here.xyz_m[axis, k] = xyz_m[k, axis]
+    _measure_cost(views, here, scales_m[-1])
+    for k in range(num_joints):
+        here.kept_cost[k] = here.cost[k]
+        for axis in range(3):
+            here.xyz_m[axis, k] = guess_m[k, axis]
+    for step in (-2, -1, -1):
+        _reweigh(views, here, scales_m[step])
+        _solve(views, here)
+    _measure_cost(views, here, scales_m[-1])
+    for k in range(num_joints):
+        if disputed[k] and here.cost[k] < here.kept_cost[k]:
+            for axis in range(3):
+                xyz_m[k, axis] = here.xyz_m[axis, k]
+
+
+@kernel
+@no_type_check
+def settle_disputes(
+    image_from_world, points_px, weights, min_weight, scales_m, disputed_m, reach, room, xyz_m, disputed
+):
+    """Where views disagree, let the neighbouring frames propose a start; the lower robust cost wins.
+
+    ``triangulation.triangulate_robust`` with a guess, the running median over ``reach`` frames on each side.
+
+    Parameters
+    ----------
+    xyz_m, disputed
+        As ``triangulate_alone`` left them; changed, positions where a proposal wins.
+    """
     for frame in range(len(points_px)):
-        if _disputed(room.alone_m, frame, disputed_m, reach, room):
-            _fill_rows(image_from_world, points_px[frame], weights[frame], views)
-            _from_guess(views, here, scales_m, frame, room, xyz_m)
+        for k in range(xyz_m.shape[1]):
+            for axis in range(3):
+                room.before_m[frame % (reach + 1), k, axis] = xyz_m[frame, k, axis]
+        if _neighbours_object(xyz_m, frame, disputed[frame], disputed_m, reach, room):
+            _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, room.views)
+            _from_guess(room.views, room.points[0], scales_m, disputed[frame], room.guess_m, xyz_m[frame])
 
 
 @kernel
@@ -351,7 +402,18 @@ def _add_errors(here, view, p, m, d):
 @kernel
 @no_type_check
 def reprojection_errors(
-    poses, matrices, distortions, xyz_m, points_px, weights, points, views_room, error_px, mean_weight, views
+    poses,
+    matrices,
+    distortions,
+    xyz_m,
+    points_px,
+    weights,
+    min_weight,
+    points,
+    views_room,
+    error_px,
+    mean_weight,
+    views,
 ):
     """Mean reprojection error over the cameras that saw a joint, and how many those are.
 
@@ -367,8 +429,8 @@ def reprojection_errors(
         World coordinates, (frames, joints, 3).
     points_px
         Pixels as seen, (frames, cameras, joints, 2).
-    weights
-        Above 0 where an observation was used, (frames, cameras, joints).
+    weights, min_weight
+        Above 0 and no less than ``min_weight`` where an observation was used, (frames, cameras, joints).
     points, views_room
         Room to work in, zeros (1,) of ``point_dtype`` and of ``view_dtype``.
     error_px
@@ -388,7 +450,7 @@ def reprojection_errors(
         for c in range(weights.shape[1]):
             for k in range(weights.shape[2]):
                 view.px[0, k], view.px[1, k] = points_px[frame, c, k, 0], points_px[frame, c, k, 1]
-                view.weight[k] = weights[frame, c, k]
+                view.weight[k] = weights[frame, c, k] if weights[frame, c, k] >= min_weight else 0.0
             _add_errors(here, view, poses[c], matrices[c], distortions[c])
         for k in range(weights.shape[2]):
             seen = here.views[k]

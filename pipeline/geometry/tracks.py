@@ -8,7 +8,14 @@ from jaxtyping import Float, Int
 from pipeline.compiled import round_up
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
-from pipeline.geometry.kernels import make_room, point_dtype, reprojection_errors, triangulate_over_time, view_dtype
+from pipeline.geometry.kernels import (
+    make_room,
+    point_dtype,
+    reprojection_errors,
+    settle_disputes,
+    triangulate_alone,
+    view_dtype,
+)
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 
 # Frames on each side whose median says where a joint should be.
@@ -19,6 +26,7 @@ def triangulate_frames(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     points_px: Float[np.ndarray, "frames cameras joints 2"],
     weights: Float[np.ndarray, "frames cameras joints"],
+    min_weight: float = 0.0,
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Triangulate consecutive frames so that a wrong observation in one view does not pull the point.
 
@@ -29,16 +37,20 @@ def triangulate_frames(
     points_px
         Undistorted pixels, NaN where a camera does not see the point.
     weights
-        Factor of a view's rows; 0 leaves it out.
+        Factor of a view's rows.
+    min_weight
+        Less than this, or 0, leaves a view out.
 
     Returns
     -------
         World coordinates in metres, NaN where fewer than two cameras see the point.
     """
     num_frames, num_cameras, num_joints = weights.shape
-    room = make_room((num_frames, num_cameras, num_joints), _REACH)
-    xyz_m = np.empty((num_frames, num_joints, 3))
-    triangulate_over_time(image_from_world, points_px, weights, np.array(SCALES_M), DISPUTED_M, _REACH, room, xyz_m)
+    room = make_room(num_cameras, num_joints, _REACH)
+    seen, scales_m = (image_from_world, points_px, weights, min_weight), np.array(SCALES_M)
+    xyz_m, disputed = np.empty((num_frames, num_joints, 3)), np.empty((num_frames, num_joints), bool)
+    triangulate_alone(*seen, scales_m, DISPUTED_M, room, xyz_m, disputed)
+    settle_disputes(*seen, scales_m, DISPUTED_M, _REACH, room, xyz_m, disputed)
     return xyz_m
 
 
@@ -47,6 +59,7 @@ def reproject(
     xyz_m: Float[np.ndarray, "frames joints 3"],
     points_px: Float[np.ndarray, "frames cameras joints 2"],
     weights: Float[np.ndarray, "frames cameras joints"],
+    min_weight: float = 0.0,
 ) -> tuple[Float[np.ndarray, "frames joints"], Float[np.ndarray, "frames joints"], Int[np.ndarray, "frames joints"]]:
     """Compare points with the observations behind them.
 
@@ -55,7 +68,9 @@ def reproject(
     points_px
         Pixels as seen.
     weights
-        Above 0 where an observation was used.
+        How much an observation counted.
+    min_weight
+        One that counted less, or 0, was not used.
 
     Returns
     -------
@@ -73,6 +88,7 @@ def reproject(
         xyz_m,
         points_px,
         weights,
+        min_weight,
         np.zeros(1, point_dtype(lanes)),
         np.zeros(1, view_dtype(lanes)),
         error_px,

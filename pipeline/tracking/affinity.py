@@ -26,7 +26,9 @@ def predict(
 
 
 def ray_distance_m(
-    points_m: Float[np.ndarray, "*batch 3"], center_m: Float[np.ndarray, " 3"], rays: Float[np.ndarray, "*batch 3"]
+    points_m: Float[np.ndarray, "*#batch 3"],
+    center_m: Float[np.ndarray, "*#batch 3"],
+    rays: Float[np.ndarray, "*batch 3"],
 ) -> Float[np.ndarray, "*batch"]:
     """Distance d of points to the rays from a camera centre (eq. 4); infinite behind the camera, NaN for NaN."""
     offset_m = points_m - center_m

@@ -89,7 +89,8 @@ def _locate(
 ) -> People:
     found = []
     for rows in people(bodies, identity):
-        located = locate(cameras, observations_at(timebase, bodies, rows, len(cameras), parameters), timebase)
+        sampled = observations_at(timebase, bodies, rows, len(cameras), parameters)
+        located = locate(cameras, sampled, timebase, parameters.min_score)
         if located is not None:
             found.append(located)
     found.sort(key=lambda pair: pair[0].start_frame)

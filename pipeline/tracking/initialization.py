@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera
-from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.tracking.affinity import epipolar_affinity, ray_distance_m
 from pipeline.tracking.assignment import partition
 from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.state import Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +33,7 @@ def group_unmatched(
     unmatched
         Undistorted detections.
     fundamentals
-        ``fundamentals[left, right]`` as of ``geometry.epipolar.fundamental_matrix``.
+        ``fundamentals[left, right]`` as of ``geometry.epipolar.fundamental_matrices``.
     alpha_px
         Threshold of the epipolar distance.
     """
@@ -54,16 +53,14 @@ def group_unmatched(
     return [[unmatched[i] for i in part] for part in partition(affinities, cameras)]
 
 
-def spread_m(cameras: Sequence[Camera], group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
+def spread_m(rig: Rig, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
     """Median distance of a group's joints to the rays that made them; infinite if there is none."""
-    distances_m = np.array(
-        [
-            ray_distance_m(
-                xyz_m, center_in_world(cameras[one.camera]), rays_in_world(cameras[one.camera], one.points_px)
-            )
-            for one in group
-        ]
-    )
+    cameras = [one.camera for one in group]
+    points_px = np.array([one.points_px for one in group])
+    homogeneous = np.concatenate([points_px, np.ones_like(points_px[..., :1])], axis=-1)
+    rays = homogeneous @ rig.world_ray_from_image[cameras].swapaxes(-1, -2)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    distances_m = ray_distance_m(xyz_m, rig.center_m[cameras][:, None], rays)
     known = distances_m[np.isfinite(distances_m)]
     return float(np.median(known)) if known.size else np.inf
 

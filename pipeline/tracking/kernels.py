@@ -148,6 +148,9 @@ def move(targets, slot, time_s, limits, earned):
         trace = a + d + f
         solvable = (target.views[k] >= 2) & (determinant > _MIN_DETERMINANT * trace * trace * trace)
         over = 1.0 / determinant
+        # Read here, and not only where they are needed: that would take masked stores below, which are slow.
+        before_x, before_y, before_z = target.xyz_m[0, k], target.xyz_m[1, k], target.xyz_m[2, k]
+        before_s = target.updated_s[k]
         x_m, y_m, z_m = (
             (aa * x + ab * y + ac * z) * over,
             (ab * x + bb * y + bc * z) * over,
@@ -156,10 +159,10 @@ def move(targets, slot, time_s, limits, earned):
         target.recent_m[newest, 0, k] = x_m if solvable else np.nan
         target.recent_m[newest, 1, k] = y_m if solvable else np.nan
         target.recent_m[newest, 2, k] = z_m if solvable else np.nan
-        target.xyz_m[0, k] = x_m if solvable else target.xyz_m[0, k]
-        target.xyz_m[1, k] = y_m if solvable else target.xyz_m[1, k]
-        target.xyz_m[2, k] = z_m if solvable else target.xyz_m[2, k]
-        target.updated_s[k] = time_s if solvable else target.updated_s[k]
+        target.xyz_m[0, k] = x_m if solvable else before_x
+        target.xyz_m[1, k] = y_m if solvable else before_y
+        target.xyz_m[2, k] = z_m if solvable else before_z
+        target.updated_s[k] = time_s if solvable else before_s
         num_found += 1.0 if solvable else 0.0
     if num_found > 0:
         target.moved_s = time_s
@@ -418,18 +421,17 @@ def prepare(targets, frames, first, num_detections, world_ray_from_image):
     for number in range(num_detections):
         body = targets.bodies[number]
         for k in range(frames.score.shape[1]):
-            body.points_px[0, k] = frames.points_px[first + number, k, 0]
-            body.points_px[1, k] = frames.points_px[first + number, k, 1]
-            body.score[k] = frames.score[first + number, k]
-        for k in range(body.score.shape[0]):
+            u, v = frames.points_px[first + number, k, 0], frames.points_px[first + number, k, 1]
+            score = frames.score[first + number, k]
             # What is not used must not spoil sums with NaN.
-            u = body.points_px[0, k] if body.score[k] > 0 else 0.0
-            v = body.points_px[1, k] if body.score[k] > 0 else 0.0
+            body.points_px[0, k] = u if score > 0 else 0.0
+            body.points_px[1, k] = v if score > 0 else 0.0
+            body.score[k] = score
+        for k in range(body.score.shape[0]):
+            u, v = body.points_px[0, k], body.points_px[1, k]
             x, y = m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2]
             z = m[2, 0] * u + m[2, 1] * v + m[2, 2]
             over = 1.0 / np.sqrt(x * x + y * y + z * z)
-            body.points_px[0, k] = u
-            body.points_px[1, k] = v
             body.rays[0, k] = x * over
             body.rays[1, k] = y * over
             body.rays[2, k] = z * over

@@ -1,31 +1,52 @@
-"""What each camera saw at the output instants, as compiled loops."""
+"""What each camera saw at the output instants, and the gaps between, as compiled loops."""
 
 from typing import no_type_check
 
 import numpy as np
 
 from pipeline.compiled import kernel
+from pipeline.data import Source
+
+_ABSENT, _MEASURED, _INTERPOLATED = int(Source.ABSENT), int(Source.MEASURED), int(Source.INTERPOLATED)
 
 
 @kernel
 @no_type_check
-def _copy_observation(bodies, row, decay, min_score, seen_px, ideal_px, score, used):
+def choose_scores(seen_px, score, min_score, found, used):
+    """Split scores into those of joints that were found at all, and of joints to use; 0 for the others.
+
+    Parameters
+    ----------
+    seen_px, score
+        (detections, joints[, 2]); NaN where a joint was not found.
+    found, used
+        Get the scores, (detections, joints).
+    """
+    for row in range(score.shape[0]):
+        for k in range(score.shape[1]):
+            is_found = abs(seen_px[row, k, 0] + seen_px[row, k, 1]) < np.inf
+            found[row, k] = score[row, k] if is_found else 0.0
+            used[row, k] = found[row, k] if found[row, k] >= min_score else 0.0
+
+
+@kernel
+@no_type_check
+def _copy(bodies, row, is_distorted, decay, seen_px, ideal_px, score):
     """What a camera saw in one frame; loops of few arrays each, so that they work on several numbers at a time."""
-    for k in range(seen_px.shape[0]):
+    for k in range(score.shape[0]):
         seen_px[k, 0] = bodies.seen_px[row, k, 0]
         seen_px[k, 1] = bodies.seen_px[row, k, 1]
-    for k in range(seen_px.shape[0]):
-        ideal_px[k, 0] = bodies.ideal_px[row, k, 0]
-        ideal_px[k, 1] = bodies.ideal_px[row, k, 1]
+    if is_distorted:
+        for k in range(score.shape[0]):
+            ideal_px[k, 0] = bodies.ideal_px[row, k, 0]
+            ideal_px[k, 1] = bodies.ideal_px[row, k, 1]
     for k in range(score.shape[0]):
         score[k] = bodies.score[row, k] * decay
-    for k in range(score.shape[0]):
-        used[k] = score[k] if score[k] >= min_score else 0.0
 
 
 @kernel
 @no_type_check
-def _blend_observation(bodies, left, right, share, decay, min_score, seen_px, ideal_px, score, used):
+def _blend(bodies, left, right, is_distorted, share, decay, seen_px, ideal_px, score):
     """Between two frames of a camera, where both show a joint."""
     for k in range(score.shape[0]):
         value = min(bodies.score[left, k], bodies.score[right, k]) * decay
@@ -33,16 +54,24 @@ def _blend_observation(bodies, left, right, share, decay, min_score, seen_px, id
             for axis in range(2):
                 one, two = bodies.seen_px[left, k, axis], bodies.seen_px[right, k, axis]
                 seen_px[k, axis] = (1 - share) * one + share * two
-                one, two = bodies.ideal_px[left, k, axis], bodies.ideal_px[right, k, axis]
-                ideal_px[k, axis] = (1 - share) * one + share * two
+                if is_distorted:
+                    one, two = bodies.ideal_px[left, k, axis], bodies.ideal_px[right, k, axis]
+                    ideal_px[k, axis] = (1 - share) * one + share * two
             score[k] = value
-            used[k] = value if value >= min_score else 0.0
 
 
 @kernel
 @no_type_check
-def sample_observations(rows, bodies, instants_s, half_s, lambda_t_hz, min_score, seen_px, ideal_px, score, used):
-    """Fill in what each camera saw of a person at the output instants; see ``observations.observations_at``.
+def _clear(seen_px, ideal_px, score):
+    seen_px[:] = np.nan
+    ideal_px[:] = np.nan
+    score[:] = 0.0
+
+
+@kernel
+@no_type_check
+def sample_observations(rows, bodies, is_distorted, instants_s, half_s, lambda_t_hz, seen_px, ideal_px, score):
+    """Find out what each camera saw of a person at the output instants; see ``observations.observations_at``.
 
     Parameters
     ----------
@@ -50,17 +79,22 @@ def sample_observations(rows, bodies, instants_s, half_s, lambda_t_hz, min_score
         The person's detections, ascending, at most one a camera and frame.
     bodies
         ``observations.Bodies``.
-    seen_px, ideal_px, score, used
-        Filled in where there is an observation, (frames, cameras, joints[, 2]).
+    is_distorted
+        Whether ``ideal_px`` is another array than ``seen_px``.
+    seen_px, ideal_px, score
+        Get the observations, (frames, cameras, joints[, 2]); NaN and 0 where there are none.
     """
     start = 0
-    while start < len(rows):
-        camera = bodies.camera[rows[start]]
+    for camera in range(score.shape[1]):
         stop = start
         while stop < len(rows) and bodies.camera[rows[stop]] == camera:
             stop += 1
         after = start
         for frame in range(len(instants_s)):
+            ours = seen_px[frame, camera], ideal_px[frame, camera], score[frame, camera]
+            if start == stop:
+                _clear(*ours)
+                continue
             time_s = instants_s[frame]
             while after < stop and bodies.time_s[rows[after]] < time_s:
                 after += 1
@@ -70,10 +104,41 @@ def sample_observations(rows, bodies, instants_s, half_s, lambda_t_hz, min_score
             to_left_s, to_right_s = abs(time_s - bodies.time_s[left]), abs(bodies.time_s[right] - time_s)
             nearest, gap_s = (left, to_left_s) if to_left_s <= to_right_s else (right, to_right_s)
             decay = np.exp(-lambda_t_hz * gap_s) if gap_s > 0 else 1.0
-            ours = seen_px[frame, camera], ideal_px[frame, camera], score[frame, camera], used[frame, camera]
             if gap_s <= half_s:
-                _copy_observation(bodies, nearest, decay, min_score, *ours)
+                _copy(bodies, nearest, is_distorted, decay, *ours)
+            else:
+                _clear(*ours)
             if bodies.frame[right] - bodies.frame[left] == 1 and gap_s > 1e-3 * half_s:
                 share = to_left_s / (to_left_s + to_right_s)
-                _blend_observation(bodies, left, right, share, decay, min_score, *ours)
+                _blend(bodies, left, right, is_distorted, share, decay, *ours)
         start = stop
+
+
+@kernel
+@no_type_check
+def fill_gaps(xyz_m, max_gap, last_known, source):
+    """Interpolate linearly, in place, over gaps of at most ``max_gap`` frames between two known positions.
+
+    Parameters
+    ----------
+    xyz_m
+        World coordinates, (frames, joints, 3), NaN where a joint is not known; changed.
+    last_known
+        Room to work in, (joints,) of -1.
+    source
+        Gets how each joint is known, (frames, joints) of ``data.Source``.
+    """
+    for frame in range(xyz_m.shape[0]):
+        for k in range(xyz_m.shape[1]):
+            if xyz_m[frame, k, 0] != xyz_m[frame, k, 0]:
+                source[frame, k] = _ABSENT
+                continue
+            source[frame, k] = _MEASURED
+            left = last_known[k]
+            if left >= 0 and 1 < frame - left <= max_gap + 1:
+                for missed in range(left + 1, frame):
+                    share = (missed - left) / (frame - left)
+                    source[missed, k] = _INTERPOLATED
+                    for axis in range(3):
+                        xyz_m[missed, k, axis] = (1 - share) * xyz_m[left, k, axis] + share * xyz_m[frame, k, axis]
+            last_known[k] = frame

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.tracking.observation_kernels import sample_observations
+from pipeline.tracking.observation_kernels import choose_scores, sample_observations
 from pipeline.tracking.parameters import TrackingParameters
 
 NOBODY = -1
@@ -49,8 +49,8 @@ def gather(
     ordered = [detections[camera.name] for camera in cameras]
     seen_px = np.concatenate([one.keypoints_px for one in ordered])
     score = np.concatenate([one.score for one in ordered])
-    # Compares as false with NaN.
-    score = score * (seen_px[..., 0] + seen_px[..., 1] > -np.inf)
+    found, used = np.empty_like(score), np.empty_like(score)
+    choose_scores(seen_px, score, min_score, found, used)
     ideal_px = seen_px
     if any(np.any(camera.distortion) for camera in cameras):
         ideal_px = np.concatenate(
@@ -62,8 +62,8 @@ def gather(
         time_s=np.concatenate([times[one.camera].time_s[one.frame] for one in ordered]),
         seen_px=seen_px,
         ideal_px=ideal_px,
-        score=score,
-        used=score * (score >= min_score),
+        score=found,
+        used=used,
     )
 
 
@@ -92,8 +92,8 @@ class Sampled(NamedTuple):
     start_frame
         Output frame of the first row.
     seen_px, ideal_px
-        (frames, cameras, joints, 2), NaN where a camera has no observation.
-    score, used
+        (frames, cameras, joints, 2), NaN where a camera has no observation; one array if no camera distorts.
+    score
         (frames, cameras, joints), 0 where there is none.
     """
 
@@ -101,7 +101,6 @@ class Sampled(NamedTuple):
     seen_px: np.ndarray
     ideal_px: np.ndarray
     score: np.ndarray
-    used: np.ndarray
 
 
 def observations_at(
@@ -121,16 +120,16 @@ def observations_at(
     half_s = 0.5 / timebase.frame_rate_hz
     instants_s = _instants_s(timebase, bodies.time_s[rows], half_s)
     shape = (len(instants_s), num_cameras, bodies.score.shape[1])
-    seen_px = np.full((*shape, 2), np.nan)
-    ideal_px = seen_px if bodies.ideal_px is bodies.seen_px else np.full((*shape, 2), np.nan)
-    score, used = np.zeros(shape), np.zeros(shape)
+    is_distorted = bodies.ideal_px is not bodies.seen_px
+    seen_px, score = np.empty((*shape, 2)), np.empty(shape)
+    ideal_px = np.empty_like(seen_px) if is_distorted else seen_px
     sample_observations(
-        rows, bodies, instants_s, half_s, parameters.lambda_t_hz, parameters.min_score, seen_px, ideal_px, score, used
+        rows, bodies, is_distorted, instants_s, half_s, parameters.lambda_t_hz, seen_px, ideal_px, score
     )
     start_frame = (
         round(float((instants_s[0] - timebase.start_time_s) * timebase.frame_rate_hz)) if len(instants_s) else 0
     )
-    return Sampled(start_frame, seen_px, ideal_px, score, used)
+    return Sampled(start_frame, seen_px, ideal_px, score)
 
 
 def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:

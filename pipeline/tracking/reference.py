@@ -238,7 +238,7 @@ class Tracker:
                 np.array([one.points_px for one in group]),
                 np.array([one.score for one in group]),
             )
-            if not is_body(xyz_m, spread_m(self._cameras, group, xyz_m), self._parameters):
+            if not is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
                 continue
             target = Target.empty(self._num_born, len(self._cameras), len(xyz_m))
             self._num_born += 1

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.data import Camera, FrameTimes
 from pipeline.geometry.camera import center_in_world, image_from_world
-from pipeline.geometry.epipolar import fundamental_matrix
+from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.tracking import kernels
 from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body, spread_m
@@ -25,9 +25,7 @@ def make_rig(cameras: Sequence[Camera]) -> Rig:
         image_from_world=projections,
         world_ray_from_image=np.linalg.inv(projections[:, :, :3]),
         center_m=np.array([center_in_world(camera) for camera in cameras]),
-        fundamental=np.array(
-            [[np.full((3, 3), np.nan) if a is b else fundamental_matrix(a, b) for b in cameras] for a in cameras]
-        ),
+        fundamental=fundamental_matrices(cameras),
     )
 
 
@@ -138,7 +136,7 @@ class Tracker:
         for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
             group.sort(key=lambda one: one.time_s)
             xyz_m = self._locate(group)
-            if is_body(xyz_m, spread_m(self._cameras, group, xyz_m), self._parameters):
+            if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
                 self._add_target(group, xyz_m, time_s)
 
     def _points_px(self, row: int) -> Float[np.ndarray, "joints 2"]:

@@ -22,11 +22,12 @@ def warm_up() -> None:
 def _track_somebody(num_joints: int) -> None:
     body_m = np.random.default_rng(0).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
     cameras = [_camera(number) for number in range(3)]
+    points_px = {camera.name: np.repeat(project(camera, body_m)[None], _NUM_FRAMES, axis=0) for camera in cameras}
     detections = {
         camera.name: Detections(
             camera=camera.name,
             frame=np.arange(_NUM_FRAMES),
-            keypoints_px=read_only(np.repeat(project(camera, body_m)[None], _NUM_FRAMES, axis=0)),
+            keypoints_px=read_only(points_px[camera.name]),
             score=read_only(np.ones((_NUM_FRAMES, num_joints))),
             box_px=np.zeros((_NUM_FRAMES, 4)),
         )

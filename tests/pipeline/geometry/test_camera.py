@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data import Camera
 from pipeline.geometry.camera import center_in_world, image_from_world, project, rays_in_world
-from pipeline.geometry.epipolar import distance_to_line_px, epipolar_distance_px, fundamental_matrix
+from pipeline.geometry.epipolar import distance_to_line_px, epipolar_distance_px, fundamental_matrices
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 
@@ -73,7 +73,7 @@ def test_epipolar_lines_contain_the_other_views_points(
     pose = Rigid3(Rotation.from_rotvec(turn).as_matrix(), np.array(shift) + np.array([1.5, 0.0, 4.0]))
     right = Camera("b", left.size_px, left.matrix, left.distortion, pose)
     seen_left, seen_right = project(left, points(4)), project(right, points(4))
-    fundamental = fundamental_matrix(left, right)
+    fundamental = fundamental_matrices([left, right])[0, 1]
     np.testing.assert_allclose(epipolar_distance_px(fundamental, seen_left, seen_right), 0.0, atol=1e-6)
 
 
@@ -82,7 +82,9 @@ def test_epipolar_distance_is_the_mean_of_both_images() -> None:
     left = camera([], turn=(0.0, 0.0, 0.0))
     right = Camera("b", left.size_px, left.matrix, left.distortion, Rigid3(np.eye(3), np.array([-0.8, -0.1, 4.0])))
     seen_left, seen_right = np.array([[600.0, 300.0]]), np.array([[400.0, 312.0]])
-    np.testing.assert_allclose(epipolar_distance_px(fundamental_matrix(left, right), seen_left, seen_right), 12.0)
+    np.testing.assert_allclose(
+        epipolar_distance_px(fundamental_matrices([left, right])[0, 1], seen_left, seen_right), 12.0
+    )
 
 
 def test_distance_to_a_line() -> None:
