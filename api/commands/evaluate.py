@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from api.commands.options import MethodOption, known_method
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError, Problem
@@ -34,13 +35,14 @@ def _group() -> None:
 def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
+    method: MethodOption = "tracking",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
-        reconstruction = reconstruct(session, ReconstructionConfig(detector=detector), bars.update)
+        reconstruction = reconstruct(session, ReconstructionConfig(known_method(method), detector), bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
     if as_json:
         emit(scores)
@@ -54,6 +56,7 @@ def rendered(
 @app.command()
 def shelf(
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
+    method: MethodOption = "tracking",
     detections: Annotated[Path | None, typer.Option(help="Other 2D keypoints of the same images.")] = None,
     every: Annotated[int, typer.Option(min=1, max=10, help="Keep every n-th image, a phase a camera.")] = 1,
     ablation: Annotated[bool, typer.Option(help="Also what the method's parts are worth; half a minute.")] = False,
@@ -61,6 +64,7 @@ def shelf(
 ) -> None:
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
+        checked_method = known_method(method)
         whole = load_shelf(data, detections)
         benchmark, kept = thin(whole, every)
         parameters = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
@@ -71,7 +75,7 @@ def shelf(
         tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
         elapsed_s = time.perf_counter() - started_s
         result = {
-            "method": "tracking",
+            "method": checked_method,
             **score_shelf(tracks, benchmark),
             "association_accuracy": association_accuracy(identities, kept)["all"],
             **score_tracking(tracks, benchmark),
@@ -132,12 +136,14 @@ def _print_ablation(ablation: dict[str, Any]) -> None:
 def simulated(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
+    method: MethodOption = "tracking",
     views: Annotated[str | None, typer.Option(help="Numbers of cameras, such as 4,8; all by default.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Simulated people with exact truth, from what a faulty detector sees of them."""
     by_views = {}
     with reporting(as_json):
+        checked_method = known_method(method)
         for num_views in _numbers(views):
             simulation = simulate(scene, seed, num_views)
             parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
@@ -149,7 +155,7 @@ def simulated(
             fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
             by_views[len(simulation.cameras)] = score_simulated(tracks, simulation) | {"fps": fps}
     if as_json:
-        emit({"scene": scene, "seed": seed, "method": "tracking", "by_views": by_views})
+        emit({"scene": scene, "seed": seed, "method": checked_method, "by_views": by_views})
         return
     table = Table("measure", *(f"{num_views} cameras" for num_views in by_views))
     for name in next(iter(by_views.values())):

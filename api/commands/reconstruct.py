@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from api.commands.options import MethodOption, known_method
 from api.console import StageBars, console, emit, reporting
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
@@ -116,7 +117,7 @@ def command(
         float | None,
         typer.Option(help="Of the keypoints' frames, in Hz, without timestamps; 25 by default."),
     ] = None,
-    method: Annotated[str, typer.Option(help="How detections become tracks: tracking.")] = "tracking",
+    method: MethodOption = "tracking",
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
     tracking: Annotated[
         list[str] | None,
@@ -133,8 +134,7 @@ def command(
     """Reconstruct everybody in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        if method != "tracking":
-            raise InputError([Problem("unknown_method", f"There is no method '{method}'.", hint="Use 'tracking'.")])
+        checked_method = known_method(method)
         _check_sources(videos, keypoints, timestamps, frame_rate)
         parameters = _tracking_parameters(tracking or [])
         session: Views
@@ -149,7 +149,7 @@ def command(
             reconstruction = reconstruct_keypoints(session, parameters, bars.update)
         else:
             config = ReconstructionConfig(
-                method="tracking",
+                method=checked_method,
                 detector=detector,
                 tracking=parameters,
                 chunk_frames=chunk_frames,
