@@ -1,15 +1,18 @@
-"""New targets from detections that no target explains (Chen et al. 2020, supplement, eq. 12-16)."""
+"""Targets from detections that no target explains: new ones (Chen et al. 2020, supplement, eq. 12-16), or lost ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.tracking.affinity import epipolar_affinity, ray_distance_m
-from pipeline.tracking.assignment import partition
+from pipeline.tracking.assignment import assign, partition
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.state import Rig
+
+_MIN_SHARED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,3 +79,42 @@ def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: T
         return False
     extent_m = np.ptp(xyz_m[known], axis=0).max()
     return bool(0.25 < extent_m < 2.6)
+
+
+class Lost(NamedTuple):
+    """Confirmed targets that nobody sees.
+
+    Parameters
+    ----------
+    xyz_m, velocity_m_s
+        As they were last, (targets, joints, 3); NaN where a joint was never located.
+    gap_s
+        For how long they have not been seen, (targets,).
+    """
+
+    xyz_m: np.ndarray
+    velocity_m_s: np.ndarray
+    gap_s: np.ndarray
+
+
+def find_returning(
+    found_m: Sequence[Float[np.ndarray, "joints 3"]], lost: Lost, parameters: TrackingParameters
+) -> dict[int, int]:
+    """Find out who of those that appear was lost before: body by body the lost target that it is.
+
+    Who is hidden may go on as before, or stop on the way: so the middle of the body is somewhere between where it was
+    and where its velocity leads to, give or take ``duplicate_m`` and ``max_detour_m_s``. Nearest ones first, as a whole
+    (Hungarian algorithm).
+    """
+    if not len(found_m) or not len(lost.gap_s):
+        return {}
+    apart_m = np.array(found_m)[:, None] - lost.xyz_m[None]
+    shared = np.isfinite(apart_m[..., 0])
+    count = np.maximum(shared.sum(-1), 1)[..., None]
+    apart_m = np.where(shared[..., None], apart_m, 0.0).sum(-2) / count
+    velocity_m_s = np.where(shared[..., None], lost.velocity_m_s, 0.0).sum(-2) / count
+    speed2 = (velocity_m_s**2).sum(-1)
+    along_s = np.clip((apart_m * velocity_m_s).sum(-1) / np.where(speed2 > 0, speed2, 1.0), 0.0, lost.gap_s)
+    detour_m = np.linalg.norm(apart_m - along_s[..., None] * velocity_m_s, axis=-1)
+    affinities = 1 - detour_m / (parameters.duplicate_m + parameters.max_detour_m_s * lost.gap_s)
+    return dict(assign(np.where(shared.sum(-1) >= _MIN_SHARED, affinities, -np.inf)))

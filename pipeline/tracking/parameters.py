@@ -49,6 +49,9 @@ class TrackingParameters:
         A confirmed or tentative target ends when two cameras have not seen it for so long.
     max_extrapolation_s
         Predictions (eq. 5) stand still after so long.
+    max_detour_m_s
+        How fast somebody whom nobody sees may leave the way that he was on, and still be the same person on return:
+        as people walk (preferred speed, Bohannon 1997).
     duplicate_m
         Two targets whose joints are on average closer than this are one person.
     """
@@ -67,6 +70,7 @@ class TrackingParameters:
     max_unseen_s: float = 2.0
     max_unseen_tentative_s: float = 0.2
     max_extrapolation_s: float = 0.25
+    max_detour_m_s: float = 1.4
     duplicate_m: float = 0.2
 
 

@@ -16,7 +16,7 @@ from pipeline.geometry.camera import rays_in_world
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.assignment import assign
-from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body, spread_m
+from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.observations import NOBODY
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.state import NUM_RECENT, Frames, Rig
@@ -230,6 +230,7 @@ class Tracker:
     def _start_targets(self, time_s: float) -> None:
         """New targets from what is unmatched in every camera's most recent frame."""
         pool = [one for view in self._unmatched for one in view if time_s - one.time_s < self._parameters.instant_s]
+        bodies = []
         for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
             group.sort(key=lambda one: one.time_s)
             views = [one.camera for one in group]
@@ -238,16 +239,42 @@ class Tracker:
                 np.array([one.points_px for one in group]),
                 np.array([one.score for one in group]),
             )
-            if not is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
-                continue
-            target = Target.empty(self._num_born, len(self._cameras), len(xyz_m))
-            self._num_born += 1
+            if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
+                bodies.append((group, xyz_m))
+        lost = [target for target in self.targets if self._is_lost(target, time_s)]
+        returning = find_returning(
+            [xyz_m for _, xyz_m in bodies],
+            Lost(
+                np.array([target.xyz_m for target in lost]),
+                np.array([target.velocity_m_s for target in lost]),
+                np.array([time_s - target.moved_s for target in lost]),
+            ),
+            self._parameters,
+        )
+        for number, (group, xyz_m) in enumerate(bodies):
+            target = self._resume(lost[returning[number]]) if number in returning else self._new_target()
             for one in group:
                 target.observe(one, xyz_m, self._rig.image_from_world, self._parameters)
                 self._identity[one.row] = target.target_id
                 self._unmatched[one.camera].remove(one)
             self._move(target, time_s)
-            self.targets.append(target)
+
+    def _is_lost(self, target: Target, time_s: float) -> bool:
+        unseen_s = time_s - target.matched_s.max()
+        return bool(target.confirmed and unseen_s > self._parameters.velocity_window_s)
+
+    def _new_target(self) -> Target:
+        target = Target.empty(self._num_born, len(self._cameras), self._frames.score.shape[1])
+        self._num_born += 1
+        self.targets.append(target)
+        return target
+
+    def _resume(self, lost: Target) -> Target:
+        """Let a lost target begin anew, with the past that it earned."""
+        target = Target.empty(lost.target_id, len(self._cameras), self._frames.score.shape[1])
+        target.num_supported, target.confirmed = lost.num_supported, True
+        self.targets[self.targets.index(lost)] = target
+        return target
 
     def _bury(self, time_s: float) -> None:
         """End targets that two cameras have not seen for long."""

@@ -10,7 +10,7 @@ from pipeline.geometry.camera import center_in_world, image_from_world
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.tracking import kernels
-from pipeline.tracking.initialization import Unmatched, group_unmatched, is_body, spread_m
+from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
@@ -133,11 +133,30 @@ class Tracker:
             if time_s - self._pool.time_s[camera] < self._parameters.instant_s
             for row in self._pool.rows[camera, : self._pool.num_rows[camera]].tolist()
         ]
+        bodies = []
         for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
             group.sort(key=lambda one: one.time_s)
             xyz_m = self._locate(group)
             if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
-                self._add_target(group, xyz_m, time_s)
+                bodies.append((group, xyz_m))
+        slots = self._lost_slots(time_s)
+        returning = find_returning([xyz_m for _, xyz_m in bodies], self._lost(slots, time_s), self._parameters)
+        for number, (group, xyz_m) in enumerate(bodies):
+            slot = self._resume(int(slots[returning[number]])) if number in returning else self._new_slot()
+            self._place(slot, group, xyz_m, time_s)
+
+    def _lost_slots(self, time_s: float) -> Int[np.ndarray, " lost"]:
+        alive = self._targets.order[: self._targets.alive[0]]
+        unseen_s = time_s - self._targets.matched_s[alive].max(-1)
+        return alive[self._targets.state["confirmed"][alive] & (unseen_s > self._parameters.velocity_window_s)]
+
+    def _lost(self, slots: Int[np.ndarray, " lost"], time_s: float) -> Lost:
+        state, num_joints = self._targets.state[slots], self._frames.score.shape[1]
+        return Lost(
+            state["xyz_m"][..., :num_joints].swapaxes(-1, -2),
+            state["velocity_m_s"][..., :num_joints].swapaxes(-1, -2),
+            time_s - state["moved_s"],
+        )
 
     def _points_px(self, row: int) -> Float[np.ndarray, "joints 2"]:
         """Joints in use of a detection, NaN elsewhere."""
@@ -150,20 +169,34 @@ class Tracker:
             np.array([[one.score for one in group]]),
         )[0]
 
-    def _add_target(self, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"], time_s: float) -> None:
+    def _resume(self, slot: int) -> int:
+        """Let a lost target begin anew, with the past that it earned."""
+        state = self._targets.state
+        target_id, num_supported = int(state["target_id"][slot]), int(state["num_supported"][slot])
+        kernels.clear(self._targets, slot, target_id)
+        state["num_supported"][slot], state["confirmed"][slot] = num_supported, True
+        return slot
+
+    def _new_slot(self) -> int:
         self._make_room()
-        targets, alive = self._targets, self._targets.alive[0]
-        slot = targets.order[alive]
-        targets.alive[0] = alive + 1
-        kernels.clear(targets, slot, self._num_born)
+        slot = int(self._targets.order[self._targets.alive[0]])
+        self._targets.alive[0] += 1
+        kernels.clear(self._targets, slot, self._num_born)
+        self._num_born += 1
+        return slot
+
+    def _place(
+        self, slot: int, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"], time_s: float
+    ) -> None:
+        """Give a cleared target its first detections."""
+        targets = self._targets
         targets.state["expected_m"][slot, :, : len(xyz_m)] = xyz_m.T
         for one in group:
             kernels.prepare(targets, self._frames, one.row, 1, self._rig.world_ray_from_image[one.camera])
             kernels.observe(targets, slot, one.camera, one.time_s, 0, self._rig.image_from_world, self._limits)
-            self._outcome.identity[one.row] = self._num_born
+            self._outcome.identity[one.row] = targets.state["target_id"][slot]
             self._forget(one)
         kernels.move(targets, slot, time_s, self._limits, self._outcome.earned)
-        self._num_born += 1
 
     def _forget(self, claimed: Unmatched) -> None:
         """Take a detection out of the pool."""

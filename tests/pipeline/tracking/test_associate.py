@@ -120,6 +120,34 @@ def test_identity_survives_an_occlusion_in_all_views(ring: tuple[Camera, ...]) -
     np.testing.assert_allclose(second.xyz_m[40:], people_m[1, 40:], atol=1e-3)
 
 
+def hidden_while_walking(ring: tuple[Camera, ...], person_m: np.ndarray) -> dict[str, Detections]:
+    """Detections of one person whom nobody sees from the 20th frame to the 38th."""
+    detections = {}
+    for camera in ring:
+        seen = detections_of(camera, person_m[None])
+        left = (seen.frame < 20) | (seen.frame >= 38)
+        detections[camera.name] = Detections(
+            camera.name, seen.frame[left], seen.keypoints_px[left], seen.score[left], seen.box_px[left]
+        )
+    return detections
+
+
+def test_identity_survives_a_turn_behind_an_occlusion(ring: tuple[Camera, ...]) -> None:
+    person_m = two_walkers()[0]
+    speed_m = person_m[1] - person_m[0]
+    sideways_m = speed_m[:, [1, 0, 2]]
+    since = np.maximum(np.arange(NUM_FRAMES) - 22, 0)[:, None, None]
+    (track,) = run(ring, hidden_while_walking(ring, person_m + since * (sideways_m - speed_m)))
+    assert (track.start_frame, track.num_frames) == (0, NUM_FRAMES)
+
+
+def test_who_appears_out_of_walking_reach_is_somebody_else(ring: tuple[Camera, ...]) -> None:
+    person_m = two_walkers()[0].copy()
+    person_m[30:, :, 1] -= 2.5
+    tracks = run(ring, hidden_while_walking(ring, person_m))
+    assert [(track.start_frame, track.num_frames) for track in tracks] == [(0, 20), (38, 12)]
+
+
 def test_short_gaps_of_a_joint_are_interpolated_and_marked(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {}
