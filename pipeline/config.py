@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Method = Literal["tracking"]
+Method = Literal["tracking", "clustering"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +14,7 @@ class ReconstructionConfig:
     Parameters
     ----------
     method
-        How detections become tracks.
+        How detections become tracks: cross-view tracking of whole bodies, or clustering of joints.
     detector
         A network of ``pipeline.detect.models``.
     tracking

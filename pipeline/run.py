@@ -10,11 +10,13 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from types import MappingProxyType
 
+from pipeline.clustering.associate import reconstruct_by_clustering
+from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
 from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import Detector, open_detector
-from pipeline.errors import PipelineError
+from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.progress import OnProgress, Progress, silent
@@ -26,6 +28,11 @@ from pipeline.video.timeline import chunk_ranges
 
 Span = tuple[float, float]
 Views = CaptureSession | KeypointSession
+_DEFAULTS = ReconstructionConfig()
+_BY_MEMBERSHIP = (
+    "Clustering took whole bodies for evidence, not part affinity fields: "
+    "two joints are connected where they belong to one detection."
+)
 Chunk = tuple[str, Span]  # of a camera
 
 
@@ -50,7 +57,7 @@ def reconstruct(
     ModelError
         If the detector is not installed.
     """
-    parameters = tracking_parameters(session, config.tracking)
+    _check(session, config)
     detector = open_detector(config.detector)
     cameras = [camera.name for camera in session.cameras]
     chunks = [(camera, span) for span in chunk_ranges(session.timebase, config.chunk_frames) for camera in cameras]
@@ -60,35 +67,39 @@ def reconstruct(
         else _map_in_processes(session, chunks, config, on_progress)
     )
     detections = concatenate(detected, cameras, len(detector.joints.names))
-    return _reconstruct_people(session, detections, detector.joints, parameters, on_progress)
+    return _reconstruct_people(session, detections, detector.joints, config, on_progress)
 
 
 def reconstruct_keypoints(
-    session: KeypointSession, tracking: Mapping[str, float] = MappingProxyType({}), on_progress: OnProgress = silent
+    session: KeypointSession, config: ReconstructionConfig = _DEFAULTS, on_progress: OnProgress = silent
 ) -> Reconstruction:
     """Reconstruct everybody from 2D joints that another program found.
 
     Parameters
     ----------
-    tracking
-        As in ``ReconstructionConfig``.
+    config
+        What to do; there is nothing to detect.
     on_progress
         Called after every step, from the calling thread.
+
+    Raises
+    ------
+    InputError
+        If there is no such parameter.
     """
-    return _reconstruct_people(
-        session, session.detections, session.joints, tracking_parameters(session, tracking), on_progress
-    )
+    _check(session, config)
+    return _reconstruct_people(session, session.detections, session.joints, config, on_progress)
 
 
 def _reconstruct_people(
     session: Views,
     detections: Mapping[str, Detections],
     joints: JointSet,
-    parameters: TrackingParameters,
+    config: ReconstructionConfig,
     on_progress: OnProgress,
 ) -> Reconstruction:
     on_progress(Progress("associate", 0, 1))
-    tracks, observations = associate(session, detections, parameters)
+    tracks, observations = associate(session, detections, joints, config)
     on_progress(Progress("associate", 1, 1))
     on_progress(Progress("fit", 0, 1))
     motions = fit(session, tracks, joints)
@@ -100,7 +111,7 @@ def _reconstruct_people(
         tracks=tracks,
         observations=observations,
         motions=motions,
-        warnings=session.warnings,
+        warnings=(*session.warnings, *([_BY_MEMBERSHIP] if config.method == "clustering" else [])),
     )
 
 
@@ -115,11 +126,22 @@ def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingPr
     return change_parameters(derive_parameters(session.cameras, session.timebase.frame_rate_hz), changes)
 
 
+def _check(session: Views, config: ReconstructionConfig) -> None:
+    """Find out what is wrong before the work begins."""
+    tracking_parameters(session, config.tracking)
+    if config.tracking and config.method != "tracking":
+        problem = f"Parameters of the tracker are of no use to the method '{config.method}'."
+        raise InputError([Problem("unknown_parameter", problem, hint="Leave them out, or use the method 'tracking'.")])
+
+
 def associate(
-    session: Views, detections: Mapping[str, Detections], parameters: TrackingParameters
+    session: Views, detections: Mapping[str, Detections], joints: JointSet, config: ReconstructionConfig = _DEFAULTS
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order."""
-    return reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
+    views = session.cameras, session.times, detections, session.timebase
+    if config.method == "clustering":
+        return reconstruct_by_clustering(*views, joints, clustering_parameters(session.cameras))
+    return reconstruct_tracks(*views, tracking_parameters(session, config.tracking))
 
 
 def fit(session: Views, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:

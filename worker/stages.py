@@ -26,7 +26,7 @@ from pipeline.records_npz import (
     encode_motions,
     encode_tracks,
 )
-from pipeline.run import Views, associate, fit, tracking_parameters
+from pipeline.run import Views, associate, fit
 from pipeline.session import CaptureSession
 from pipeline.tracking.warm_up import warm_up as warm_up_tracking
 from pipeline.video.timeline import span_s
@@ -106,7 +106,7 @@ def associate_people(work: Work) -> Outcome:
     else:
         chunks = (decode_detections(content) for content in work.outputs(DETECT))
         detections = concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
-    return Outcome(encode_tracks(*associate(session, detections, tracking_parameters(session))))
+    return Outcome(encode_tracks(*associate(session, detections, joints)))
 
 
 def fit_skeletons(work: Work) -> Outcome:

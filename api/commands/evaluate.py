@@ -9,16 +9,21 @@ from rich.table import Table
 
 from api.commands.options import MethodOption, known_method
 from api.console import StageBars, console, emit, reporting
-from pipeline.config import ReconstructionConfig
+from pipeline.clustering.associate import reconstruct_by_clustering
+from pipeline.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.config import Method, ReconstructionConfig
+from pipeline.data import Track3D
 from pipeline.errors import InputError, Problem
+from pipeline.joints import COCO_17
 from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.metrics.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.metrics.datasets.shelf_ablation import ablate
 from pipeline.metrics.datasets.shelf_tracking import association_accuracy, score_tracking
+from pipeline.metrics.quality import bone_length_std_cm
 from pipeline.metrics.simulated import score_simulated
 from pipeline.run import reconstruct
 from pipeline.session import open_session
-from pipeline.simulation.scenes import SCENES, simulate
+from pipeline.simulation.scenes import SCENES, Simulation, simulate
 from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.warm_up import warm_up
@@ -66,19 +71,27 @@ def shelf(
     with reporting(as_json):
         checked_method = known_method(method)
         whole = load_shelf(data, detections)
+        _refuse_ablation(checked_method, ablation)
         benchmark, kept = thin(whole, every)
-        parameters = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
         warm_up()
         started_s = time.perf_counter()
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
-        identities = associate(*views, parameters)
-        tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
+        identities = None
+        if checked_method == "clustering":
+            parameters = clustering_parameters(benchmark.cameras)
+            tracks, _ = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
+        else:
+            limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
+            identities = associate(*views, limits)
+            tracks, _ = locate_people(*views, identities, benchmark.timebase, limits)
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
             **score_shelf(tracks, benchmark),
-            "association_accuracy": association_accuracy(identities, kept)["all"],
+            # Clustering gives joints to people, not detections.
+            "association_accuracy": None if identities is None else association_accuracy(identities, kept)["all"],
             **score_tracking(tracks, benchmark),
+            "bone_std_cm": bone_length_std_cm(tracks, COCO_17),
             "fps": benchmark.timebase.num_frames / elapsed_s,
         }
         if ablation:
@@ -99,9 +112,11 @@ def _print_shelf(result: dict[str, Any]) -> None:
     console.print(table)
     rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
     console.print(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
+    if result["association_accuracy"] is not None:
+        console.print(f"Association accuracy {result['association_accuracy']:.4f}")
     console.print(
-        f"Association accuracy {result['association_accuracy']:.4f}, identity switches {result['switches']}, "
-        f"ghost tracks {result['ghost_tracks']}, {result['fps']:.0f} frames a second"
+        f"Identity switches {result['switches']}, ghost tracks {result['ghost_tracks']}, standard deviation of bone "
+        f"lengths {result['bone_std_cm']:.2f} cm, {result['fps']:.0f} frames a second"
     )
     table = Table("camera", "MOTA", "IDF1", "false positives", "missed")
     for name in result["mota"]:
@@ -146,12 +161,9 @@ def simulated(
         checked_method = known_method(method)
         for num_views in _numbers(views):
             simulation = simulate(scene, seed, num_views)
-            parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
             warm_up()
             started_s = time.perf_counter()
-            tracks, _ = reconstruct_tracks(
-                simulation.cameras, simulation.times, simulation.detections, simulation.timebase, parameters
-            )
+            tracks = _tracks_of(simulation, checked_method)
             fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
             by_views[len(simulation.cameras)] = score_simulated(tracks, simulation) | {"fps": fps}
     if as_json:
@@ -162,6 +174,20 @@ def simulated(
         values = [scores[name] for scores in by_views.values()]
         table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))
     console.print(table)
+
+
+def _tracks_of(simulation: Simulation, method: Method) -> tuple[Track3D, ...]:
+    views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
+    if method == "clustering":
+        parameters = clustering_parameters(simulation.cameras)
+        return reconstruct_by_clustering(*views, simulation.joints, parameters)[0]
+    return reconstruct_tracks(*views, derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz))[0]
+
+
+def _refuse_ablation(method: Method, ablation: bool) -> None:
+    if ablation and method != "tracking":
+        problem = Problem("no_ablation", f"There is no ablation of the method '{method}' here.", hint="Leave it out.")
+        raise InputError([problem])
 
 
 def _numbers(views: str | None) -> list[int | None]:

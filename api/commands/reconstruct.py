@@ -134,9 +134,14 @@ def command(
     """Reconstruct everybody in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        checked_method = known_method(method)
+        config = ReconstructionConfig(
+            method=known_method(method),
+            detector=detector,
+            tracking=_tracking_parameters(tracking or []),
+            chunk_frames=chunk_frames,
+            processes=processes,
+        )
         _check_sources(videos, keypoints, timestamps, frame_rate)
-        parameters = _tracking_parameters(tracking or [])
         session: Views
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate)
@@ -146,15 +151,8 @@ def command(
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))
         if isinstance(session, KeypointSession):
-            reconstruction = reconstruct_keypoints(session, parameters, bars.update)
+            reconstruction = reconstruct_keypoints(session, config, bars.update)
         else:
-            config = ReconstructionConfig(
-                method=checked_method,
-                detector=detector,
-                tracking=parameters,
-                chunk_frames=chunk_frames,
-                processes=processes,
-            )
             reconstruction = reconstruct(session, config, bars.update)
         paths = write_results(reconstruction, out)
     metrics = quality_report(reconstruction)

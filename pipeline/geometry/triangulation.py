@@ -51,14 +51,22 @@ def _solve(
     The normal equations of three unknowns by Cramer's rule: a general solver costs more in calls than in arithmetic.
     """
     weighted = rows * np.repeat(weights, 2, axis=-1)[..., None]
-    normal = weighted.swapaxes(-1, -2) @ weighted
+    return np.where(((weights > 0).sum(-1) >= 2)[..., None], solve_normal(weighted.swapaxes(-1, -2) @ weighted), np.nan)
+
+
+def solve_normal(normal: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 3"]:
+    """Minimise ``X~^T normal X~`` over points, ``normal`` being the sum of ``a a^T`` over the rows of eq. 10.
+
+    Returns
+    -------
+        NaN where all rays are parallel.
+    """
     a, b, c, d, e, f = (normal[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)))
     right = -normal[..., :3, 3]
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
     determinant = a * aa + b * ab + c * ac
-    solvable = ((weights > 0).sum(-1) >= 2) & (determinant > _MIN_DETERMINANT * (a + d + f) ** 3)
-    over = 1.0 / np.where(solvable, determinant, np.nan)
+    over = 1.0 / np.where(determinant > _MIN_DETERMINANT * (a + d + f) ** 3, determinant, np.nan)
     x, y, z = right[..., 0] * over, right[..., 1] * over, right[..., 2] * over
     return np.stack([aa * x + ab * y + ac * z, ab * x + bb * y + bc * z, ac * x + bc * y + cc * z], axis=-1)
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
+from pipeline.geometry.life import number_people
 from pipeline.tracking.observations import Bodies, gather, observations_at, people
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.positions import locate
@@ -93,12 +94,4 @@ def _locate(
         located = locate(cameras, sampled, timebase, parameters.min_score)
         if located is not None:
             found.append(located)
-    found.sort(key=lambda pair: pair[0].start_frame)
-    return (
-        tuple(_numbered(track, k) for k, (track, _) in enumerate(found, start=1)),
-        tuple(Observations(k, one.points_px, one.score) for k, (_, one) in enumerate(found, start=1)),
-    )
-
-
-def _numbered(track: Track3D, track_id: int) -> Track3D:
-    return Track3D(track_id, track.start_frame, track.xyz_m, track.score, track.source, track.error_px, track.views)
+    return number_people(found)

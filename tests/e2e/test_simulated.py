@@ -35,6 +35,26 @@ def test_everybody_keeps_one_identity(name: str) -> None:
     assert found.ghost_rate == 0
 
 
+def test_clustering_from_keypoint_files(tmp_path: Path) -> None:
+    simulation = record(replace(find_scene("room"), duration_s=2.0), seed=5)
+    for name, content in simulation_files(simulation):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    command = [
+        *(sys.executable, "-m", "api.cli", "reconstruct", "--json", "--method", "clustering"),
+        *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
+        *("--calibration", str(tmp_path / "calibration.json"), "--out", str(tmp_path / "out")),
+    ]
+    said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
+    assert len(said["tracks"]) == len(simulation.truth_m)
+    assert any("part affinity fields" in warning for warning in said["warnings"])
+    assert len(list((tmp_path / "out").glob("person-*.bvh"))) == len(simulation.truth_m)
+    refused = subprocess.run([*command, "--tracking", "alpha_3d_m=0.2"], capture_output=True, check=False, timeout=120)
+    assert refused.returncode == 2
+    assert json.loads(refused.stdout)["problems"][0]["code"] == "unknown_parameter"
+
+
 def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=2.0), seed=5)
     for name, content in simulation_files(simulation):

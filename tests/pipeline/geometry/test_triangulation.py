@@ -7,7 +7,7 @@ from hypothesis.extra.numpy import arrays
 from pipeline.data import Camera
 from pipeline.geometry.camera import image_from_world, project
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
-from tests.pipeline.tracking.conftest import ring_camera
+from tests.pipeline.conftest import ring_camera
 
 RING: tuple[Camera, ...] = tuple(ring_camera(f"cam{k}", 0.3 + k * np.pi / 2) for k in range(4))
 IDEAL = tuple(Camera(c.name, c.size_px, c.matrix, np.empty(0), c.cam_from_world) for c in RING)

@@ -8,7 +8,7 @@ from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Trac
 from pipeline.geometry.camera import project
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
-from tests.pipeline.tracking.conftest import body, detections_of
+from tests.pipeline.conftest import body, detections_of
 
 RATE_HZ = 25.0
 NUM_FRAMES = 50

@@ -1,0 +1,79 @@
+"""Poses to tracks: bipartite matching from instant to instant (section 3.5)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+
+from pipeline.clustering.parameters import ClusteringParameters
+
+# A pose's own noise, beside what its body may move.
+_NOISE_M = 0.15
+_FAR_M = 1e6
+
+
+@dataclass(slots=True)
+class Track:
+    """One person's poses: at which instant which.
+
+    Parameters
+    ----------
+    members
+        Instant and position among its poses.
+    last_m
+        The last position of each torso joint, NaN where it was never found.
+    last_s
+        When a pose was last there.
+    """
+
+    members: list[tuple[int, int]] = field(default_factory=list)
+    last_m: np.ndarray = field(default_factory=lambda: np.empty(0))
+    last_s: float = -np.inf
+
+
+def link(
+    torsos_m: Sequence[Float[np.ndarray, "_ torso 3"]],
+    instants_s: Float[np.ndarray, " instants"],
+    parameters: ClusteringParameters,
+) -> list[Track]:
+    """Link poses by the mean distance of their torso joints, in order of time; what is left starts a track.
+
+    Parameters
+    ----------
+    torsos_m
+        The torso joints of everybody at each instant, NaN where one was not found.
+    """
+    tracks: list[Track] = []
+    for instant, (torso_m, time_s) in enumerate(zip(torsos_m, instants_s.tolist(), strict=True)):
+        alive = [track for track in tracks if time_s - track.last_s <= parameters.max_unseen_s + 1e-9]
+        partner = _match(alive, torso_m, time_s, parameters)
+        for number, pose_m in enumerate(torso_m):
+            track = partner.get(number)
+            if track is None:
+                track = Track(last_m=pose_m)
+                tracks.append(track)
+            track.members.append((instant, number))
+            track.last_m = np.where(np.isnan(pose_m), track.last_m, pose_m)
+            track.last_s = time_s
+    return tracks
+
+
+def _match(
+    alive: Sequence[Track],
+    torso_m: Float[np.ndarray, "people torso 3"],
+    time_s: float,
+    parameters: ClusteringParameters,
+) -> dict[int, Track]:
+    """The track of each pose that has one."""
+    if not alive or not len(torso_m):
+        return {}
+    last_m = np.array([track.last_m for track in alive])
+    apart_m = np.linalg.norm(last_m[:, None] - torso_m[None], axis=-1)
+    shared = np.isfinite(apart_m)
+    mean_m = np.where(shared, apart_m, 0.0).sum(-1) / np.maximum(shared.sum(-1), 1)
+    reach_m = _NOISE_M + parameters.speed_m_s * np.array([[time_s - track.last_s] for track in alive])
+    allowed = shared.any(-1) & (mean_m <= reach_m)
+    rows, columns = linear_sum_assignment(np.where(allowed, mean_m, _FAR_M))
+    return {int(j): alive[int(i)] for i, j in zip(rows, columns, strict=True) if allowed[i, j]}

@@ -1,0 +1,74 @@
+"""Positions of a person over time to the records that pass on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
+from pipeline.geometry.kernels import fill_gaps
+from pipeline.geometry.tracks import reproject
+
+# A joint that is away for no longer than this is interpolated.
+_MAX_GAP_S = 0.2
+# A person must have been seen by two cameras for as long.
+_MIN_LIFE_S = 0.15
+
+Person = tuple[Track3D, Observations]
+
+
+def record_life(
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    start_frame: int,
+    xyz_m: Float[np.ndarray, "frames joints 3"],
+    seen_px: Float[np.ndarray, "frames cameras joints 2"],
+    score: Float[np.ndarray, "frames cameras joints"],
+    min_score: float,
+) -> Person | None:
+    """Fill short gaps and measure the reprojection error.
+
+    Parameters
+    ----------
+    start_frame
+        Output frame of the first row.
+    xyz_m
+        World positions, NaN where a joint was not located; changed.
+    seen_px, score
+        The observations behind them, as seen; those with a score below ``min_score`` were not used.
+
+    Returns
+    -------
+        Track and observations, cut to the frames in which a joint could be located and with number 0; ``None`` where
+        that is too short a life to be a person.
+    """
+    alive = np.flatnonzero(np.isfinite(xyz_m[..., 0]).any(-1))
+    if len(alive) < max(2, _MIN_LIFE_S * timebase.frame_rate_hz):
+        return None
+    life = slice(alive[0], alive[-1] + 1)
+    xyz_m, seen_px, score = xyz_m[life], seen_px[life], score[life]
+    source = np.empty(xyz_m.shape[:2], np.int8)
+    fill_gaps(xyz_m, round(_MAX_GAP_S * timebase.frame_rate_hz), np.full(xyz_m.shape[1], -1), source)
+    error_px, mean_score, views = reproject(cameras, xyz_m, seen_px, score, min_score)
+    track = Track3D(
+        track_id=0,
+        start_frame=start_frame + int(alive[0]),
+        xyz_m=read_only(xyz_m),
+        score=read_only(mean_score),
+        source=read_only(source),
+        error_px=read_only(error_px),
+        views=read_only(views),
+    )
+    return track, Observations(0, read_only(seen_px), read_only(score))
+
+
+def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Put people in order of first appearance and number them from 1."""
+    ordered = sorted(people, key=lambda pair: pair[0].start_frame)
+    return (
+        tuple(
+            Track3D(k, one.start_frame, one.xyz_m, one.score, one.source, one.error_px, one.views)
+            for k, (one, _) in enumerate(ordered, start=1)
+        ),
+        tuple(Observations(k, one.points_px, one.score) for k, (_, one) in enumerate(ordered, start=1)),
+    )
