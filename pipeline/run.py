@@ -5,7 +5,7 @@ The same functions that workers of a service call: ``detect_chunk`` is the map o
 """
 
 import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from types import MappingProxyType
@@ -30,7 +30,7 @@ Span = tuple[float, float]
 Views = CaptureSession | KeypointSession
 _DEFAULTS = ReconstructionConfig()
 _BY_MEMBERSHIP = (
-    "Clustering took whole bodies for evidence, not part affinity fields: "
+    "Clustering takes whole bodies for evidence, not part affinity fields: "
     "two joints are connected where they belong to one detection."
 )
 Chunk = tuple[str, Span]  # of a camera
@@ -98,9 +98,16 @@ def _reconstruct_people(
     config: ReconstructionConfig,
     on_progress: OnProgress,
 ) -> Reconstruction:
-    on_progress(Progress("associate", 0, 1))
-    tracks, observations = associate(session, detections, joints, config)
-    on_progress(Progress("associate", 1, 1))
+    done, total = 0, session.timebase.num_frames if config.method == "clustering" else 1
+    on_progress(Progress("associate", done, total))
+
+    def on_frame() -> None:
+        nonlocal done
+        done += 1
+        on_progress(Progress("associate", done, total))
+
+    tracks, observations = associate(session, detections, joints, config, on_frame)
+    on_progress(Progress("associate", total, total))
     on_progress(Progress("fit", 0, 1))
     motions = fit(session, tracks, joints)
     on_progress(Progress("fit", 1, 1))
@@ -135,12 +142,19 @@ def _check(session: Views, config: ReconstructionConfig) -> None:
 
 
 def associate(
-    session: Views, detections: Mapping[str, Detections], joints: JointSet, config: ReconstructionConfig = _DEFAULTS
+    session: Views,
+    detections: Mapping[str, Detections],
+    joints: JointSet,
+    config: ReconstructionConfig = _DEFAULTS,
+    on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order."""
+    """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order.
+
+    Clustering calls ``on_frame`` after each output frame; tracking takes no time worth counting.
+    """
     views = session.cameras, session.times, detections, session.timebase
     if config.method == "clustering":
-        return reconstruct_by_clustering(*views, joints, clustering_parameters(session.cameras))
+        return reconstruct_by_clustering(*views, joints, clustering_parameters(session.cameras), on_frame)
     return reconstruct_tracks(*views, tracking_parameters(session, config.tracking))
 
 

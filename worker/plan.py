@@ -40,7 +40,7 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
         The stages in their order: detect (map), associate, fit and export (one chunk each). A session of keypoints has
         nothing to detect.
     """
-    inputs = _inputs(session)
+    inputs, num_frames = _inputs(session), max(1, session.preflight["timebase"]["num_frames"])
     detects: tuple[StagePlan, ...] = ()
     if not is_of_keypoints(session):
         inputs = [_key(DETECT, {"detector": spec.detector}, inputs)]
@@ -50,7 +50,7 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
     export = _key(EXPORT, {}, [associate, fit])
     return (
         *detects,
-        StagePlan(ASSOCIATE, _reduce(associate)),
+        StagePlan(ASSOCIATE, _reduce(associate, num_frames if spec.method == "clustering" else 1)),
         StagePlan(FIT, _reduce(fit)),
         StagePlan(EXPORT, _reduce(export)),
     )
@@ -80,8 +80,8 @@ def _map_chunks(session: Session, stage_key: str, chunk_frames: int) -> tuple[Ch
     )
 
 
-def _reduce(stage_key: str) -> tuple[ChunkPlan, ...]:
-    return (ChunkPlan(index=0, payload={}, unit_count=1, output_key=stage_key),)
+def _reduce(stage_key: str, unit_count: int = 1) -> tuple[ChunkPlan, ...]:
+    return (ChunkPlan(index=0, payload={}, unit_count=unit_count, output_key=stage_key),)
 
 
 def _inputs(session: Session) -> list[str]:

@@ -9,6 +9,7 @@ import json
 import tempfile
 from pathlib import Path
 
+from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction, SkeletonMotion
 from pipeline.detect.chunk import concatenate, detect_chunk
 from pipeline.detect.detector import open_detector
@@ -106,7 +107,8 @@ def associate_people(work: Work) -> Outcome:
     else:
         chunks = (decode_detections(content) for content in work.outputs(DETECT))
         detections = concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
-    return Outcome(encode_tracks(*associate(session, detections, joints)))
+    config = ReconstructionConfig(method=work.claim.spec.method)
+    return Outcome(encode_tracks(*associate(session, detections, joints, config, work.on_unit)))
 
 
 def fit_skeletons(work: Work) -> Outcome:

@@ -16,6 +16,7 @@ import typer
 from rich.table import Table
 
 from api.client import Json, served
+from api.commands.benchmark_clustering import clustering
 from api.commands.benchmark_tracking import tracking
 from api.commands.reconstruct import write_results
 from api.console import StageBars, console, emit, reporting
@@ -33,6 +34,7 @@ from pipeline.video.decode import decode
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
+app.command()(clustering)
 app.command()(tracking)
 
 

@@ -1,12 +1,14 @@
 """From detections to tracks by clustering: bone lengths first, then every instant, then links in time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths
 from pipeline.clustering.candidates import Seen
 from pipeline.clustering.clusters import find_joints
+from pipeline.clustering.hypotheses import Candidates
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parsing import Poses, parse
@@ -17,6 +19,18 @@ from pipeline.geometry.life import Person, number_people, record_life
 from pipeline.joints import JointSet
 
 
+def find_poses(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+) -> Poses:
+    """Find everybody at one instant (sections 3.2 to 3.4)."""
+    found = find_joints(image_from_world, candidates, skeleton, lengths, parameters)
+    return parse(found, skeleton, lengths, parameters)
+
+
 def reconstruct_by_clustering(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
@@ -24,6 +38,7 @@ def reconstruct_by_clustering(
     timebase: Timebase,
     joints: JointSet,
     parameters: ClusteringParameters,
+    on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Reconstruct everybody from whole bodies that a detector found.
 
@@ -33,6 +48,8 @@ def reconstruct_by_clustering(
     ----------
     joints
         What the joint axis of the detections holds.
+    on_frame
+        Called after each output frame.
 
     Returns
     -------
@@ -49,13 +66,9 @@ def reconstruct_by_clustering(
     instants_s = timebase.start_time_s + np.arange(timebase.num_frames) / timebase.frame_rate_hz
     half_s = 0.5 / timebase.frame_rate_hz
 
-    def poses_at(frames: Sequence[int], lengths: LimbLengths) -> list[Poses]:
-        poses = []
-        for frame in frames:
-            candidates = seen.at(float(instants_s[frame]), half_s)
-            found = find_joints(projections, candidates, skeleton, lengths, parameters)
-            poses.append(parse(found, skeleton, lengths, parameters))
-        return poses
+    def poses_at(frame: int, lengths: LimbLengths) -> Poses:
+        candidates = seen.at(float(instants_s[frame]), half_s)
+        return find_poses(projections, candidates, skeleton, lengths, parameters)
 
     def tracks_of(poses: Sequence[Poses], frames: Sequence[int]) -> list[list[tuple[int, int]]]:
         torso = skeleton.indices(TORSO)
@@ -63,12 +76,15 @@ def reconstruct_by_clustering(
         return [track.members for track in linked]
 
     sampled = range(0, timebase.num_frames, max(1, round(timebase.frame_rate_hz / parameters.length_rate_hz)))
-    first = poses_at(sampled, unknown_lengths(skeleton))
+    first = [poses_at(frame, unknown_lengths(skeleton)) for frame in sampled]
     lives = tracks_of(first, sampled)
     lengths = measure_lengths([np.array([first[at].xyz_m[k] for at, k in life]) for life in lives], skeleton)
 
     frames = range(timebase.num_frames)
-    poses = poses_at(frames, lengths)
+    poses = []
+    for frame in frames:
+        poses.append(poses_at(frame, lengths))
+        on_frame()
     people = (_person(cameras, timebase, seen, skeleton, joints, poses, life) for life in tracks_of(poses, frames))
     return number_people([person for person in people if person is not None])
 

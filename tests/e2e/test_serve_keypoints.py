@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from api.commands.reconstruct import write_results
+from pipeline.config import Method, ReconstructionConfig
 from pipeline.keypoints import open_keypoints
 from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
@@ -44,13 +45,16 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     return [*archives(capture), *((part, (name, (capture / name).read_bytes())) for part, name in one_each)]
 
 
-def test_the_same_files_as_without_the_service(served: Served, capture: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
+def test_the_same_files_as_without_the_service(served: Served, capture: Path, tmp_path: Path, method: Method) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    write_results(reconstruct_keypoints(session), tmp_path)
-    answer = served.client.post("/v1/jobs", files=files(capture))
+    write_results(reconstruct_keypoints(session, ReconstructionConfig(method=method)), tmp_path)
+    spec = ("spec", (None, json.dumps({"method": method})))
+    answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded", job
+    assert any("evidence" in warning for warning in job["warnings"]) == (method == "clustering")
     assert [stage["name"] for stage in job["stages"]] == ["associate", "fit", "export"]
     assert len(json.loads((tmp_path / "metrics.json").read_bytes())["people"]) >= 2
     assert served.downloads(job["id"]) == digests(tmp_path)

@@ -62,11 +62,12 @@ def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
 
 
 def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
+    spec = JobSpec.model_validate(row.spec)
     return Job(
         id=row.id,
         session_id=row.session_id,
         state=JobState(row.state),
-        spec=JobSpec.model_validate(row.spec),
+        spec=spec,
         attempt=row.attempt,
         stages=stages,
         progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
@@ -75,7 +76,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         started_at=row.started_at,
         finished_at=row.finished_at,
         problem=None if row.problem is None else Problem(**row.problem),
-        warnings=tuple(row.preflight.get("warnings", ())),
+        warnings=(*row.preflight.get("warnings", ()), *spec.warnings),
     )
 
 
