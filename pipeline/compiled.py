@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 
 from pipeline.packages.storage import home
 
+_CACHE_LINE = 64
 _Function = TypeVar("_Function", bound=Callable[..., object])
 # With all that stands beside kernels: what they take from there is compiled into them.
 _FOLDERS = sorted({path.parent for path in Path(__file__).parent.rglob("*kernels.py")})
@@ -54,3 +56,17 @@ def kernel(function: _Function) -> _Function:
 def round_up(num_joints: int) -> int:
     """Joints and unused lanes behind them: a multiple of what a machine works on at a time."""
     return -(-num_joints // 4) * 4
+
+
+def record_dtype(*fields: tuple[Any, ...]) -> np.dtype:
+    """A record for kernels; vectors of lanes come before all else in it, so that none lies across two cache lines."""
+    plain = np.dtype(list(fields), align=True)
+    return np.dtype([*fields, ("padding", np.uint8, (-plain.itemsize % _CACHE_LINE or _CACHE_LINE,))], align=True)
+
+
+def zero_records(shape: int | tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Records that begin with a cache line each."""
+    num_bytes = int(np.prod(shape)) * dtype.itemsize
+    raw = np.zeros(num_bytes + _CACHE_LINE, np.uint8)
+    start = -raw.ctypes.data % _CACHE_LINE
+    return raw[start : start + num_bytes].view(dtype).reshape(shape)

@@ -10,7 +10,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.compiled import kernel, round_up
+from pipeline.compiled import kernel, record_dtype, round_up, zero_records
 from pipeline.data import Source
 
 _NUM_NORMAL = 9
@@ -21,44 +21,38 @@ _ABSENT, _MEASURED, _INTERPOLATED = int(Source.ABSENT), int(Source.MEASURED), in
 @cache
 def view_dtype(lanes: int) -> np.dtype:
     """What a camera says of the joints."""
-    return np.dtype(
-        [
-            ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9)
-            ("over2", np.float64, (2, lanes)),  # one over their squared norms (eq. 11)
-            ("normal", np.float64, (_NUM_NORMAL, lanes)),  # what they add to the normal equations at weight 1
-            ("base2", np.float64, (lanes,)),  # squared weight
-            ("weight", np.float64, (lanes,)),  # the same times what the robust loss leaves of it
-            ("off2", np.float64, (lanes,)),  # squared distance to the point, 0 where that or the view does not count
-            ("px", np.float64, (2, lanes)),
-        ],
-        align=True,
+    return record_dtype(
+        ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9)
+        ("over2", np.float64, (2, lanes)),  # one over their squared norms (eq. 11)
+        ("normal", np.float64, (_NUM_NORMAL, lanes)),  # what they add to the normal equations at weight 1
+        ("base2", np.float64, (lanes,)),  # squared weight
+        ("weight", np.float64, (lanes,)),  # the same times what the robust loss leaves of it
+        ("off2", np.float64, (lanes,)),  # squared distance to the point, 0 where that or the view does not count
+        ("px", np.float64, (2, lanes)),
     )
 
 
 @cache
 def point_dtype(lanes: int) -> np.dtype:
     """What all cameras say together."""
-    return np.dtype(
-        [
-            # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
-            ("normal", np.float64, (_NUM_NORMAL, lanes)),
-            ("views", np.float64, (lanes,)),
-            ("xyz_m", np.float64, (3, lanes)),
-            ("kept_m", np.float64, (3, lanes)),
-            ("worst2", np.float64, (lanes,)),
-            ("num_far", np.float64, (lanes,)),
-            ("cost", np.float64, (lanes,)),
-            ("kept_cost", np.float64, (lanes,)),
-            ("weight_sum", np.float64, (lanes,)),
-        ],
-        align=True,
+    return record_dtype(
+        # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
+        ("normal", np.float64, (_NUM_NORMAL, lanes)),
+        ("views", np.float64, (lanes,)),
+        ("xyz_m", np.float64, (3, lanes)),
+        ("kept_m", np.float64, (3, lanes)),
+        ("worst2", np.float64, (lanes,)),
+        ("num_far", np.float64, (lanes,)),
+        ("cost", np.float64, (lanes,)),
+        ("kept_cost", np.float64, (lanes,)),
+        ("weight_sum", np.float64, (lanes,)),
     )
 
 
 @cache
 def block_dtype(size: int) -> np.dtype:
     """Points to undistort together."""
-    return np.dtype([(name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")], align=True)
+    return record_dtype(*((name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")))
 
 
 class Room(NamedTuple):
@@ -75,8 +69,8 @@ def make_room(num_cameras: int, num_joints: int, reach: int) -> Room:
     """Room for ``triangulate_alone`` and ``settle_disputes``."""
     lanes = round_up(num_joints)
     return Room(
-        np.zeros(num_cameras, view_dtype(lanes)),
-        np.zeros(1, point_dtype(lanes)),
+        zero_records(num_cameras, view_dtype(lanes)),
+        zero_records(1, point_dtype(lanes)),
         np.zeros((num_joints, 3)),
         np.empty((reach + 1, num_joints, 3)),
         np.empty(2 * reach + 1),
@@ -130,13 +124,15 @@ def _fill_rows(image_from_world, points_px, weights, min_weight, views):
 
 @kernel
 @no_type_check
-def _reweigh(views, point, scale_m):
+def _reweigh(views, point, scale_m, far_m):
     """Weight views by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``.
 
     The d is the distance of the point as it is to both planes of a view: to first order that to its ray. Its square
-    stays in ``off2``.
+    stays in ``off2``, and in ``num_far`` how many views are farther than ``far_m``: a largest would take masked stores,
+    which are slow.
     """
-    scale2 = scale_m * scale_m
+    scale2, far2 = scale_m * scale_m, far_m * far_m
+    point.num_far[:] = 0.0
     for c in range(len(views)):
         view = views[c]
         for k in range(view.base2.shape[0]):
@@ -146,7 +142,9 @@ def _reweigh(views, point, scale_m):
             squared = first * first * view.over2[0, k] + second * second * view.over2[1, k]
             share = scale2 / (scale2 + squared)
             share = share if squared == squared else 0.0
-            view.off2[k] = squared if (squared >= 0) & (view.base2[k] > 0) else 0.0
+            off2 = squared if (squared >= 0) & (view.base2[k] > 0) else 0.0
+            view.off2[k] = off2
+            point.num_far[k] += 1.0 if off2 > far2 else 0.0
             view.weight[k] = view.base2[k] * share * share
 
 
@@ -225,35 +223,22 @@ def _median_around(xyz_m, frame, joint, axis, reach, room):
 
 @kernel
 @no_type_check
-def _triangulate_alone(views, point, scales_m):
-    """``triangulation.triangulate_robust`` without a guess; ``off2`` stays as it was before the last step."""
+def _triangulate_alone(views, point, scales_m, disputed_m):
+    """``triangulation.triangulate_robust`` without a guess.
+
+    Leaves in ``num_far`` how many views were farther than ``disputed_m`` before the last step.
+    """
     _solve(views, point)
-    for k in range(point.views.shape[0]):
-        for axis in range(3):
-            point.kept_m[axis, k] = point.xyz_m[axis, k]
-    _reweigh(views, point, scales_m[-1])
-    _count_far(views, point, scales_m[-2])
+    _reweigh(views, point, scales_m[-1], scales_m[-2])
     num_far = 0.0
     for k in range(point.num_far.shape[0]):
         num_far += point.num_far[k]
     if num_far > 0:
         _anneal(views, point, scales_m)
-        _reweigh(views, point, scales_m[-1])
+        _reweigh(views, point, scales_m[-1], scales_m[-2])
     _solve(views, point)
-    _reweigh(views, point, scales_m[-1])
+    _reweigh(views, point, scales_m[-1], disputed_m)
     _solve(views, point)
-
-
-@kernel
-@no_type_check
-def _count_far(views, point, limit_m):
-    """How many views are farther from a joint than ``limit_m``; a count, since a largest takes slow masked stores."""
-    limit2 = limit_m * limit_m
-    point.num_far[:] = 0.0
-    for c in range(len(views)):
-        view = views[c]
-        for k in range(point.num_far.shape[0]):
-            point.num_far[k] += 1.0 if view.off2[k] > limit2 else 0.0
 
 
 @kernel
@@ -262,6 +247,9 @@ def _anneal(views, point, scales_m):
     """Go from scale to scale; a joint begins where the scale is below its worst."""
     worst2 = 0.0
     point.worst2[:] = 0.0
+    for k in range(point.worst2.shape[0]):
+        for axis in range(3):
+            point.kept_m[axis, k] = point.xyz_m[axis, k]
     for c in range(len(views)):
         for k in range(point.worst2.shape[0]):
             point.worst2[k] = max(point.worst2[k], views[c].off2[k])
@@ -269,7 +257,7 @@ def _anneal(views, point, scales_m):
     for step in range(len(scales_m) - 1):
         if worst2 <= scales_m[step] * scales_m[step]:
             continue
-        _reweigh(views, point, scales_m[step])
+        _reweigh(views, point, scales_m[step], np.inf)
         _solve(views, point)
         for k in range(point.worst2.shape[0]):
             needed = point.worst2[k] > scales_m[step] * scales_m[step]
@@ -303,8 +291,7 @@ def triangulate_alone(image_from_world, points_px, weights, min_weight, scales_m
     views, here = room.views, room.points[0]
     for frame in range(len(points_px)):
         _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, views)
-        _triangulate_alone(views, here, scales_m)
-        _count_far(views, here, disputed_m)
+        _triangulate_alone(views, here, scales_m, disputed_m)
         for k in range(points_px.shape[2]):
             disputed[frame, k] = here.num_far[k] > 0
             for axis in range(3):
@@ -341,7 +328,7 @@ def _from_guess(views, here, scales_m, disputed, guess_m, xyz_m):
         for axis in range(3):
             here.xyz_m[axis, k] = guess_m[k, axis]
     for step in (-2, -1, -1):
-        _reweigh(views, here, scales_m[step])
+        _reweigh(views, here, scales_m[step], np.inf)
         _solve(views, here)
     _measure_cost(views, here, scales_m[-1])
     for k in range(num_joints):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.compiled import round_up
+from pipeline.compiled import round_up, zero_records
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.kernels import (
@@ -89,8 +89,8 @@ def reproject(
         points_px,
         weights,
         min_weight,
-        np.zeros(1, point_dtype(lanes)),
-        np.zeros(1, view_dtype(lanes)),
+        zero_records(1, point_dtype(lanes)),
+        zero_records(1, view_dtype(lanes)),
         error_px,
         mean_weight,
         views,

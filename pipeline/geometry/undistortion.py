@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.compiled import zero_records
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.kernels import block_dtype, undistort
@@ -27,6 +28,6 @@ def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Fl
     inverse = np.linalg.inv(camera.matrix)
     # One large product: numpy takes a stack of small ones one by one.
     normalised = points_px.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]
-    blocks = np.zeros(1, block_dtype(_BLOCK))
+    blocks = zero_records(1, block_dtype(_BLOCK))
     undistort(normalised, twelve_coefficients(camera.distortion), _MAX_STEPS, _TOLERANCE, blocks)
     return (normalised @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).reshape(points_px.shape)

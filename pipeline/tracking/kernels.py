@@ -470,6 +470,7 @@ def track(start, frames, rig, limits, targets, pool, outcome, room):
     """
     affinity, match, free = room.affinity, room.match, room.free
     over_alpha_3d = 1.0 / limits.alpha_3d_m
+    gap_s, decay_2d, scale_2d = np.nan, 0.0, 0.0
 
     for event in range(start, len(frames.time_s)):
         time_s, camera = frames.time_s[event], frames.camera[event]
@@ -486,9 +487,10 @@ def track(start, frames, rig, limits, targets, pool, outcome, room):
                 slot = targets.order[i]
                 target, view = targets.state[slot], targets.views[slot, camera]
                 _expect(target, targets.sums[0], time_s, rig.center_m[camera], limits)
-                gap_s = time_s - targets.matched_s[slot, camera]
-                decay_2d = limits.weight_2d * np.exp(-limits.lambda_a_hz * gap_s)
-                scale_2d = 1.0 / (limits.alpha_2d_px_s * gap_s)
+                if time_s - targets.matched_s[slot, camera] != gap_s:  # most targets were matched together
+                    gap_s = time_s - targets.matched_s[slot, camera]
+                    decay_2d = limits.weight_2d * np.exp(-limits.lambda_a_hz * gap_s)
+                    scale_2d = 1.0 / (limits.alpha_2d_px_s * gap_s)
                 for j in range(num_detections):
                     affinity[i, j] = _affinity(target, view, targets.bodies[j], scale_2d, decay_2d, over_alpha_3d)
                 match[i] = -1

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.compiled import round_up
+from pipeline.compiled import record_dtype, round_up, zero_records
 
 # Positions kept for a velocity; more frequent ones replace the newest.
 NUM_RECENT = 8
@@ -21,52 +21,48 @@ _NUM_SUMS = 9
 @cache
 def target_dtype(lanes: int) -> np.dtype:
     """The state of a target; ``reference.Target`` says what the fields mean."""
-    return np.dtype(
-        [
-            ("target_id", np.int64),
-            ("xyz_m", np.float64, (3, lanes)),
-            ("updated_s", np.float64, (lanes,)),
-            ("velocity_m_s", np.float64, (3, lanes)),
-            ("expected_m", np.float64, (3, lanes)),  # where the joints should be now
-            ("offset_m", np.float64, (3, lanes)),  # the same as seen from the centre of the camera of now
-            ("squared_m2", np.float64, (lanes,)),  # its squared length
-            ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
-            ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
-            ("views", np.float64, (lanes,)),  # how many those are
-            ("sum_s", np.float64),
-            ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
-            ("recent_s", np.float64, (NUM_RECENT,)),
-            ("recent_since_s", np.float64),  # when the newest of them was first taken
-            ("num_recent", np.int64),
-            ("is_fitted", np.bool_),
-            ("moved_s", np.float64),
-            ("supported_s", np.float64),
-            ("num_supported", np.int64),
-            ("confirmed", np.bool_),
-        ],
-        align=True,
+    return record_dtype(
+        ("xyz_m", np.float64, (3, lanes)),
+        ("updated_s", np.float64, (lanes,)),
+        ("velocity_m_s", np.float64, (3, lanes)),
+        ("expected_m", np.float64, (3, lanes)),  # where the joints should be now
+        ("offset_m", np.float64, (3, lanes)),  # the same as seen from the centre of the camera of now
+        ("squared_m2", np.float64, (lanes,)),  # its squared length
+        ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
+        ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
+        ("views", np.float64, (lanes,)),  # how many those are
+        ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
+        ("recent_s", np.float64, (NUM_RECENT,)),
+        ("target_id", np.int64),
+        ("sum_s", np.float64),
+        ("recent_since_s", np.float64),  # when the newest of them was first taken
+        ("num_recent", np.int64),
+        ("is_fitted", np.bool_),
+        ("moved_s", np.float64),
+        ("supported_s", np.float64),
+        ("num_supported", np.int64),
+        ("confirmed", np.bool_),
     )
 
 
 @cache
 def view_dtype(lanes: int) -> np.dtype:
     """The last match of a target in a camera."""
-    return np.dtype([("normal", np.float64, (NUM_NORMAL, lanes)), ("last_px", np.float64, (2, lanes))], align=True)
+    return record_dtype(("normal", np.float64, (NUM_NORMAL, lanes)), ("last_px", np.float64, (2, lanes)))
 
 
 @cache
 def body_dtype(lanes: int) -> np.dtype:
     """A detection of the camera of now."""
-    return np.dtype(
-        [("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))],
-        align=True,
+    return record_dtype(
+        ("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))
     )
 
 
 @cache
 def sums_dtype(lanes: int) -> np.dtype:
     """Sums behind the velocities of a target's joints."""
-    return np.dtype([("fit", np.float64, (_NUM_SUMS, lanes))], align=True)
+    return record_dtype(("fit", np.float64, (_NUM_SUMS, lanes)))
 
 
 class Rig(NamedTuple):
@@ -163,12 +159,12 @@ def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detecti
     return Targets(
         alive=np.zeros(1, np.int64),
         order=np.arange(num_slots),
-        state=np.zeros(num_slots, target_dtype(lanes)),
-        views=np.zeros((num_slots, num_cameras), view_dtype(lanes)),
+        state=zero_records(num_slots, target_dtype(lanes)),
+        views=zero_records((num_slots, num_cameras), view_dtype(lanes)),
         matched_s=np.zeros((num_slots, num_cameras)),
         counted=np.zeros((num_slots, num_cameras), bool),
-        bodies=np.zeros(most_detections, body_dtype(lanes)),
-        sums=np.zeros(1, sums_dtype(lanes)),
+        bodies=zero_records(most_detections, body_dtype(lanes)),
+        sums=zero_records(1, sums_dtype(lanes)),
     )
 
 
