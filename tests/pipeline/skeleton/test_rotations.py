@@ -20,7 +20,8 @@ def test_swing_reaches_its_target_without_twist(end: np.ndarray) -> None:
     assume((np.linalg.norm(end, axis=-1) > 1e-3).all())
     turned, valid = swing(Z, end)
     assert valid.all()
-    np.testing.assert_allclose(turned.apply(Z), unit(end), atol=1e-7)
+    # As close to a half turn as this it is taken for one.
+    np.testing.assert_allclose(turned.apply(Z), unit(end), atol=1e-6)
     # The axis of the smallest rotation is at right angles to the start.
     np.testing.assert_allclose(turned.as_rotvec() @ Z, 0.0, atol=1e-6)
 
