@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
+from pipeline.clustering.distance import mean_distance_m
 from pipeline.clustering.parameters import ClusteringParameters
 
 # A pose's own noise, beside what its body may move.
@@ -69,11 +70,8 @@ def _match(
     """The track of each pose that has one."""
     if not alive or not len(torso_m):
         return {}
-    last_m = np.array([track.last_m for track in alive])
-    apart_m = np.linalg.norm(last_m[:, None] - torso_m[None], axis=-1)
-    shared = np.isfinite(apart_m)
-    mean_m = np.where(shared, apart_m, 0.0).sum(-1) / np.maximum(shared.sum(-1), 1)
+    mean_m = mean_distance_m(np.array([track.last_m for track in alive])[:, None], torso_m[None])
     reach_m = _NOISE_M + parameters.speed_m_s * np.array([[time_s - track.last_s] for track in alive])
-    allowed = shared.any(-1) & (mean_m <= reach_m)
+    allowed = mean_m <= reach_m
     rows, columns = linear_sum_assignment(np.where(allowed, mean_m, _FAR_M))
     return {int(j): alive[int(i)] for i, j in zip(rows, columns, strict=True) if allowed[i, j]}

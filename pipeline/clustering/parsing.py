@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.clusters import NOWHERE, Joints
 from pipeline.clustering.constraints import SECOND_CHANCE, is_connected, length_error, membership
+from pipeline.clustering.distance import mean_distance_m
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 
@@ -80,9 +81,6 @@ def _distinct(
     """Of poses in one place the best supported, in their order."""
     kept: list[int] = []
     for one in np.argsort(-support, kind="stable").tolist():
-        apart_m = np.linalg.norm(xyz_m[kept] - xyz_m[one], axis=-1)
-        shared = np.isfinite(apart_m)
-        mean_m = np.where(shared, apart_m, 0.0).sum(-1) / np.maximum(shared.sum(-1), 1)
-        if not np.any(shared.any(-1) & (mean_m < duplicate_m)):
+        if not np.any(mean_distance_m(xyz_m[kept], xyz_m[one]) < duplicate_m):
             kept.append(one)
     return sorted(kept)

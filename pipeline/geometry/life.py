@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
-from pipeline.geometry.kernels import fill_gaps
+from pipeline.geometry.gap_kernels import fill_gaps
 from pipeline.geometry.tracks import reproject
 
 # A joint that is away for no longer than this is interpolated.

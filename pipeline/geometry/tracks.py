@@ -8,10 +8,10 @@ from jaxtyping import Float, Int
 from pipeline.compiled import round_up, zero_records
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
+from pipeline.geometry.camera_kernels import reprojection_errors
 from pipeline.geometry.kernels import (
     make_room,
     point_dtype,
-    reprojection_errors,
     settle_disputes,
     triangulate_alone,
     view_dtype,

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from pipeline.compiled import zero_records
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
-from pipeline.geometry.kernels import block_dtype, undistort
+from pipeline.geometry.camera_kernels import block_dtype, undistort
 
 # Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
 _MAX_STEPS = 20

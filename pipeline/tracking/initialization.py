@@ -10,9 +10,7 @@ from jaxtyping import Float
 from pipeline.tracking.affinity import epipolar_affinity, ray_distance_m
 from pipeline.tracking.assignment import assign, partition
 from pipeline.tracking.parameters import TrackingParameters
-from pipeline.tracking.state import Rig
-
-_MIN_SHARED = 3
+from pipeline.tracking.state import MIN_JOINTS, Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,4 +115,4 @@ def find_returning(
     along_s = np.clip((apart_m * velocity_m_s).sum(-1) / np.where(speed2 > 0, speed2, 1.0), 0.0, lost.gap_s)
     detour_m = np.linalg.norm(apart_m - along_s[..., None] * velocity_m_s, axis=-1)
     affinities = 1 - detour_m / (parameters.duplicate_m + parameters.max_detour_m_s * lost.gap_s)
-    return dict(assign(np.where(shared.sum(-1) >= _MIN_SHARED, affinities, -np.inf)))
+    return dict(assign(np.where(shared.sum(-1) >= MIN_JOINTS, affinities, -np.inf)))

@@ -11,6 +11,8 @@ import numpy as np
 
 from pipeline.compiled import record_dtype, round_up, zero_records
 
+# A pair that shares fewer joints is not compared.
+MIN_JOINTS = 3
 # Positions kept for a velocity; more frequent ones replace the newest.
 NUM_RECENT = 8
 # The six entries of a symmetric 3x3 matrix, and the right-hand side of the normal equations.

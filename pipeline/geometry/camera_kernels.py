@@ -1,0 +1,150 @@
+"""Reprojection of whole tracks, and undistortion, as compiled loops; ``camera.py`` is the same in plain numpy."""
+
+from functools import cache
+from typing import no_type_check
+
+import numpy as np
+
+from pipeline.compiled import kernel, record_dtype
+
+
+@cache
+def block_dtype(size: int) -> np.dtype:
+    """Points to undistort together."""
+    return record_dtype(*((name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")))
+
+
+@kernel
+@no_type_check
+def _add_errors(here, view, p, m, d):
+    """Project the joints into a camera, distortion included, and add what they are off by."""
+    p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+    p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+    p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+    m00, m01, m02, m10, m11, m12 = m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2]
+    k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
+    s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
+    for k in range(view.weight.shape[0]):
+        x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
+        depth = p20 * x + p21 * y + p22 * z + p23
+        over = 1.0 / depth
+        over = over if depth > 1e-6 else np.nan
+        u, v = (p00 * x + p01 * y + p02 * z + p03) * over, (p10 * x + p11 * y + p12 * z + p13) * over
+        r2 = u * u + v * v
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        seen_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2)
+        seen_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2)
+        dx = m00 * seen_u + m01 * seen_v + m02 - view.px[0, k]
+        dy = m10 * seen_u + m11 * seen_v + m12 - view.px[1, k]
+        off_px = np.sqrt(dx * dx + dy * dy)
+        here.cost[k] += off_px if view.weight[k] > 0 else 0.0
+        here.weight_sum[k] += view.weight[k]
+        here.views[k] += 1.0 if view.weight[k] > 0 else 0.0
+
+
+@kernel
+@no_type_check
+def reprojection_errors(
+    poses,
+    matrices,
+    distortions,
+    xyz_m,
+    points_px,
+    weights,
+    min_weight,
+    points,
+    views_room,
+    error_px,
+    mean_weight,
+    views,
+):
+    """Mean reprojection error over the cameras that saw a joint, and how many those are.
+
+    Parameters
+    ----------
+    poses
+        Extrinsics [R | t], (cameras, 3, 4).
+    matrices
+        Camera matrices, (cameras, 3, 3).
+    distortions
+        Twelve coefficients a camera, as ``camera.distort`` takes them.
+    xyz_m
+        World coordinates, (frames, joints, 3).
+    points_px
+        Pixels as seen, (frames, cameras, joints, 2).
+    weights, min_weight
+        Above 0 and no less than ``min_weight`` where an observation was used, (frames, cameras, joints).
+    points, views_room
+        Room to work in, zeros (1,) of ``point_dtype`` and of ``view_dtype``.
+    error_px
+        Gets the error, (frames, joints), NaN where no camera saw the joint or it is not known.
+    mean_weight, views
+        Get the mean weight of the cameras that saw the joint, and how many they are, (frames, joints); 0 where there
+        is no error.
+    """
+    here, view = points[0], views_room[0]
+    for frame in range(len(weights)):
+        here.cost[:] = 0.0
+        here.views[:] = 0.0
+        here.weight_sum[:] = 0.0
+        for k in range(weights.shape[2]):
+            for axis in range(3):
+                here.xyz_m[axis, k] = xyz_m[frame, k, axis]
+        for c in range(weights.shape[1]):
+            for k in range(weights.shape[2]):
+                view.px[0, k], view.px[1, k] = points_px[frame, c, k, 0], points_px[frame, c, k, 1]
+                view.weight[k] = weights[frame, c, k] if weights[frame, c, k] >= min_weight else 0.0
+            _add_errors(here, view, poses[c], matrices[c], distortions[c])
+        for k in range(weights.shape[2]):
+            seen = here.views[k]
+            error, weight = here.cost[k] / seen, here.weight_sum[k] / seen
+            located = (seen > 0) & (error == error)
+            views[frame, k] = seen if located else 0.0
+            error_px[frame, k] = error if located else np.nan
+            mean_weight[frame, k] = weight if located else 0.0
+
+
+@kernel
+@no_type_check
+def undistort(points, d, num_steps, tolerance, blocks):
+    """Invert ``camera.distort`` in place by Newton's method with the exact Jacobian; (points, 2), NaN stays NaN.
+
+    Points go in blocks that end together; ``blocks`` is room for one, (1,) of ``block_dtype``.
+    """
+    block = blocks[0]
+    size = block.x.shape[0]
+    k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
+    s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
+    for start in range(0, len(points), size):
+        stop = min(start + size, len(points))
+        for i in range(stop - start):
+            block.goal_x[i], block.goal_y[i] = points[start + i, 0], points[start + i, 1]
+            block.x[i], block.y[i] = points[start + i, 0], points[start + i, 1]
+        for _ in range(num_steps):
+            num_open = 0.0
+            for i in range(size):
+                u, v = block.x[i], block.y[i]
+                r2 = u * u + v * v
+                over = 1.0 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+                radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * over
+                # Twice the derivative of radial by r2: quotient rule.
+                slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) * over
+                off_u = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + s2 * r2) - block.goal_x[i]
+                off_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2) - block.goal_y[i]
+                prism_u, prism_v = 2 * (s1 + 2 * s2 * r2), 2 * (s3 + 2 * s4 * r2)
+                uu = radial + u * u * slope + 2 * p1 * v + 6 * p2 * u + prism_u * u
+                uv = u * v * slope + 2 * p1 * u + 2 * p2 * v + prism_u * v
+                vu = u * v * slope + 2 * p1 * u + 2 * p2 * v + prism_v * u
+                vv = radial + v * v * slope + 6 * p1 * v + 2 * p2 * u + prism_v * v
+                determinant = uu * vv - uv * vu
+                over = 1.0 / determinant
+                # Where the model folds over, beyond the image, the Jacobian loses its sign: stay there rather than
+                # diverge.
+                over = over if determinant > 1e-3 else 0.0
+                block.x[i] = u - (vv * off_u - uv * off_v) * over
+                block.y[i] = v - (uu * off_v - vu * off_u) * over
+                num_open += 1.0 if (off_u * off_u + off_v * off_v) * over > tolerance * tolerance else 0.0
+            if num_open == 0:
+                break
+        for i in range(stop - start):
+            points[start + i, 0], points[start + i, 1] = block.x[i], block.y[i]
