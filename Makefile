@@ -16,7 +16,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
 		--only-binary :all: --no-binary bvh-converter -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	$(BIN)/python -m pipeline.tracking.warm_up
+	$(BIN)/python -m pipeline.warm_up
 	touch $@
 
 demo: setup  ## Start the service, send it a real four-camera capture, leave the results in demo-output/

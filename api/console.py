@@ -22,7 +22,14 @@ EXIT_BAD_INPUT = 2
 
 console = Console(stderr=True, highlight=False)
 
-_LABELS = {"detect": "Detect 2D joints", "associate": "Track people", "fit": "Fit skeletons", "export": "Write files"}
+_LABELS = {
+    "detect": "Detect 2D joints",
+    "lengths": "Measure bones",
+    "poses": "Find people",
+    "associate": "Track people",
+    "fit": "Fit skeletons",
+    "export": "Write files",
+}
 
 
 def emit(value: Mapping[str, Any]) -> None:

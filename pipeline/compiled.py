@@ -1,7 +1,7 @@
 """Compilation of numeric kernels to machine code, once a machine.
 
 Compiled code is kept on disk, apart by the kernels' source: numba itself looks only at the file that a kernel stands
-in, and would miss a change in another that it calls. ``python -m pipeline.tracking.warm_up`` compiles all of it.
+in, and would miss a change in another that it calls. ``python -m pipeline.warm_up`` compiles all of it.
 """
 
 import hashlib

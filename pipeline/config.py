@@ -9,7 +9,7 @@ Method = Literal["tracking", "clustering"]
 
 @dataclass(frozen=True, slots=True)
 class ReconstructionConfig:
-    """Choices of one reconstruction; the result depends on the first three only.
+    """Choices of one reconstruction; the result depends on the first four only.
 
     Parameters
     ----------
@@ -20,6 +20,8 @@ class ReconstructionConfig:
     tracking
         Parameters of the tracker by name, instead of those that are derived from the session; see
         ``tracking.parameters.TrackingParameters``.
+    clustering
+        Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
     chunk_frames
         Output frames of one chunk: what is decoded and detected as one piece, of one camera.
     processes
@@ -29,5 +31,6 @@ class ReconstructionConfig:
     method: Method = "tracking"
     detector: str = "movenet-multipose"
     tracking: Mapping[str, float] = field(default_factory=dict)
+    clustering: Mapping[str, float] = field(default_factory=dict)
     chunk_frames: int = 100
     processes: int = 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
@@ -94,6 +94,85 @@ class Detections:
     box_px: Float[np.ndarray, "n 4"]
 
 
+@dataclass(frozen=True, slots=True)
+class MapGrid:
+    """Where the cells of a network's maps lie on an image: cell (0, 0) at ``offset_px``, then every ``pitch_px``.
+
+    Parameters
+    ----------
+    offset_px, pitch_px
+        In x and y, pixels of the full image.
+    """
+
+    offset_px: tuple[float, float]
+    pitch_px: tuple[float, float]
+
+    def image_from_map(self, cells: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+        """Map places on the maps, in cells, to pixels."""
+        return cells * np.array(self.pitch_px) + np.array(self.offset_px)
+
+    def map_from_image(self, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+        """Map pixels to places on the maps, in cells."""
+        return (points_px - np.array(self.offset_px)) / np.array(self.pitch_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PafFields:
+    """What a network with part affinity fields saw in some of a camera's frames, before anybody grouped it to bodies.
+
+    Parameters
+    ----------
+    camera
+        The camera's name.
+    frame
+        The camera's frame numbers, ascending.
+    peak_row, peak_joint
+        Of each peak of a heatmap: its row in ``frame``, ascending, and the joint.
+    peak_px
+        Where it is, in pixels of the full image (distorted, as seen).
+    peak_score
+        The heatmap's value there, the detector's confidence.
+    fields
+        A limb's unit vectors (x, y) where it lies, in the order of ``limbs``; bytes as of ``geometry.fields.quantise``.
+    limbs
+        Which two joints each field leads from and to, numbers on the joint axis.
+    grid
+        Where the fields' cells lie on the image.
+    """
+
+    camera: str
+    frame: Int[np.ndarray, " frames"]
+    peak_row: Int[np.ndarray, " n"]
+    peak_joint: Int[np.ndarray, " n"]
+    peak_px: Float[np.ndarray, "n 2"]
+    peak_score: Float[np.ndarray, " n"]
+    fields: UInt8[np.ndarray, "frames limbs 2 height width"]
+    limbs: Int[np.ndarray, "limbs 2"]
+    grid: MapGrid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses3D:
+    """People at some output frames, each instant by itself: nobody knows yet who is who.
+
+    Parameters
+    ----------
+    frame
+        The output frame of each pose, ascending.
+    xyz_m
+        World positions of the joints of a method's skeleton, NaN where a joint was not found.
+    points_px
+        The 2D joints behind them in full-image pixels (distorted, as seen), NaN where a camera has none.
+    score
+        The detector's confidence, 0 where there is none.
+    """
+
+    frame: Int[np.ndarray, " poses"]
+    xyz_m: Float[np.ndarray, "poses joints 3"]
+    points_px: Float[np.ndarray, "poses joints cameras 2"]
+    score: Float[np.ndarray, "poses joints cameras"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Track3D:
     """One person over time, on the session's output frames.
@@ -156,6 +235,10 @@ class Timebase:
     start_time_s: float
     frame_rate_hz: float
     num_frames: int
+
+    def time_s(self, frame: int | float) -> float:
+        """When an output frame is; half-way between two of them at halves."""
+        return self.start_time_s + frame / self.frame_rate_hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-Stage = Literal["detect", "associate", "fit"]
+Stage = Literal["detect", "lengths", "poses", "associate", "fit"]
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """``done`` of ``total`` steps of a stage: frames of all cameras for ``detect``, the whole for the others."""
+    """``done`` of ``total`` steps of a stage: frames of all cameras, output frames, or the whole."""
 
     stage: Stage
     done: int

@@ -12,13 +12,27 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, Detections, FrameTimes, Observations, SkeletonMotion, Timebase, Track3D
+from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.data import (
+    Camera,
+    Detections,
+    FrameTimes,
+    MapGrid,
+    Observations,
+    PafFields,
+    Poses3D,
+    SkeletonMotion,
+    Timebase,
+    Track3D,
+)
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
 
+_FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
+_POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score")
 _DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
 
 
@@ -159,6 +173,42 @@ def decode_detections(content: bytes) -> Detections:
     """Read what ``encode_detections`` wrote."""
     arrays = _decode(content)
     return Detections(str(arrays["camera"]), *(arrays[name] for name in _DETECTION_ARRAYS))
+
+
+def encode_fields(fields: PafFields) -> bytes:
+    """Write the peaks and fields of one camera."""
+    arrays = {name: np.asarray(getattr(fields, name)) for name in _FIELD_ARRAYS}
+    grid = np.array([fields.grid.offset_px, fields.grid.pitch_px])
+    return _encode({"camera": np.array(fields.camera), "grid": grid, **arrays})
+
+
+def decode_fields(content: bytes) -> PafFields:
+    """Read what ``encode_fields`` wrote."""
+    arrays = _decode(content)
+    offset_px, pitch_px = (tuple(row) for row in arrays["grid"].tolist())
+    return PafFields(
+        str(arrays["camera"]), grid=MapGrid(offset_px, pitch_px), **{name: arrays[name] for name in _FIELD_ARRAYS}
+    )
+
+
+def encode_lengths(lengths: LimbLengths) -> bytes:
+    """Write everybody's bone lengths."""
+    return _encode(lengths._asdict())
+
+
+def decode_lengths(content: bytes) -> LimbLengths:
+    """Read what ``encode_lengths`` wrote."""
+    return LimbLengths(**_decode(content))
+
+
+def encode_poses(poses: Poses3D) -> bytes:
+    """Write the poses of a range of frames."""
+    return _encode({name: np.asarray(getattr(poses, name)) for name in _POSE_ARRAYS})
+
+
+def decode_poses(content: bytes) -> Poses3D:
+    """Read what ``encode_poses`` wrote."""
+    return Poses3D(**_decode(content))
 
 
 def encode_tracks(tracks: Sequence[Track3D], observations: Sequence[Observations]) -> bytes:

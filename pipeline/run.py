@@ -1,39 +1,53 @@
 """The whole way on one machine: a capture session to people in motion.
 
-The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, ``associate`` and
-``fit`` are the reduce. The result does not depend on how the frames are cut or how many processes work on them.
+The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, the steps of
+``pipeline.association`` and ``fit`` follow. The result does not depend on how the frames are cut or how many processes
+work on them.
 """
 
 import multiprocessing
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from types import MappingProxyType
+from functools import partial
+from pathlib import Path
+from typing import Protocol, TypeVar
 
-from pipeline.clustering.associate import reconstruct_by_clustering
-from pipeline.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.association import (
+    Found,
+    Views,
+    clustering_parameters,
+    link,
+    locate_people,
+    measure_bones,
+    num_sampled,
+    track,
+    tracking_parameters,
+    uses_fields,
+)
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
-from pipeline.detect.chunk import concatenate, detect_chunk
+from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import Detector, open_detector
+from pipeline.detect.field_files import FieldFiles
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
-from pipeline.progress import OnProgress, Progress, silent
+from pipeline.progress import OnProgress, Progress, Stage, silent
+from pipeline.records_npz import encode_fields
 from pipeline.session import CaptureSession
 from pipeline.skeleton.solve import motion_from_track
-from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.parameters import TrackingParameters, change_parameters, derive_parameters
-from pipeline.video.timeline import chunk_ranges
+from pipeline.video.timeline import chunk_ranges, span_s
 
-Span = tuple[float, float]
-Views = CaptureSession | KeypointSession
 _DEFAULTS = ReconstructionConfig()
 _BY_MEMBERSHIP = (
     "Clustering takes whole bodies for evidence, not part affinity fields: "
     "two joints are connected where they belong to one detection."
 )
-Chunk = tuple[str, Span]  # of a camera
+_Tracks = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
+_Chunk = tuple[str, range]  # output frames of a camera
+_Detected_co = TypeVar("_Detected_co", covariant=True)
 
 
 def reconstruct(
@@ -56,16 +70,24 @@ def reconstruct(
         If a video can't be decoded, or there is no such parameter.
     ModelError
         If the detector is not installed.
+    PipelineError
+        If the folder for temporary files can't be written.
     """
     _check(session, config)
     detector = open_detector(config.detector)
+    ranges = chunk_ranges(session.timebase, config.chunk_frames)
     cameras = [camera.name for camera in session.cameras]
-    chunks = [(camera, span) for span in chunk_ranges(session.timebase, config.chunk_frames) for camera in cameras]
-    detected = (
-        _map_here(session, chunks, detector, on_progress)
-        if config.processes == 1
-        else _map_in_processes(session, chunks, config, on_progress)
-    )
+    chunks = [(camera, frames) for frames in ranges for camera in cameras]
+    if uses_fields(session, config):
+        with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+            files = FieldFiles(Path(folder), cameras)
+            for chunk, fields in zip(
+                chunks, _map(_fields_of, session, chunks, detector, config, on_progress), strict=True
+            ):
+                files.write(*chunk, fields)
+            tracks = _cluster(session, ranges, files.read, detector.joints, config, on_progress)
+        return _finish(session, tracks, detector.joints, config, on_progress)
+    detected = _map(_bodies_of, session, chunks, detector, config, on_progress)
     detections = concatenate(detected, cameras, len(detector.joints.names))
     return _reconstruct_people(session, detections, detector.joints, config, on_progress)
 
@@ -91,6 +113,21 @@ def reconstruct_keypoints(
     return _reconstruct_people(session, session.detections, session.joints, config, on_progress)
 
 
+def fit(session: Views, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:
+    """Animate one skeleton a person."""
+    return tuple(motion_from_track(track, joints, session.timebase, f"person-{track.track_id}") for track in tracks)
+
+
+def _check(session: Views, config: ReconstructionConfig) -> None:
+    """Find out what is wrong before the work begins."""
+    tracking_parameters(session, config.tracking)
+    clustering_parameters(session, config)
+    foreign = config.clustering if config.method == "tracking" else config.tracking
+    if foreign:
+        problem = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
+        raise InputError([Problem("unknown_parameter", problem, hint="Leave them out, or use the other method.")])
+
+
 def _reconstruct_people(
     session: Views,
     detections: Mapping[str, Detections],
@@ -98,88 +135,104 @@ def _reconstruct_people(
     config: ReconstructionConfig,
     on_progress: OnProgress,
 ) -> Reconstruction:
-    done, total = 0, session.timebase.num_frames if config.method == "clustering" else 1
-    on_progress(Progress("associate", done, total))
+    if config.method == "clustering":
+        tracks = _cluster(
+            session, [range(session.timebase.num_frames)], lambda _: detections, joints, config, on_progress
+        )
+    else:
+        count = _counter("associate", 1, on_progress)
+        tracks = track(session, detections, config)
+        count()
+    return _finish(session, tracks, joints, config, on_progress)
 
-    def on_frame() -> None:
-        nonlocal done
-        done += 1
-        on_progress(Progress("associate", done, total))
 
-    tracks, observations = associate(session, detections, joints, config, on_frame)
-    on_progress(Progress("associate", total, total))
-    on_progress(Progress("fit", 0, 1))
-    motions = fit(session, tracks, joints)
-    on_progress(Progress("fit", 1, 1))
+def _cluster(
+    session: Views,
+    ranges: Sequence[range],
+    found_in: Callable[[range], Found],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_progress: OnProgress,
+) -> _Tracks:
+    count = _counter("lengths", num_sampled(session, config), on_progress)
+    lengths = measure_bones(session, ((frames, found_in(frames)) for frames in ranges), joints, config, count)
+    count = _counter("poses", session.timebase.num_frames, on_progress)
+    poses = [locate_people(session, frames, found_in(frames), lengths, joints, config, count) for frames in ranges]
+    count = _counter("associate", 1, on_progress)
+    tracks = link(session, poses, joints, config)
+    count()
+    return tracks
+
+
+def _finish(
+    session: Views, tracks: _Tracks, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
+) -> Reconstruction:
+    count = _counter("fit", 1, on_progress)
+    motions = fit(session, tracks[0], joints)
+    count()
+    by_membership = config.method == "clustering" and not uses_fields(session, config)
     return Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
-        tracks=tracks,
-        observations=observations,
+        tracks=tracks[0],
+        observations=tracks[1],
         motions=motions,
-        warnings=(*session.warnings, *([_BY_MEMBERSHIP] if config.method == "clustering" else [])),
+        warnings=(*session.warnings, *([_BY_MEMBERSHIP] if by_membership else [])),
     )
 
 
-def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
-    """Those derived from the session, but for what was asked to be otherwise.
+def _counter(stage: Stage, total: int, on_progress: OnProgress) -> Callable[[], None]:
+    """Report that a stage begins; what is returned reports one step more at each call."""
+    done = -1
 
-    Raises
-    ------
-    InputError
-        If a parameter does not exist, or can't have that value.
-    """
-    return change_parameters(derive_parameters(session.cameras, session.timebase.frame_rate_hz), changes)
+    def count() -> None:
+        nonlocal done
+        done += 1
+        on_progress(Progress(stage, done, total))
 
-
-def _check(session: Views, config: ReconstructionConfig) -> None:
-    """Find out what is wrong before the work begins."""
-    tracking_parameters(session, config.tracking)
-    if config.tracking and config.method != "tracking":
-        problem = f"Parameters of the tracker are of no use to the method '{config.method}'."
-        raise InputError([Problem("unknown_parameter", problem, hint="Leave them out, or use the method 'tracking'.")])
+    count()
+    return count
 
 
-def associate(
-    session: Views,
-    detections: Mapping[str, Detections],
-    joints: JointSet,
-    config: ReconstructionConfig = _DEFAULTS,
-    on_frame: Callable[[], None] = lambda: None,
-) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Turn all cameras' detections into tracks: the sequential reduce, one pass in time order.
-
-    Clustering calls ``on_frame`` after each output frame; tracking takes no time worth counting.
-    """
-    views = session.cameras, session.times, detections, session.timebase
-    if config.method == "clustering":
-        return reconstruct_by_clustering(*views, joints, clustering_parameters(session.cameras), on_frame)
-    return reconstruct_tracks(*views, tracking_parameters(session, config.tracking))
+def _bodies_of(
+    session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None] = lambda: None
+) -> Detections:
+    camera, frames = chunk
+    return detect_chunk(session, camera, span_s(session.timebase, frames.start, frames.stop), detector, on_frame)
 
 
-def fit(session: Views, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:
-    """Animate one skeleton a person."""
-    return tuple(motion_from_track(track, joints, session.timebase, f"person-{track.track_id}") for track in tracks)
+def _fields_of(
+    session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None] = lambda: None
+) -> bytes:
+    camera, frames = chunk
+    span = span_s(session.timebase, frames.start, frames.stop)
+    return encode_fields(detect_fields_chunk(session, camera, span, detector, on_frame))
+
+
+class _DetectChunk(Protocol[_Detected_co]):
+    def __call__(
+        self, session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None] = ...
+    ) -> _Detected_co: ...
+
+
+def _map(
+    detect: _DetectChunk[_Detected_co],
+    session: CaptureSession,
+    chunks: Sequence[_Chunk],
+    detector: Detector,
+    config: ReconstructionConfig,
+    on_progress: OnProgress,
+) -> Iterator[_Detected_co]:
+    """What was detected in each chunk, in their order."""
+    if config.processes == 1:
+        count = _counter("detect", _num_frames(session), on_progress)
+        return (detect(session, chunk, detector, count) for chunk in chunks)
+    return _map_in_processes(detect, session, chunks, config, on_progress)
 
 
 def _num_frames(session: CaptureSession) -> int:
     return sum(len(times.time_s) for times in session.times.values())
-
-
-def _map_here(
-    session: CaptureSession, chunks: Sequence[Chunk], detector: Detector, on_progress: OnProgress
-) -> Iterator[Detections]:
-    total, done = _num_frames(session), 0
-    on_progress(Progress("detect", 0, total))
-
-    def on_frame() -> None:
-        nonlocal done
-        done += 1
-        on_progress(Progress("detect", done, total))
-
-    for camera, span_s in chunks:
-        yield detect_chunk(session, camera, span_s, detector, on_frame)
 
 
 class _Worker:
@@ -194,13 +247,17 @@ class _Worker:
         cls.detector = open_detector(detector_name)
 
     @classmethod
-    def run(cls, chunk: Chunk) -> Detections:
-        return detect_chunk(cls.session, *chunk, cls.detector)
+    def run(cls, detect: _DetectChunk[_Detected_co], chunk: _Chunk) -> _Detected_co:
+        return detect(cls.session, chunk, cls.detector)
 
 
 def _map_in_processes(
-    session: CaptureSession, chunks: Sequence[Chunk], config: ReconstructionConfig, on_progress: OnProgress
-) -> Iterator[Detections]:
+    detect: _DetectChunk[_Detected_co],
+    session: CaptureSession,
+    chunks: Sequence[_Chunk],
+    config: ReconstructionConfig,
+    on_progress: OnProgress,
+) -> Iterator[_Detected_co]:
     done, total = 0, len(chunks)
     on_progress(Progress("detect", 0, _num_frames(session)))
     pool = ProcessPoolExecutor(
@@ -210,10 +267,10 @@ def _map_in_processes(
         initargs=(session, config.detector),
     )
     try:
-        for detections in pool.map(_Worker.run, chunks):
+        for detected in pool.map(partial(_Worker.run, detect), chunks):
             done += 1
             on_progress(Progress("detect", _num_frames(session) * done // total, _num_frames(session)))
-            yield detections
+            yield detected
     except BrokenProcessPool as error:
         raise PipelineError(
             "A detection process was ended from outside, most likely for lack of memory. Try fewer processes."

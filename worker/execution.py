@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.model import Claim, Session
@@ -9,6 +10,13 @@ from worker.jobs.model import Claim, Session
 
 class StoppedError(Exception):
     """The work is no longer wanted here: the lease is lost, the job is canceled, or the worker shuts down."""
+
+
+class Outputs(Protocol):
+    """Reads what chunks of an earlier stage left."""
+
+    def __call__(self, stage: str, chunks: slice = ...) -> list[bytes]:
+        """In the chunks' order; of all of them, or of some."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +30,7 @@ class Work:
     artifacts
         Where the session's files are.
     outputs
-        Reads what each chunk of an earlier stage left, in the chunks' order.
+        Reads what chunks of an earlier stage left.
     on_unit
         To be called after each unit of work (a frame, a person); raises ``StoppedError`` when the work is no longer
         wanted.
@@ -31,7 +39,7 @@ class Work:
     claim: Claim
     session: Session
     artifacts: ArtifactStore
-    outputs: Callable[[str], list[bytes]]
+    outputs: Outputs
     on_unit: Callable[[], None]
 
 

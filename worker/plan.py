@@ -8,15 +8,16 @@ crash or for another job, asks for the same keys and finds what is there.
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from worker.jobs.model import ChunkPlan, Session, StagePlan
 from worker.jobs.spec import JobSpec
 
-DETECT, ASSOCIATE, FIT, EXPORT = "detect", "associate", "fit", "export"
+DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
 
 # A stage's number goes up with every change of its code that changes what it leaves.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, ASSOCIATE: 3, FIT: 1, EXPORT: 1}
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 1, POSES: 1, ASSOCIATE: 3, FIT: 1, EXPORT: 1}
 
 DEFAULT_CHUNK_FRAMES = 100
 
@@ -38,22 +39,25 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
     Returns
     -------
         The stages in their order: detect (map), associate, fit and export (one chunk each). A session of keypoints has
-        nothing to detect.
+        nothing to detect. Clustering measures bones (one chunk) and finds people (map) before it associates them.
     """
-    inputs, num_frames = _inputs(session), max(1, session.preflight["timebase"]["num_frames"])
-    detects: tuple[StagePlan, ...] = ()
+    inputs = _inputs(session)
+    stages: list[StagePlan] = []
     if not is_of_keypoints(session):
-        inputs = [_key(DETECT, {"detector": spec.detector}, inputs)]
-        detects = (StagePlan(DETECT, _map_chunks(session, inputs[0], chunk_frames)),)
+        inputs = [
+            _key(DETECT, {"detector": spec.detector, **({"leaves": "fields"} if spec.uses_fields else {})}, inputs)
+        ]
+        stages.append(StagePlan(DETECT, _map_cameras(session, inputs[0], chunk_frames)))
+    if spec.method == "clustering":
+        lengths = _key(LENGTHS, {}, inputs)
+        inputs = [_key(POSES, {}, [*inputs, lengths])]
+        stages.append(StagePlan(LENGTHS, _reduce(lengths, _num_measured(session), {"chunk_frames": chunk_frames})))
+        stages.append(StagePlan(POSES, _map_frames(session, inputs[0], chunk_frames)))
     associate = _key(ASSOCIATE, {"method": spec.method}, inputs)
     fit = _key(FIT, {}, [associate])
     export = _key(EXPORT, {}, [associate, fit])
-    return (
-        *detects,
-        StagePlan(ASSOCIATE, _reduce(associate, num_frames if spec.method == "clustering" else 1)),
-        StagePlan(FIT, _reduce(fit)),
-        StagePlan(EXPORT, _reduce(export)),
-    )
+    stages.extend(StagePlan(name, _reduce(key)) for name, key in ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export)))
+    return tuple(stages)
 
 
 def is_of_keypoints(session: Session) -> bool:
@@ -61,11 +65,35 @@ def is_of_keypoints(session: Session) -> bool:
     return any(file.kind == "keypoints" for file in session.files)
 
 
-def _map_chunks(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
+def _ranges(session: Session, chunk_frames: int) -> list[tuple[int, int]]:
+    num_frames = session.preflight["timebase"]["num_frames"]
+    return [(start, min(start + chunk_frames, num_frames)) for start in range(0, num_frames, chunk_frames)]
+
+
+def _map_frames(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
+    """Ranges of output frames, the same as those of each camera."""
+    return tuple(
+        ChunkPlan(
+            index=index,
+            payload={"start_frame": start, "stop_frame": stop},
+            unit_count=stop - start,
+            output_key=_hash([stage_key, start, stop]),
+        )
+        for index, (start, stop) in enumerate(_ranges(session, chunk_frames))
+    )
+
+
+def _num_measured(session: Session) -> int:
+    """About as many frames as bones are measured in: five a second."""
+    timebase = session.preflight["timebase"]
+    return max(1, min(timebase["num_frames"], round(5 * timebase["num_frames"] / timebase["frame_rate_hz"])))
+
+
+def _map_cameras(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
     timebase = session.preflight["timebase"]
     pieces = (
-        (camera, start, min(start + chunk_frames, timebase["num_frames"]))
-        for start in range(0, timebase["num_frames"], chunk_frames)
+        (camera, start, stop)
+        for start, stop in _ranges(session, chunk_frames)
         for camera in session.preflight["cameras"]
     )
     return tuple(
@@ -80,8 +108,10 @@ def _map_chunks(session: Session, stage_key: str, chunk_frames: int) -> tuple[Ch
     )
 
 
-def _reduce(stage_key: str, unit_count: int = 1) -> tuple[ChunkPlan, ...]:
-    return (ChunkPlan(index=0, payload={}, unit_count=unit_count, output_key=stage_key),)
+def _reduce(
+    stage_key: str, unit_count: int = 1, payload: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[ChunkPlan, ...]:
+    return (ChunkPlan(index=0, payload=dict(payload), unit_count=unit_count, output_key=stage_key),)
 
 
 def _inputs(session: Session) -> list[str]:

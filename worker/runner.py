@@ -5,6 +5,7 @@ import os
 import socket
 import time
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
@@ -113,7 +114,7 @@ class Runner:
                 claim=claim,
                 session=self._store.session(claim.session_id),
                 artifacts=self._artifacts,
-                outputs=lambda stage: self._outputs(claim, stage),
+                outputs=partial(self._outputs, claim),
                 on_unit=lease.on_unit,
             )
         )
@@ -135,8 +136,8 @@ class Runner:
             return None
         return recorded if _sha256(self._read(key)) == recorded[0] else None
 
-    def _outputs(self, claim: Claim, stage: str) -> list[bytes]:
-        keys = self._store.outputs(claim.job_id, stage)
+    def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
+        keys = self._store.outputs(claim.job_id, stage)[chunks]
         return [self._read(stage_key(claim.session_id, key)) for key in keys]
 
     def _read(self, key: str) -> bytes:

@@ -7,11 +7,13 @@ import contextlib
 import functools
 import json
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from pipeline.association import Found, Views, link, locate_people, measure_bones, track
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Reconstruction, SkeletonMotion
-from pipeline.detect.chunk import concatenate, detect_chunk
+from pipeline.data import Detections, Reconstruction, SkeletonMotion
+from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError, PipelineError
 from pipeline.export.results import result_files
@@ -19,23 +21,29 @@ from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.records_npz import (
     decode_detections,
+    decode_fields,
     decode_keypoints,
+    decode_lengths,
     decode_motions,
+    decode_poses,
     decode_session,
     decode_tracks,
     encode_detections,
+    encode_fields,
+    encode_lengths,
     encode_motions,
+    encode_poses,
     encode_tracks,
 )
-from pipeline.run import Views, associate, fit
+from pipeline.run import fit
 from pipeline.session import CaptureSession
-from pipeline.tracking.warm_up import warm_up as warm_up_tracking
-from pipeline.video.timeline import span_s
+from pipeline.video.timeline import chunk_ranges, span_s
+from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore, record_key
 from worker.jobs.model import Session
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, is_of_keypoints
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, is_of_keypoints
 
 _detector = functools.cache(open_detector)
 
@@ -79,7 +87,7 @@ def warm_up() -> None:
     """Load the default network and the compiled kernels before they are needed; a chunk says what is missing."""
     with contextlib.suppress(ModelError):
         _detector(JobSpec().detector)
-    warm_up_tracking()
+    compile_kernels()
 
 
 def _views_of(work: Work) -> tuple[Views, JointSet]:
@@ -88,27 +96,72 @@ def _views_of(work: Work) -> tuple[Views, JointSet]:
     return views, views.joints if isinstance(views, KeypointSession) else _detector(work.claim.spec.detector).joints
 
 
+def _config(work: Work) -> ReconstructionConfig:
+    spec = work.claim.spec
+    return ReconstructionConfig(method=spec.method, detector=spec.detector)
+
+
 def detect(work: Work) -> Outcome:
-    """Find all bodies in a range of a camera's frames."""
+    """Find all bodies in a range of a camera's frames, or what they could be made of."""
     session, _ = _views_of(work)
     if isinstance(session, KeypointSession):
         raise PipelineError("A session of keypoints has no videos.")
     chunk = work.claim.payload
     span = span_s(session.timebase, chunk["start_frame"], chunk["stop_frame"])
-    detector = _detector(work.claim.spec.detector)
-    return Outcome(encode_detections(detect_chunk(session, chunk["camera"], span, detector, work.on_unit)))
+    seen = session, chunk["camera"], span, _detector(work.claim.spec.detector), work.on_unit
+    if work.claim.spec.uses_fields:
+        return Outcome(encode_fields(detect_fields_chunk(*seen)))
+    return Outcome(encode_detections(detect_chunk(*seen)))
+
+
+def _bodies(work: Work, session: Views, joints: JointSet) -> Mapping[str, Detections]:
+    """All bodies of the session."""
+    if isinstance(session, KeypointSession):
+        return session.detections
+    chunks = (decode_detections(content) for content in work.outputs(DETECT))
+    return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
+
+
+def _found(work: Work, session: Views, joints: JointSet) -> Callable[[int], Found]:
+    """What shows the output frames of a chunk of the map, by the chunk's number."""
+    if isinstance(session, KeypointSession) or not work.claim.spec.uses_fields:
+        bodies = _bodies(work, session, joints)
+        return lambda _: bodies
+    num_cameras = len(session.cameras)
+
+    def fields_of(number: int) -> Found:
+        chunks = work.outputs(DETECT, slice(number * num_cameras, (number + 1) * num_cameras))
+        return {one.camera: one for one in map(decode_fields, chunks)}
+
+    return fields_of
+
+
+def measure_lengths(work: Work) -> Outcome:
+    """Measure everybody's bones in frames all over the session, a chunk of the map at a time."""
+    session, joints = _views_of(work)
+    found = _found(work, session, joints)
+    ranges = chunk_ranges(session.timebase, work.claim.payload["chunk_frames"])
+    chunks = ((frames, found(number)) for number, frames in enumerate(ranges))
+    return Outcome(encode_lengths(measure_bones(session, chunks, joints, _config(work), work.on_unit)))
+
+
+def find_poses(work: Work) -> Outcome:
+    """Find everybody in a range of output frames, each instant by itself."""
+    session, joints = _views_of(work)
+    chunk = work.claim.payload
+    found = _found(work, session, joints)(work.claim.index)
+    lengths = decode_lengths(*work.outputs(LENGTHS))
+    frames = range(chunk["start_frame"], chunk["stop_frame"])
+    return Outcome(encode_poses(locate_people(session, frames, found, lengths, joints, _config(work), work.on_unit)))
 
 
 def associate_people(work: Work) -> Outcome:
-    """Turn the detections of all chunks into tracks: one pass in time order."""
+    """Turn what was found in all chunks into tracks: one pass in time order."""
     session, joints = _views_of(work)
-    if isinstance(session, KeypointSession):
-        detections = session.detections
-    else:
-        chunks = (decode_detections(content) for content in work.outputs(DETECT))
-        detections = concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
-    config = ReconstructionConfig(method=work.claim.spec.method)
-    return Outcome(encode_tracks(*associate(session, detections, joints, config, work.on_unit)))
+    if work.claim.spec.method == "clustering":
+        poses = [decode_poses(content) for content in work.outputs(POSES)]
+        return Outcome(encode_tracks(*link(session, poses, joints, _config(work))))
+    return Outcome(encode_tracks(*track(session, _bodies(work, session, joints), _config(work))))
 
 
 def fit_skeletons(work: Work) -> Outcome:
@@ -116,8 +169,8 @@ def fit_skeletons(work: Work) -> Outcome:
     session, joints = _views_of(work)
     tracks, _ = decode_tracks(*work.outputs(ASSOCIATE))
     motions: list[SkeletonMotion] = []
-    for track in tracks:
-        motions.extend(fit(session, [track], joints))
+    for one in tracks:
+        motions.extend(fit(session, [one], joints))
         work.on_unit()
     return Outcome(encode_motions(motions))
 
@@ -150,4 +203,11 @@ def _result_file(name: str, content: bytes) -> ResultFile:
     return ResultFile(name, kind, person, _MEDIA_TYPES[path.suffix], content)
 
 
-STAGES: Stages = {DETECT: detect, ASSOCIATE: associate_people, FIT: fit_skeletons, EXPORT: export}
+STAGES: Stages = {
+    DETECT: detect,
+    LENGTHS: measure_lengths,
+    POSES: find_poses,
+    ASSOCIATE: associate_people,
+    FIT: fit_skeletons,
+    EXPORT: export,
+}

@@ -29,8 +29,8 @@ from pipeline.export.results import result_files
 from pipeline.run import reconstruct
 from pipeline.samples import Sample
 from pipeline.session import CaptureSession, open_session
-from pipeline.tracking.warm_up import warm_up
 from pipeline.video.decode import decode
+from pipeline.warm_up import warm_up
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)

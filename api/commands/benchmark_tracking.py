@@ -22,7 +22,7 @@ from pipeline.tracking.observations import gather
 from pipeline.tracking.pairwise import associate_pairwise
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.tracker import make_frames, make_rig
-from pipeline.tracking.warm_up import warm_up
+from pipeline.warm_up import warm_up
 
 RATE_HZ = 25.0
 # Cameras, people and seconds.

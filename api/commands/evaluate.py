@@ -1,6 +1,7 @@
 """`multicap evaluate`: accuracy against a known truth."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,21 +13,21 @@ from api.console import StageBars, console, emit, reporting
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.data import Track3D
 from pipeline.errors import InputError, Problem
-from pipeline.joints import COCO_17
+from pipeline.joints import COCO_17, COCO_18
 from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.metrics.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.metrics.datasets.shelf_ablation import ablate
 from pipeline.metrics.datasets.shelf_tracking import association_accuracy, score_tracking
 from pipeline.metrics.quality import bone_length_std_cm
 from pipeline.metrics.simulated import score_simulated
+from pipeline.metrics.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.run import reconstruct
 from pipeline.session import open_session
 from pipeline.simulation.scenes import SCENES, Simulation, simulate
 from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
-from pipeline.tracking.warm_up import warm_up
+from pipeline.warm_up import warm_up
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
@@ -152,36 +153,107 @@ def simulated(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
     method: MethodOption = "tracking",
+    evidence: Annotated[
+        str | None,
+        typer.Option(
+            help="What people are found from: fields (of a network with part affinity fields; only clustering, and its "
+            "default) or bodies (of one that finds whole ones; tracking's)."
+        ),
+    ] = None,
     views: Annotated[str | None, typer.Option(help="Numbers of cameras, such as 4,8; all by default.")] = None,
+    ablation: Annotated[
+        bool, typer.Option(help="Also what clustering's constraints are worth (the paper's table 3); minutes.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Simulated people with exact truth, from what a faulty detector sees of them."""
-    by_views = {}
+    by_views: dict[int, dict[str, Any]] = {}
     with reporting(as_json):
         checked_method = known_method(method)
+        checked_evidence = _known_evidence(evidence, checked_method, ablation)
         for num_views in _numbers(views):
             simulation = simulate(scene, seed, num_views)
             warm_up()
-            started_s = time.perf_counter()
-            tracks = _tracks_of(simulation, checked_method)
-            fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-            by_views[len(simulation.cameras)] = score_simulated(tracks, simulation) | {"fps": fps}
+            scores = (
+                _score_fields(simulation, ablation)
+                if checked_evidence == "fields"
+                else _score_bodies(simulation, checked_method)
+            )
+            by_views[len(simulation.cameras)] = scores
     if as_json:
-        emit({"scene": scene, "seed": seed, "method": checked_method, "by_views": by_views})
+        emit(
+            {
+                "scene": scene,
+                "seed": seed,
+                "method": checked_method,
+                "evidence": checked_evidence,
+                "by_views": by_views,
+            }
+        )
         return
-    table = Table("measure", *(f"{num_views} cameras" for num_views in by_views))
-    for name in next(iter(by_views.values())):
-        values = [scores[name] for scores in by_views.values()]
-        table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))
+    _print_simulated({f"{num_views} cameras": scores for num_views, scores in by_views.items()})
+    if ablation:
+        for num_views, scores in by_views.items():
+            console.print(f"\nClustering's parts, {num_views} cameras (see docs/clustering.md)")
+            _print_simulated(scores["ablation"])
+
+
+def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str:
+    """What people are found from, the method's own by default."""
+    chosen = evidence or ("fields" if method == "clustering" else "bodies")
+    problems = []
+    if chosen not in {"fields", "bodies"}:
+        problems.append(Problem("unknown_evidence", f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
+    elif chosen == "fields" and method != "clustering":
+        problems.append(
+            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Leave it out, or choose clustering.")
+        )
+    if ablation and chosen != "fields":
+        hint = "Leave it out, or evaluate clustering of fields."
+        problems.append(Problem("no_ablation", "There is an ablation of clustering of fields only.", hint=hint))
+    if problems:
+        raise InputError(problems)
+    return chosen
+
+
+def _score_bodies(simulation: Simulation, method: Method) -> dict[str, Any]:
+    views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
+    started_s = time.perf_counter()
+    if method == "clustering":
+        parameters = clustering_parameters(simulation.cameras)
+        tracks, _ = reconstruct_by_clustering(*views, simulation.joints, parameters)
+    else:
+        limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
+        tracks, _ = reconstruct_tracks(*views, limits)
+    fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
+    return score_simulated(tracks, simulation, simulation.joints) | {"fps": fps}
+
+
+def _score_fields(simulation: Simulation, ablation: bool) -> dict[str, Any]:
+    with drawn_fields(simulation) as files:
+        started_s = time.perf_counter()
+        tracks = cluster_fields(simulation, files)
+        fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
+        scores = score_simulated(tracks, simulation, COCO_18)
+        parts = {"ablation": ablate_clustering(simulation, files) | {"default": scores}} if ablation else {}
+    return scores | {"fps": fps} | parts
+
+
+def _print_simulated(columns: Mapping[str, Mapping[str, Any]]) -> None:
+    """One column of scores each; the errors of joints below the rest."""
+    table = Table("measure", *columns)
+    first = next(iter(columns.values()))
+    for name in first:
+        if not isinstance(first[name], dict):
+            table.add_row(name, *(_shown(scores.get(name)) for scores in columns.values()))
+    for joint in first["mpjpe_by_joint_mm"]:
+        errors = (scores["mpjpe_by_joint_mm"][joint] for scores in columns.values())
+        table.add_row(f"mpjpe_mm of the {joint}", *(_shown(error) for error in errors))
     console.print(table)
 
 
-def _tracks_of(simulation: Simulation, method: Method) -> tuple[Track3D, ...]:
-    views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
-    if method == "clustering":
-        parameters = clustering_parameters(simulation.cameras)
-        return reconstruct_by_clustering(*views, simulation.joints, parameters)[0]
-    return reconstruct_tracks(*views, derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz))[0]
+def _shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def _refuse_ablation(method: Method, ablation: bool) -> None:

@@ -11,13 +11,14 @@ from rich.text import Text
 
 from api.commands.options import MethodOption, known_method
 from api.console import StageBars, console, emit, reporting
+from pipeline.association import Views
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export.results import result_files
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.metrics.quality import quality_report
-from pipeline.run import Views, reconstruct, reconstruct_keypoints
+from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.session import open_session
 
 

@@ -1,19 +1,22 @@
-"""From detections to tracks by clustering: bone lengths first, then every instant, then links in time."""
+"""From what cameras saw to tracks: bone lengths first, then every instant by itself, then links in time.
 
-from collections.abc import Callable, Mapping, Sequence
+The three steps are those of a service's workers: ``first_lengths`` and ``link_people`` see the whole session,
+``find_people`` any range of frames, whose cut changes nothing.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths
-from pipeline.clustering.candidates import Seen
+from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths, unlimited_lengths
+from pipeline.clustering.candidates import Instant, Seen, SeenBodies
 from pipeline.clustering.clusters import find_joints
-from pipeline.clustering.hypotheses import Candidates
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parsing import Poses, parse
 from pipeline.clustering.skeleton import TORSO, Skeleton, skeleton_of
-from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
+from pipeline.data import Camera, Detections, FrameTimes, Observations, Poses3D, Timebase, Track3D
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.life import Person, number_people, record_life
 from pipeline.joints import JointSet
@@ -21,14 +24,120 @@ from pipeline.joints import JointSet
 
 def find_poses(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
-    candidates: Candidates,
+    instant: Instant,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
 ) -> Poses:
     """Find everybody at one instant (sections 3.2 to 3.4)."""
-    found = find_joints(image_from_world, candidates, skeleton, lengths, parameters)
-    return parse(found, skeleton, lengths, parameters)
+    found = find_joints(image_from_world, *instant, skeleton, lengths, parameters)
+    return parse(found, instant.evidence, skeleton, lengths, parameters)
+
+
+def sampled_frames(timebase: Timebase, parameters: ClusteringParameters) -> range:
+    """Output frames from which bone lengths are taken: all over the session, so that who comes later has theirs."""
+    return range(0, timebase.num_frames, max(1, round(timebase.frame_rate_hz / parameters.length_rate_hz)))
+
+
+def find_people(
+    cameras: Sequence[Camera],
+    seen: Seen,
+    frames: Iterable[int],
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+    on_frame: Callable[[], None] = lambda: None,
+) -> Poses3D:
+    """Find everybody in some output frames.
+
+    Parameters
+    ----------
+    seen
+        What shows these frames.
+    lengths
+        Of everybody's bones; ``unknown_lengths`` for the first pass.
+    on_frame
+        Called after each frame.
+    """
+    projections = np.array([image_from_world(camera) for camera in cameras])
+    if not parameters.use_lengths:
+        lengths = unlimited_lengths(skeleton)
+    shape = len(skeleton.names), len(cameras)
+    number, xyz_m = [np.empty(0, int)], [np.empty((0, shape[0], 3))]
+    points_px, score = [np.empty((0, *shape, 2))], [np.empty((0, *shape))]
+    for frame in frames:
+        instant = seen.at(frame)
+        poses = find_poses(projections, instant, skeleton, lengths, parameters)
+        number.append(np.full(len(poses.xyz_m), frame))
+        xyz_m.append(poses.xyz_m)
+        # What stands behind the last candidate is taken where there is none.
+        points_px.append(np.append(instant.candidates.seen_px, [[np.nan, np.nan]], axis=0)[poses.candidate])
+        score.append(np.append(instant.candidates.score, 0.0)[poses.candidate])
+        on_frame()
+    return Poses3D(*(np.concatenate(values) for values in (number, xyz_m, points_px, score)))
+
+
+def first_lengths(
+    cameras: Sequence[Camera],
+    seen: Iterable[tuple[Seen, Iterable[int]]],
+    timebase: Timebase,
+    skeleton: Skeleton,
+    parameters: ClusteringParameters,
+    on_frame: Callable[[], None] = lambda: None,
+) -> LimbLengths:
+    """Everybody's bone lengths, from a first pass without any (section 3.6).
+
+    Parameters
+    ----------
+    seen
+        Ranges in order of time: what shows them, and the output frames of ``sampled_frames`` in them.
+    on_frame
+        Called after each frame.
+    """
+    unknown = unknown_lengths(skeleton)
+    first = [find_people(cameras, one, frames, skeleton, unknown, parameters, on_frame) for one, frames in seen]
+    poses = join_poses(first, skeleton, len(cameras))
+    return measure_lengths([poses.xyz_m[life] for life in _lives(poses, timebase, skeleton, parameters)], skeleton)
+
+
+def join_poses(chunks: Sequence[Poses3D], skeleton: Skeleton, num_cameras: int) -> Poses3D:
+    """Poses of consecutive ranges as one record."""
+    shape = len(skeleton.names), num_cameras
+    nothing = Poses3D(np.empty(0, int), np.empty((0, shape[0], 3)), np.empty((0, *shape, 2)), np.empty((0, *shape)))
+    every = [nothing, *chunks]
+    return Poses3D(
+        np.concatenate([one.frame for one in every]),
+        np.concatenate([one.xyz_m for one in every]),
+        np.concatenate([one.points_px for one in every]),
+        np.concatenate([one.score for one in every]),
+    )
+
+
+def link_people(
+    cameras: Sequence[Camera],
+    chunks: Sequence[Poses3D],
+    timebase: Timebase,
+    joints: JointSet,
+    parameters: ClusteringParameters,
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Link everybody's poses in time (section 3.5).
+
+    Parameters
+    ----------
+    chunks
+        Of consecutive ranges.
+    joints
+        What the joint axis of the tracks shall hold: the detector's.
+
+    Returns
+    -------
+        Tracks on the output frames, in order of first appearance, and the observations behind them.
+    """
+    skeleton = skeleton_of(joints)
+    poses = join_poses(chunks, skeleton, len(cameras))
+    lives = _lives(poses, timebase, skeleton, parameters)
+    people = (_person(cameras, timebase, skeleton, joints, poses, life) for life in lives)
+    return number_people([person for person in people if person is not None])
 
 
 def reconstruct_by_clustering(
@@ -38,22 +147,17 @@ def reconstruct_by_clustering(
     timebase: Timebase,
     joints: JointSet,
     parameters: ClusteringParameters,
-    on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Reconstruct everybody from whole bodies that a detector found.
-
-    Detections take the place of part affinity fields: two joints are connected where they belong to one detection.
+    """Reconstruct everybody from whole bodies that a detector found: all three steps.
 
     Parameters
     ----------
     joints
         What the joint axis of the detections holds.
-    on_frame
-        Called after each output frame.
 
     Returns
     -------
-        Tracks on the output frames, in order of first appearance, and the observations behind them.
+        See ``link_people``.
 
     Raises
     ------
@@ -61,55 +165,42 @@ def reconstruct_by_clustering(
         If the detector lacks a joint of the paper's skeleton, beside the neck.
     """
     skeleton = skeleton_of(joints)
-    projections = np.array([image_from_world(camera) for camera in cameras])
-    seen = Seen(cameras, times, detections, skeleton, parameters.min_score)
-    instants_s = timebase.start_time_s + np.arange(timebase.num_frames) / timebase.frame_rate_hz
-    half_s = 0.5 / timebase.frame_rate_hz
+    seen = SeenBodies(cameras, times, detections, timebase, skeleton, parameters)
+    sampled = sampled_frames(timebase, parameters)
+    lengths = first_lengths(cameras, [(seen, sampled)], timebase, skeleton, parameters)
+    poses = find_people(cameras, seen, range(timebase.num_frames), skeleton, lengths, parameters)
+    return link_people(cameras, [poses], timebase, joints, parameters)
 
-    def poses_at(frame: int, lengths: LimbLengths) -> Poses:
-        candidates = seen.at(float(instants_s[frame]), half_s)
-        return find_poses(projections, candidates, skeleton, lengths, parameters)
 
-    def tracks_of(poses: Sequence[Poses], frames: Sequence[int]) -> list[list[tuple[int, int]]]:
-        torso = skeleton.indices(TORSO)
-        linked = link([one.xyz_m[:, torso] for one in poses], instants_s[list(frames)], parameters)
-        return [track.members for track in linked]
-
-    sampled = range(0, timebase.num_frames, max(1, round(timebase.frame_rate_hz / parameters.length_rate_hz)))
-    first = [poses_at(frame, unknown_lengths(skeleton)) for frame in sampled]
-    lives = tracks_of(first, sampled)
-    lengths = measure_lengths([np.array([first[at].xyz_m[k] for at, k in life]) for life in lives], skeleton)
-
-    frames = range(timebase.num_frames)
-    poses = []
-    for frame in frames:
-        poses.append(poses_at(frame, lengths))
-        on_frame()
-    people = (_person(cameras, timebase, seen, skeleton, joints, poses, life) for life in tracks_of(poses, frames))
-    return number_people([person for person in people if person is not None])
+def _lives(
+    poses: Poses3D, timebase: Timebase, skeleton: Skeleton, parameters: ClusteringParameters
+) -> list[np.ndarray]:
+    """Each person's poses, as rows in order of time."""
+    frames = np.unique(poses.frame)
+    rows = np.split(np.arange(len(poses.frame)), np.searchsorted(poses.frame, frames[1:]))
+    torso_m = poses.xyz_m[:, skeleton.indices(TORSO)]
+    instants_s = timebase.start_time_s + frames / timebase.frame_rate_hz
+    linked = link([torso_m[mine] for mine in rows[: len(frames)]], instants_s, parameters)
+    return [np.array([rows[instant][number] for instant, number in track.members]) for track in linked]
 
 
 def _person(
     cameras: Sequence[Camera],
     timebase: Timebase,
-    seen: Seen,
     skeleton: Skeleton,
     joints: JointSet,
-    poses: Sequence[Poses],
-    life: Sequence[tuple[int, int]],
+    poses: Poses3D,
+    life: np.ndarray,
 ) -> Person | None:
     """One track's record, in the detector's joints."""
-    start, stop = life[0][0], life[-1][0] + 1
-    shape = (stop - start, len(cameras), len(joints.names))
+    start = int(poses.frame[life[0]])
+    rows = poses.frame[life] - start
+    shape = (int(rows[-1]) + 1, len(cameras), len(joints.names))
     xyz_m = np.full((shape[0], shape[2], 3), np.nan)
     seen_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
-    known = [j for j, source in enumerate(skeleton.sources) if source >= 0]
-    sources = [skeleton.sources[j] for j in known]
-    for frame, number in life:
-        xyz_m[frame - start, sources] = poses[frame].xyz_m[number, known]
-        for j, source in zip(known, sources, strict=True):
-            for view in np.flatnonzero(poses[frame].body[number, j] >= 0):
-                row = poses[frame].body[number, j, view]
-                seen_px[frame - start, view, source] = seen.seen_px[view][row, j]
-                score[frame - start, view, source] = seen.score[view][row, j]
+    for j, source in enumerate(skeleton.sources):
+        if source >= 0:
+            xyz_m[rows, source] = poses.xyz_m[life, j]
+            seen_px[rows, :, source] = poses.points_px[life, j]
+            score[rows, :, source] = poses.score[life, j]
     return record_life(cameras, timebase, start, xyz_m, seen_px, score, 0.0)

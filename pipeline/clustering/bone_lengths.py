@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pipeline.clustering.skeleton import Skeleton
 
@@ -24,10 +24,20 @@ class LimbLengths(NamedTuple):
     known_m: np.ndarray
     longest_m: np.ndarray
 
+    @property
+    def is_measured(self) -> Bool[np.ndarray, " joints"]:
+        """Whether anybody's length is known."""
+        return ~np.isnan(self.known_m).all(-1)
+
 
 def unknown_lengths(skeleton: Skeleton) -> LimbLengths:
     """What is known before anybody was seen."""
     return LimbLengths(np.empty((len(skeleton.names), 0)), np.array(skeleton.longest_m))
+
+
+def unlimited_lengths(skeleton: Skeleton) -> LimbLengths:
+    """What the paper's ablation without bone lengths knows: nothing, not even what a human being is."""
+    return LimbLengths(np.empty((len(skeleton.names), 0)), np.full(len(skeleton.names), np.inf))
 
 
 def measure_lengths(people_m: Sequence[Float[np.ndarray, "_ joints 3"]], skeleton: Skeleton) -> LimbLengths:

@@ -1,6 +1,6 @@
 """Hypotheses to joints: clusters, merged ones split by their parents (section 3.2.2)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,16 +10,22 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.clustering.constraints import SECOND_CHANCE, is_connected, length_error, membership
+from pipeline.clustering.constraints import fits, length_error, nearly_fits
+from pipeline.clustering.evidence import NOWHERE, Evidence, Places
 from pipeline.clustering.hypotheses import Candidates, Hypotheses, meet, reprojection_px
 from pipeline.clustering.joints import refine
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
+from pipeline.geometry.triangulation import plane_rows
 
-NOWHERE = -1
 
-# A view's candidate each, where they meet, and the parent.
-_Draft = tuple[Int[np.ndarray, " cameras"], Float[np.ndarray, " 3"], int]
+class _Draft(NamedTuple):
+    """A view's candidate each, where they meet, the parent, and the cluster that it is of."""
+
+    candidate: Int[np.ndarray, " cameras"]
+    seed_m: Float[np.ndarray, " 3"]
+    parent: int
+    cluster: int
 
 
 class Joints(NamedTuple):
@@ -27,40 +33,39 @@ class Joints(NamedTuple):
 
     Parameters
     ----------
-    joint
-        Which joint of the skeleton, (joints,).
-    xyz_m
-        (joints, 3).
-    is_seen
-        Whether a view has a candidate behind the joint, (joints, cameras).
-    body
-        The detection behind the joint in each view, or behind its ancestors where it has none itself, (joints,
-        cameras), ``NOWHERE`` where nobody knows.
+    places
+        What they are and where.
+    candidate
+        The candidate behind a joint in each view, (joints, cameras), ``NOWHERE`` where there is none.
     """
 
-    joint: np.ndarray
-    xyz_m: np.ndarray
-    is_seen: np.ndarray
-    body: np.ndarray
+    places: Places
+    candidate: np.ndarray
+
+    def where(self, chosen: Bool[np.ndarray, " joints"] | Int[np.ndarray, " chosen"]) -> "Joints":
+        """Some of them."""
+        return Joints(Places(*(values[chosen] for values in self.places)), self.candidate[chosen])
 
     def of(self, joint: int) -> "Joints":
         """Those of one kind."""
-        chosen = self.joint == joint
-        return Joints(*(values[chosen] for values in self))
+        return self.where(self.places.joint == joint)
 
     def with_others(self, others: "Joints") -> "Joints":
         """All of both."""
-        return Joints(*(np.concatenate(pair) for pair in zip(self, others, strict=True)))
+        places = Places(*(np.concatenate(pair) for pair in zip(self.places, others.places, strict=True)))
+        return Joints(places, np.concatenate([self.candidate, others.candidate]))
 
 
 def no_joints(num_cameras: int) -> Joints:
     """Nobody has one."""
-    return Joints(np.empty(0, int), np.empty((0, 3)), np.empty((0, num_cameras), bool), np.empty((0, num_cameras), int))
+    nothing = np.empty((0, num_cameras), int)
+    return Joints(Places(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
 
 
 def find_joints(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
+    evidence: Evidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
@@ -74,54 +79,85 @@ def find_joints(
     """
     found = no_joints(len(image_from_world))
     for level in skeleton.levels:
-        here = candidates.of(level)
+        of_level = np.flatnonzero(np.isin(candidates.joint, level))
+        here = candidates.where(of_level)
         hypotheses = meet(image_from_world, here, parameters.tau1_px)
-        parent_of = np.full(len(hypotheses.pair), NOWHERE)
+        value = np.empty((0, len(hypotheses.pair)))
         if level != [0]:
-            score, allowed = _agree(here, hypotheses, found, skeleton, lengths, parameters)
-            chosen = np.any(allowed, axis=0)
-            hypotheses = hypotheses.where(chosen)
-            if len(hypotheses.pair):
-                parent_of = np.where(allowed, np.nan_to_num(score, nan=0.0), -1.0)[:, chosen].argmax(0)
-        drafts: list[_Draft] = []
-        for members in _clusters(hypotheses.xyz_m, here.joint[hypotheses.pair[:, 0]], parameters.eps_m):
-            joint = int(here.joint[hypotheses.pair[members[0], 0]])
-            for group in _split(hypotheses.xyz_m, members, joint, parent_of, found, lengths, parameters):
-                votes, counts = np.unique(parent_of[group], return_counts=True)
-                parent = int(votes[counts.argmax()])
-                own = found.body[parent] if parent >= 0 else np.full(len(image_from_world), NOWHERE)
-                drafts.extend(
-                    (candidate, seed_m, parent)
-                    for candidate, seed_m in _extract(image_from_world, here, hypotheses, group, own, parameters)
-                )
-        found = found.with_others(_locate(image_from_world, here, drafts, found))
+            value = _agreement(here, hypotheses, found.places, evidence, skeleton, lengths, parameters)
+            chosen = np.any(value > -np.inf, axis=0)
+            hypotheses, value = hypotheses.where(chosen), value[:, chosen]
+        drafts = _draft(image_from_world, here, hypotheses, value, found.places, lengths, parameters)
+        located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m)
+        candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
+        found = found.with_others(located._replace(candidate=candidate))
     return found
 
 
-def _agree(
+def _agreement(
     candidates: Candidates,
     hypotheses: Hypotheses,
-    parents: Joints,
+    parents: Places,
+    evidence: Evidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-) -> tuple[Float[np.ndarray, "parents hypotheses"], Bool[np.ndarray, "parents hypotheses"]]:
-    """Connectivity with every parent, and which parents each hypothesis may hang on (eq. 2 and 3)."""
+) -> Float[np.ndarray, "parents hypotheses"]:
+    """How well each hypothesis hangs on each parent (eq. 2 and 3); minus infinity where it may not.
+
+    The cheap constraint comes first: evidence is asked about what bone lengths leave.
+    """
     joint = candidates.joint[hypotheses.pair[:, 0]]
-    body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
-    np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
-    score = membership(parents.body, body)
-    is_limb = parents.joint[:, None] == np.array(skeleton.parents)[joint]
-    connected = is_limb & is_connected(score, parameters.tau2)
     error = length_error(parents.xyz_m, hypotheses.xyz_m, joint, lengths)
-    allowed = connected & (error <= parameters.tau3)
-    # Two views alone are less exact than the joint will be: who would lose it gets a second chance.
-    chance = connected & (error <= SECOND_CHANCE * parameters.tau3)
+    is_limb = parents.joint[:, None] == np.array(skeleton.parents)[joint]
+    possible = is_limb & (error <= parameters.leniency * parameters.tau3)
+    if parameters.use_connectivity:
+        body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
+        np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
+        score = evidence.connect(parents, Places(joint, hypotheses.xyz_m, body), possible)
+    else:
+        score = np.full(error.shape, np.nan)
+    least = evidence.least[joint]
+    allowed = possible & fits(score, least, error, parameters.tau3)
+    chance = possible & nearly_fits(
+        score, least, error, parameters.tau3, lengths.is_measured[joint], parameters.leniency
+    )
     for kind in np.unique(joint):
         of_kind = joint == kind
         lonely = ~allowed[:, of_kind].any(-1)
         allowed[np.ix_(lonely, of_kind)] = chance[np.ix_(lonely, of_kind)]
-    return score, allowed
+    value = np.nan_to_num(score, nan=0.0) if parameters.use_connectivity else -error
+    return np.where(allowed, value, -np.inf)
+
+
+def _draft(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    hypotheses: Hypotheses,
+    value: Float[np.ndarray, "parents hypotheses"],
+    parents: Places,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+) -> list[_Draft]:
+    """Cluster hypotheses, split clusters, and match candidates across views in each."""
+    nobody = np.full(len(image_from_world), NOWHERE)
+    drafts: list[_Draft] = []
+    joint = candidates.joint[hypotheses.pair[:, 0]]
+    parent_of = value.argmax(0) if value.size else np.full(len(joint), NOWHERE)
+    clusters = list(_clusters(hypotheses.xyz_m, joint, parameters.eps_m))
+    may_split = parameters.split_clusters and value.size > 0
+    outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
+    for cluster, members in enumerate(clusters):
+        kind = int(joint[members[0]])
+        groups = _split(hypotheses.xyz_m, members, kind, parent_of, parents, lengths, parameters)
+        shared = [(parent, members[value[parent, members] > -np.inf]) for parent in outbid.get(cluster, [])]
+        for parent, group in (*groups, *shared):
+            own = parents.body[parent] if parent >= 0 else nobody
+            drafts.extend(
+                _Draft(candidate, seed_m, parent, cluster)
+                for candidate, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters)
+            )
+    return drafts
 
 
 def _clusters(
@@ -144,22 +180,46 @@ def _split(
     members: Int[np.ndarray, " _"],
     joint: int,
     parent_of: Int[np.ndarray, " hypotheses"],
-    parents: Joints,
+    parents: Places,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-) -> Iterator[Int[np.ndarray, " _"]]:
+) -> Iterator[tuple[int, Int[np.ndarray, " _"]]]:
     """Regroup by parent a cluster whose centre may hang on several: joints of people who touch."""
-    wanted = np.unique(parent_of[members])
+    wanted, counts = np.unique(parent_of[members], return_counts=True)
     if len(wanted) < 2 or not parameters.split_clusters:
-        yield members
+        yield int(wanted[counts.argmax()]), members
         return
     centre_m = xyz_m[members].mean(0, keepdims=True)
     error = length_error(parents.xyz_m[wanted], centre_m, np.array([joint]), lengths)
     if (error <= parameters.tau3).sum() < 2:
-        yield members
+        yield int(wanted[counts.argmax()]), members
         return
-    for parent in wanted:
-        yield members[parent_of[members] == parent]
+    for parent in wanted.tolist():
+        yield parent, members[parent_of[members] == parent]
+
+
+def _outbid(
+    value: Float[np.ndarray, "parents hypotheses"],
+    joint: Int[np.ndarray, " hypotheses"],
+    parent_of: Int[np.ndarray, " hypotheses"],
+    clusters: Sequence[Int[np.ndarray, " _"]],
+) -> dict[int, list[int]]:
+    """Parents that every hypothesis of a joint prefers another one to, by the cluster that fits them best.
+
+    Hands that clap are one peak in most views and one point in space: it is both people's.
+    """
+    cluster_of = np.empty(len(joint), int)
+    for number, members in enumerate(clusters):
+        cluster_of[members] = number
+    found: dict[int, list[int]] = {}
+    for kind in np.unique(joint):
+        of_kind = np.flatnonzero(joint == kind)
+        could = np.any(value[:, of_kind] > -np.inf, axis=1)
+        could[parent_of[of_kind]] = False
+        for parent in np.flatnonzero(could).tolist():
+            best = of_kind[value[parent, of_kind].argmax()]
+            found.setdefault(int(cluster_of[best]), []).append(parent)
+    return found
 
 
 def _extract(
@@ -178,6 +238,9 @@ def _extract(
         candidate = np.full(len(image_from_world), NOWHERE)
         candidate[candidates.view[hypotheses.pair[members[0]]]] = hypotheses.pair[members[0]]
         yield candidate, hypotheses.xyz_m[members[0]]
+        return
+    if not parameters.separate_clusters:
+        yield _match(candidates, hypotheses, members, len(image_from_world))
         return
     while len(members):
         xyz_m, pair = hypotheses.xyz_m[members], hypotheses.pair[members]
@@ -198,31 +261,83 @@ def _extract(
         members = members[~(pair[:, :, None] == candidate).any((1, 2))]
 
 
+def _match(
+    candidates: Candidates, hypotheses: Hypotheses, members: Int[np.ndarray, " _"], num_cameras: int
+) -> tuple[Int[np.ndarray, " cameras"], Float[np.ndarray, " 3"]]:
+    """The candidates of one joint as the paper has them: of each view the one behind most of the hypotheses."""
+    used, counts = np.unique(hypotheses.pair[members], return_counts=True)
+    in_order = used[np.lexsort((candidates.score[used], counts))]  # the best of a view last
+    candidate = np.full(num_cameras, NOWHERE)
+    candidate[candidates.view[in_order]] = in_order
+    return candidate, np.median(hypotheses.xyz_m[members], axis=0)
+
+
 def _locate(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
     drafts: list[_Draft],
-    parents: Joints,
+    parents: Places,
+    eps_m: float,
 ) -> Joints:
-    """Give every candidate to one joint, the best supported first, and locate those that keep two views."""
-    num_cameras = len(image_from_world)
+    """Give every candidate to one joint, the best supported first, and locate those that keep two views.
+
+    Joints of several people in one place, whom a split cluster told apart, may share what a view shows as one.
+    Candidates that are left go to a joint nearby that lacks their view.
+    """
     confidence = np.append(candidates.score, 0.0)
-    drafts = sorted(drafts, key=lambda one: (-(one[0] >= 0).sum(), -confidence[one[0]].sum()))
-    is_free = np.append(np.ones(len(candidates.score), bool), False)
-    kept, seeds_m, parent_of = [], [], []
-    for candidate, seed_m, parent in drafts:
-        left = np.where(is_free[candidate], candidate, NOWHERE)
+    drafts = sorted(drafts, key=lambda one: (-(one.candidate >= 0).sum(), -confidence[one.candidate].sum()))
+    owners: dict[int, list[_Draft]] = {}
+    kept: list[_Draft] = []
+    for draft in drafts:
+        left = np.array([k if k >= 0 and _may_share(draft, owners.get(k, [])) else NOWHERE for k in draft.candidate])
         if (left >= 0).sum() >= 2:
-            is_free[left] = False
-            kept.append(left)
-            seeds_m.append(seed_m)
-            parent_of.append(parent)
+            kept.append(draft._replace(candidate=left))
+            for k in left[left >= 0].tolist():
+                owners.setdefault(k, []).append(draft)
     if not kept:
-        return no_joints(num_cameras)
-    chosen = np.array(kept)
-    points_px = np.append(candidates.points_px, [[0.0, 0.0]], axis=0)[chosen]
-    xyz_m = refine(image_from_world, np.array(seeds_m), points_px, confidence[chosen])
+        return no_joints(len(image_from_world))
+    chosen = np.array([draft.candidate for draft in kept])
+    points_px = np.append(candidates.points_px, [[0.0, 0.0]], axis=0)
+    seeds_m = np.array([draft.seed_m for draft in kept])
+    xyz_m = refine(image_from_world, seeds_m, points_px[chosen], confidence[chosen])
+    if _adopt(image_from_world, candidates, xyz_m, chosen, eps_m):
+        xyz_m = refine(image_from_world, xyz_m, points_px[chosen], confidence[chosen])
     body = np.append(candidates.body, NOWHERE)[chosen]
-    if parent_of[0] != NOWHERE:
-        body = np.where(body >= 0, body, parents.body[parent_of])
-    return Joints(candidates.joint[chosen.max(-1)], xyz_m, chosen >= 0, body)
+    if kept[0].parent != NOWHERE:
+        body = np.where(body >= 0, body, parents.body[[draft.parent for draft in kept]])
+    return Joints(Places(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
+
+
+def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:
+    """Whether a draft may have a candidate beside those that have it."""
+    return all(owner.cluster == draft.cluster and owner.parent != draft.parent for owner in owners)
+
+
+def _adopt(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    xyz_m: Float[np.ndarray, "joints 3"],
+    chosen: Int[np.ndarray, "joints cameras"],
+    eps_m: float,
+) -> bool:
+    """Give candidates that are nobody's to the joint that lacks their view and their ray passes nearest by; in place.
+
+    Such a candidate met none of the others within tau1, for noise or an inexact calibration, but is as near as
+    hypotheses of one joint are. Left out, it would make the joint look more exact than it is.
+    """
+    free = np.setdiff1d(np.arange(len(candidates.view)), chosen)
+    view = candidates.view[free]
+    joint = candidates.joint[chosen.max(-1)]
+    wanted = (joint[:, None] == candidates.joint[free]) & (chosen[:, view] == NOWHERE)
+    number, which = np.nonzero(wanted)
+    rows = plane_rows(image_from_world[view], candidates.points_px[free][:, None])[:, 0]
+    planes_m = (rows[which, :, :3] @ xyz_m[number][..., None])[..., 0] + rows[which, :, 3]
+    miss_m = np.linalg.norm(planes_m, axis=-1)
+    near = np.flatnonzero(miss_m <= eps_m)
+    taken: set[int] = set()
+    for k in near[np.argsort(miss_m[near], kind="stable")].tolist():
+        candidate = int(free[which[k]])
+        if candidate not in taken and chosen[number[k], view[which[k]]] == NOWHERE:
+            taken.add(candidate)
+            chosen[number[k], view[which[k]]] = candidate
+    return bool(taken)

@@ -5,33 +5,40 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.clustering.bone_lengths import LimbLengths
 
-SECOND_CHANCE = 2.0
-"""What tau3 is multiplied with for a parent to whom eq. 3 leaves no hypothesis, and for joints that were located."""
 _SHORTEST_M = 0.02
 
 
-def membership(
-    parent_body: Int[np.ndarray, "parents cameras"], body: Int[np.ndarray, "points cameras"]
-) -> Float[np.ndarray, "parents points"]:
-    """Connectivity score S (eq. 1) of 2D detections instead of part affinity fields.
+def fits(
+    score: Float[np.ndarray, "parents points"],
+    least: Float[np.ndarray, " points"],
+    error: Float[np.ndarray, "parents points"],
+    tau3: float,
+) -> Bool[np.ndarray, "parents points"]:
+    """Eq. 2 and 3; where no view can tell what is connected, nothing speaks against it."""
+    return (np.isnan(score) | (score >= least)) & (error <= tau3)
 
-    In a view that knows the detections behind both points, s is 1 if they are the same and 0 if not; S is the mean over
-    those views, NaN where there is none.
+
+def nearly_fits(
+    score: Float[np.ndarray, "parents points"],
+    least: Float[np.ndarray, " points"],
+    error: Float[np.ndarray, "parents points"],
+    tau3: float,
+    is_measured: Bool[np.ndarray, " points"],
+    leniency: float,
+) -> Bool[np.ndarray, "parents points"]:
+    """Eq. 2 and 3 where one of them may be missed: a second chance.
+
+    Two views alone are less exact than the joint will be, and fields of limbs that touch weaken each other.
 
     Parameters
     ----------
-    parent_body, body
-        The detection behind a point in each view, -1 where there is none.
+    is_measured
+        Whether anybody's length is known for the limb: only then it can make up for connectivity.
+    leniency
+        How many times worse either may be where the other is as it should.
     """
-    known = (parent_body[:, None] >= 0) & (body[None] >= 0)
-    same = known & (parent_body[:, None] == body[None])
-    num_known = known.sum(-1)
-    return np.where(num_known > 0, same.sum(-1) / np.maximum(num_known, 1), np.nan)
-
-
-def is_connected(score: Float[np.ndarray, "parents points"], tau2: float) -> Bool[np.ndarray, "parents points"]:
-    """Eq. 2; where no view can tell, nothing speaks against it."""
-    return np.isnan(score) | (score >= tau2)
+    weakly = fits(score, least / leniency, error, tau3) & is_measured
+    return fits(score, least, error, leniency * tau3) | weakly
 
 
 def length_error(
@@ -55,6 +62,6 @@ def length_error(
     error = np.full(distance_m.shape, np.inf)
     for known_m in lengths.known_m.T[:, joint]:
         error = np.fmin(error, np.abs(distance_m - known_m) / known_m)
-    error = np.where(np.isnan(lengths.known_m).all(-1)[joint], 0.0, error)
+    error = np.where(lengths.is_measured[joint], error, 0.0)
     possible = (distance_m > _SHORTEST_M) & (distance_m < lengths.longest_m[joint])
     return np.where(possible, error, np.inf)

@@ -1,10 +1,9 @@
 """Where two views' candidates meet: all hypotheses of where a joint may be (section 3.2.1)."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pipeline.geometry.triangulation import plane_rows, solve_normal
 
@@ -18,23 +17,23 @@ class Candidates(NamedTuple):
         Which joint of the skeleton, (candidates,).
     view
         Position of the camera, (candidates,).
-    points_px
-        Undistorted pixels, (candidates, 2).
+    points_px, seen_px
+        Undistorted pixels, and pixels as seen, (candidates, 2).
     score
         The detector's confidence H(x), (candidates,).
     body
-        The detection that each belongs to, (candidates,): what says that two candidates are one person's.
+        The detection that each belongs to, (candidates,), -1 where a detector has no bodies.
     """
 
     joint: np.ndarray
     view: np.ndarray
     points_px: np.ndarray
+    seen_px: np.ndarray
     score: np.ndarray
     body: np.ndarray
 
-    def of(self, joints: Sequence[int]) -> "Candidates":
-        """Those of some joints."""
-        chosen = np.isin(self.joint, joints)
+    def where(self, chosen: Bool[np.ndarray, " candidates"] | Int[np.ndarray, " chosen"]) -> "Candidates":
+        """Some of them."""
         return Candidates(*(values[chosen] for values in self))
 
 

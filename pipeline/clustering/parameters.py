@@ -25,11 +25,20 @@ class ClusteringParameters:
         Least connectivity score of a hypothesis with its parent (eq. 2).
     tau3
         Largest relative difference to a bone's length (eq. 3).
+    leniency
+        How many times worse connectivity or length may be where the other is as it should, for a parent whom eq. 2 and
+        3 leave no hypothesis, and for limbs in parsing; 1 is the paper's.
     eps_m
         Hypotheses closer than this are one joint (DBSCAN's eps): the joint's own spread, well below half a shoulder's
         width. Two views give a single hypothesis, so a cluster may have one.
     split_clusters
         Whether a cluster that several parents claim is split (section 3.2.2).
+    separate_clusters
+        Whether a cluster into which several joints have run together gives each of them, the densest first; the paper's
+        gives one joint.
+    use_connectivity, use_lengths
+        Whether eq. 2 and eq. 3 constrain hypotheses and limbs (the paper's ablation, table 3). Without, limbs are
+        joined by the connectivity score all the same, the best first.
     min_score
         Joints below are no candidates.
     duplicate_m
@@ -47,8 +56,12 @@ class ClusteringParameters:
     tau1_px: float
     tau2: float = 0.3
     tau3: float = 0.1
+    leniency: float = 2.0
     eps_m: float = 0.1
     split_clusters: bool = True
+    separate_clusters: bool = True
+    use_connectivity: bool = True
+    use_lengths: bool = True
     min_score: float = 0.1
     duplicate_m: float = 0.2
     min_joints: int = 5
@@ -57,7 +70,13 @@ class ClusteringParameters:
     length_rate_hz: float = 5.0
 
 
-def derive_parameters(cameras: Sequence[Camera]) -> ClusteringParameters:
-    """Defaults for a session: ``tau1`` is the paper's 8 px, scaled by the images' diagonal, no less than 4 px."""
+def derive_parameters(cameras: Sequence[Camera], tau2: float = 0.3) -> ClusteringParameters:
+    """Defaults for a session: ``tau1`` is the paper's 8 px, scaled by the images' diagonal, no less than 4 px.
+
+    Parameters
+    ----------
+    tau2
+        The network's, where part affinity fields are the evidence; the paper's otherwise.
+    """
     diagonal_px = float(np.median([np.hypot(*camera.size_px) for camera in cameras]))
-    return ClusteringParameters(tau1_px=max(_LEAST_TAU1_PX, _PAPER_TAU1_PX * diagonal_px / _PAPER_DIAGONAL_PX))
+    return ClusteringParameters(max(_LEAST_TAU1_PX, _PAPER_TAU1_PX * diagonal_px / _PAPER_DIAGONAL_PX), tau2)

@@ -17,11 +17,14 @@ class Limb:
         No human being's limb is longer, the detector's noise included.
     is_constant
         Whether a person's limb has one length, whatever the pose.
+    field_share
+        How strong its part affinity field is beside those of other limbs.
     """
 
     parent: str
     longest_m: float
     is_constant: bool = True
+    field_share: float = 1.0
 
 
 ROOT = "neck"
@@ -29,7 +32,7 @@ ROOT = "neck"
 # The paper's 13 limbs; its network's head is the nose here. Limbs of the upper half come first, as in the paper's
 # figure 3. The other joints that detectors know hang on those: the paper has none of them, so that they decide nothing.
 _LIMBS: dict[str, Limb] = {
-    "nose": Limb(ROOT, 0.45),
+    "nose": Limb(ROOT, 0.45, field_share=0.5),  # measured on both networks of the registry
     **{f"{side}_shoulder": Limb(ROOT, 0.35) for side in ("left", "right")},
     **{f"{side}_elbow": Limb(f"{side}_shoulder", 0.50) for side in ("left", "right")},
     **{f"{side}_wrist": Limb(f"{side}_elbow", 0.45) for side in ("left", "right")},
@@ -37,7 +40,8 @@ _LIMBS: dict[str, Limb] = {
     **{f"{side}_knee": Limb(f"{side}_hip", 0.70) for side in ("left", "right")},
     **{f"{side}_ankle": Limb(f"{side}_knee", 0.70) for side in ("left", "right")},
     **{f"{side}_eye": Limb("nose", 0.15, is_constant=False) for side in ("left", "right")},
-    **{f"{side}_ear": Limb("nose", 0.25, is_constant=False) for side in ("left", "right")},
+    # From behind nobody's nose is seen, but ears are.
+    **{f"{side}_ear": Limb(f"{side}_shoulder", 0.35, is_constant=False) for side in ("left", "right")},
     "mid_hip": Limb(ROOT, 0.90, is_constant=False),
     **{f"{side}_{toe}": Limb(f"{side}_ankle", 0.35, is_constant=False)
        for side in ("left", "right") for toe in ("heel", "big_toe", "small_toe")},
@@ -63,6 +67,8 @@ class Skeleton:
         See ``Limb``; 0 for the root.
     is_constant
         Likewise, false for the root.
+    field_share
+        Likewise.
     sources
         Position of each joint in the detector's order, -1 where it does not know the joint.
     """
@@ -71,6 +77,7 @@ class Skeleton:
     parents: tuple[int, ...]
     longest_m: tuple[float, ...]
     is_constant: tuple[bool, ...]
+    field_share: tuple[float, ...]
     sources: tuple[int, ...]
 
     @property
@@ -114,5 +121,6 @@ def skeleton_of(joints: JointSet) -> Skeleton:
         parents=(-1, *(names.index(limb.parent) for limb in limbs)),
         longest_m=(0.0, *(limb.longest_m for limb in limbs)),
         is_constant=(False, *(limb.is_constant for limb in limbs)),
+        field_share=(1.0, *(limb.field_share for limb in limbs)),
         sources=tuple(joints.names.index(name) if name in joints.names else -1 for name in names),
     )

@@ -1,11 +1,14 @@
 """Decode and detect one range of one camera's frames: the map of a reconstruction."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
+from jaxtyping import UInt8
 
-from pipeline.data import Detections, read_only
+from pipeline.data import Detections, MapGrid, PafFields, read_only
 from pipeline.detect.detector import Bodies, Detector
+from pipeline.detect.fields import ImageFields
+from pipeline.detect.openpose import LIMBS
 from pipeline.memory import give_pictures_back
 from pipeline.session import CaptureSession
 from pipeline.video.decode import decode
@@ -37,14 +40,58 @@ def detect_chunk(
     InputError
         If a frame can't be decoded.
     """
+    frames = _images(session, camera, span_s, on_frame)
+    bodies = [(frame, detector.detect(image_rgb)) for frame, image_rgb in frames]
+    return _as_detections(camera, bodies, len(detector.joints.names))
+
+
+def detect_fields_chunk(
+    session: CaptureSession,
+    camera: str,
+    span_s: tuple[float, float],
+    detector: Detector,
+    on_frame: Callable[[], None] = lambda: None,
+) -> PafFields:
+    """Find peaks and part affinity fields in the same frames as ``detect_chunk`` does; arguments and errors likewise.
+
+    Parameters
+    ----------
+    detector
+        Of a network with part affinity fields.
+    """
+    frames = _images(session, camera, span_s, on_frame)
+    return stack_fields(camera, [(frame, detector.detect_fields(image_rgb)) for frame, image_rgb in frames])
+
+
+def _images(
+    session: CaptureSession, camera: str, span_s: tuple[float, float], on_frame: Callable[[], None]
+) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
+    """Frames of a range and their numbers; each counts as done when the next one is asked for."""
     give_pictures_back()
     video = session.videos[[one.name for one in session.cameras].index(camera)]
     frames = frames_in(session.times[camera], *span_s)
-    bodies: list[tuple[int, Bodies]] = []
     for frame, image_rgb in decode(video, frames.start, frames.stop):
-        bodies.append((frame, detector.detect(image_rgb)))
+        yield frame, image_rgb
         on_frame()
-    return _as_detections(camera, bodies, len(detector.joints.names))
+
+
+def stack_fields(camera: str, found: Sequence[tuple[int, ImageFields]]) -> PafFields:
+    """Join what was found in a camera's frames, whose fields lie alike."""
+    num_limbs = len(LIMBS)
+    images = [one for _, one in found]
+    return PafFields(
+        camera=camera,
+        frame=read_only(np.array([frame for frame, _ in found], np.int64)),
+        peak_row=read_only(np.repeat(np.arange(len(images)), [len(one.joint) for one in images])),
+        peak_joint=read_only(np.concatenate([np.empty(0, np.int64), *(one.joint for one in images)])),
+        peak_px=read_only(np.concatenate([np.empty((0, 2)), *(one.points_px for one in images)])),
+        peak_score=read_only(np.concatenate([np.empty(0), *(one.score for one in images)])),
+        fields=read_only(
+            np.stack([one.fields for one in images]) if images else np.empty((0, num_limbs, 2, 1, 1), np.uint8)
+        ),
+        limbs=LIMBS,
+        grid=images[0].grid if images else MapGrid((0.0, 0.0), (1.0, 1.0)),
+    )
 
 
 def _as_detections(camera: str, bodies: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:

@@ -1,6 +1,6 @@
-"""A detector: an image in, bodies in its pixels out."""
+"""A detector: an image in, bodies in its pixels out, or what they could be made of."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,16 +8,17 @@ from jaxtyping import Float32, UInt8
 
 from pipeline.data import read_only
 from pipeline.detect.bodies import Bodies
+from pipeline.detect.fields import FieldGrid, ImageFields
+from pipeline.detect.grouping import group
 from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detect.models import verify
 from pipeline.detect.movenet import decode_movenet
+from pipeline.detect.openpose import LIMBS, decode_openpose
 from pipeline.detect.registry import Head, NetworkInput, entry_of
 from pipeline.detect.session import Network, open_network
 from pipeline.joints import JointSet
 
 __all__ = ["Bodies", "Detector", "open_detector"]
-
-_DECODERS: Mapping[Head, Callable[[Mapping[str, np.ndarray]], Bodies]] = {Head.MOVENET_MULTIPOSE: decode_movenet}
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,27 +31,32 @@ class Detector:
         Runs the network: a session, or a stand-in with a known answer.
     input, head, joints
         What the network takes and gives, as in the registry.
-    long_side_px
-        Size that the long side of an image is scaled to.
+    fields
+        How its part affinity fields lie on the image; ``None`` for a network that has none.
     """
 
     network: Network
     input: NetworkInput
     head: Head
     joints: JointSet
-    long_side_px: int = 512
+    fields: FieldGrid | None = None
 
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
         """Find all bodies in an image, in its pixels."""
         tensor, letterbox = self.prepare(image_rgb)
         return self.decode(self.run_network(tensor), letterbox)
 
+    def detect_fields(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageFields:
+        """Find all peaks and part affinity fields in an image; for a network that has them."""
+        tensor, letterbox = self.prepare(image_rgb)
+        return self._decode_fields(self.run_network(tensor), letterbox)
+
     def prepare(
         self, image_rgb: UInt8[np.ndarray, "height width 3"]
     ) -> tuple[Float32[np.ndarray, "1 3 padded_height padded_width"], LetterBox]:
         """Fit an image into the network's input."""
         height, width = image_rgb.shape[:2]
-        letterbox = fit_letterbox((width, height), self.long_side_px, self.input.multiple)
+        letterbox = fit_letterbox((width, height), self.input.scale((width, height)), self.input.multiple)
         padded = apply_letterbox(image_rgb, letterbox)
         channels = padded if self.input.channels == "rgb" else padded[..., ::-1]
         return np.ascontiguousarray(channels.transpose(2, 0, 1)[None], np.float32), letterbox
@@ -61,13 +67,20 @@ class Detector:
 
     def decode(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> Bodies:
         """Turn a network's outputs into bodies in the pixels of the image."""
-        bodies = _DECODERS[self.head](outputs)
+        if self.head is Head.OPENPOSE:
+            return group(self._decode_fields(outputs, letterbox), LIMBS, len(self.joints.names))
+        bodies = decode_movenet(outputs)
         corners_px = letterbox.image_from_network(bodies.box_px.reshape(-1, 2, 2))
         return replace(
             bodies,
             keypoints_px=read_only(letterbox.image_from_network(bodies.keypoints_px)),
             box_px=read_only(corners_px.reshape(-1, 4)),
         )
+
+    def _decode_fields(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> ImageFields:
+        if self.fields is None:
+            raise ValueError("The network gives no part affinity fields.")
+        return decode_openpose(outputs, self.fields.on_image(letterbox), letterbox.image_size_px)
 
 
 def open_detector(name: str = "movenet-multipose") -> Detector:
@@ -79,4 +92,4 @@ def open_detector(name: str = "movenet-multipose") -> Detector:
         If the network is unknown, not installed, or its file was changed.
     """
     entry = entry_of(name)
-    return Detector(open_network(verify(name)), entry.input, entry.head, entry.joints)
+    return Detector(open_network(verify(name)), entry.input, entry.head, entry.joints, entry.fields)

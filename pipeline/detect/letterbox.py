@@ -37,15 +37,16 @@ class LetterBox:
         return (points_px + 0.5) / self.scale - 0.5
 
 
-def fit_letterbox(image_size_px: tuple[int, int], long_side_px: int, multiple: int) -> LetterBox:
-    """Scale the long side to ``long_side_px`` and pad both sides to multiples of ``multiple``.
+def fit_letterbox(image_size_px: tuple[int, int], scale: float, multiple: int) -> LetterBox:
+    """Scale an image and pad both sides to multiples of ``multiple``.
 
     Parameters
     ----------
     image_size_px
         Width and height.
+    scale
+        Network pixels an image pixel.
     """
-    scale = long_side_px / max(image_size_px)
     width, height = (max(1, round(side * scale)) for side in image_size_px)
     return LetterBox(image_size_px, (width, height), (_ceil(width, multiple), _ceil(height, multiple)))
 

@@ -2,11 +2,12 @@
 
 import hashlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from urllib.parse import urlsplit, urlunsplit
 
-from pipeline.detect.registry import REGISTRY, NetworkEntry, PackagedWeights, entry_of
+from pipeline.detect.registry import REGISTRY, LooseWeights, NetworkEntry, PackagedWeights, WeightFile, entry_of
 from pipeline.errors import ModelError
 from pipeline.packages.archive import Archive, read_member
 from pipeline.packages.download import OnBytes, silent
@@ -35,8 +36,14 @@ def path_of(name: str) -> Path:
     """Path of an installed network; ``ModelError`` if it is unknown or not installed."""
     path = _file_of(entry_of(name))
     if not path.is_file():
-        raise ModelError(f"The network {name} is not installed. Run: multicap models install {name}")
+        raise ModelError(f"The network {name} is not installed. {_how_to_install(entry_of(name))}")
     return path
+
+
+def _how_to_install(entry: NetworkEntry) -> str:
+    if isinstance(entry.source, PackagedWeights):
+        return f"Run: multicap models install {entry.name}"
+    return f"Get it from {entry.source.publisher}, then run: multicap models add {entry.name} --from FOLDER or URL"
 
 
 def verify(name: str) -> Path:
@@ -45,7 +52,7 @@ def verify(name: str) -> Path:
     with storage_errors():
         intact = sha256_of(path) == entry_of(name).sha256
     if not intact:
-        raise ModelError(f"The file of the network {name} was changed. Run: multicap models install {name}")
+        raise ModelError(f"The file of the network {name} was changed. {_how_to_install(entry_of(name))}")
     return path
 
 
@@ -60,10 +67,16 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
     Raises
     ------
     ModelError
-        If the network is unknown, its package can't be had, or its contents are not what they must be.
+        If the network is unknown, no package holds it, the package can't be had, or its contents are not what they
+        must be.
     """
     entry = entry_of(name)
-    return _install(entry, lambda: _from_package(entry, fetch_package(entry.source.package, on_bytes)))
+    origin = entry.source
+    if isinstance(origin, LooseWeights):
+        if _file_of(entry).is_file():
+            return verify(name)
+        raise ModelError(f"No package holds {name}. {_how_to_install(entry)}")
+    return _install(entry, lambda: _from_package(entry, origin, fetch_package(origin.package, on_bytes)))
 
 
 def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
@@ -72,15 +85,19 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
     Parameters
     ----------
     source
-        Path or URL of the network's package, of its weights, or of the converted ONNX file.
+        Path or URL of the network's package, of its weights, or of the converted ONNX file. Of weights in several files
+        any of them, the others beside it under the same name; or their folder, whatever their names.
 
     Raises
     ------
     ModelError
-        If the network is unknown, the file can't be had, or it is none of the three.
+        If the network is unknown, a file can't be had, or it is none of the three.
     """
     entry = entry_of(name)
-    return _install(entry, lambda: _from_any(entry, source, on_bytes))
+    origin = entry.source
+    if isinstance(origin, PackagedWeights):
+        return _install(entry, lambda: _from_any(entry, origin, source, on_bytes))
+    return _install(entry, lambda: _from_files(entry, origin, source, on_bytes))
 
 
 def _file_of(entry: NetworkEntry) -> Path:
@@ -102,11 +119,11 @@ def _install(entry: NetworkEntry, make_onnx: Callable[[], bytes]) -> Path:
     return target
 
 
-def _from_package(entry: NetworkEntry, package: Path) -> bytes:
-    weights = _read_weights(entry.source, package)
-    if hashlib.sha256(weights).hexdigest() != entry.source.sha256:
+def _from_package(entry: NetworkEntry, source: PackagedWeights, package: Path) -> bytes:
+    weights = _read_weights(source, package)
+    if hashlib.sha256(weights).hexdigest() != source.sha256:
         raise ModelError(f"The weights of {entry.name} in the package have a wrong checksum. Get the package again.")
-    return entry.convert(weights)
+    return entry.convert([weights])
 
 
 def _read_weights(source: PackagedWeights, package: Path) -> bytes:
@@ -120,25 +137,70 @@ def _read_weights(source: PackagedWeights, package: Path) -> bytes:
     return content
 
 
-def _from_any(entry: NetworkEntry, source: str, on_bytes: OnBytes) -> bytes:
-    package = entry.source.package
+def _from_any(entry: NetworkEntry, origin: PackagedWeights, source: str, on_bytes: OnBytes) -> bytes:
+    package = origin.package
     if "://" in source:
-        accepted = {package.sha256, entry.source.sha256, entry.sha256}
-        max_bytes = max(package.num_bytes, entry.source.num_bytes, entry.num_bytes)
+        accepted = {package.sha256, origin.sha256, entry.sha256}
+        max_bytes = max(package.num_bytes, origin.num_bytes, entry.num_bytes)
         path = fetch_url(source, accepted, max_bytes, on_bytes)
     else:
         path = Path(source)
-    try:
-        digest = sha256_of(path)
-    except OSError as error:
-        raise ModelError(f"{path.name} can't be read: {error.strerror}.") from error
+    digest = _digest(path)
     if digest == package.sha256:
-        return _from_package(entry, path)
-    if digest == entry.source.sha256:
-        return entry.convert(path.read_bytes())
+        return _from_package(entry, origin, path)
+    if digest == origin.sha256:
+        return entry.convert([path.read_bytes()])
     if digest == entry.sha256:
         return path.read_bytes()
     raise ModelError(
         f"{path.name} has none of the checksums of {entry.name}: neither its package {package.filename}, nor its "
         "weights, nor its ONNX file."
     )
+
+
+def _from_files(entry: NetworkEntry, origin: LooseWeights, source: str, on_bytes: OnBytes) -> bytes:
+    is_onnx = PurePosixPath(urlsplit(source).path).suffix == ".onnx"
+    wanted = (WeightFile(".onnx", entry.sha256, entry.num_bytes),) if is_onnx else origin.files
+    find = _fetch_files if "://" in source else _find_files
+    contents = [path.read_bytes() for path in find(entry, wanted, source, on_bytes)]
+    return contents[0] if is_onnx else entry.convert(contents)
+
+
+def _fetch_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, on_bytes: OnBytes) -> list[Path]:
+    """Download files whose URLs differ from one of them by the ending of the name."""
+    url = urlsplit(source)
+    path = PurePosixPath(url.path)
+    if path.suffix not in {file.suffix for file in wanted}:
+        endings = " or ".join(file.suffix for file in wanted)
+        raise ModelError(f"The URL of {entry.name} must end in {endings}; the other files are looked for beside it.")
+    urls = [urlunsplit(url._replace(path=str(path.with_suffix(file.suffix)))) for file in wanted]
+    return [fetch_url(url, {file.sha256}, file.num_bytes, on_bytes) for url, file in zip(urls, wanted, strict=True)]
+
+
+def _find_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, _: OnBytes) -> list[Path]:
+    """Files of a folder, or of a file's folder, told by their checksums."""
+    place = Path(source)
+    folder = place if place.is_dir() else place.parent
+    try:
+        # Most files in a folder are too short or too long to be worth reading.
+        sizes = {path: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
+    except OSError as error:
+        raise ModelError(f"{folder.name} can't be read: {error.strerror}.") from error
+    found = []
+    for file in wanted:
+        alike = [path for path, size in sizes.items() if size == file.num_bytes and _digest(path) == file.sha256]
+        found.extend(alike[:1])
+    if len(found) < len(wanted):
+        endings = " and ".join(file.suffix for file in wanted)
+        raise ModelError(
+            f"{place.name or folder.resolve().name} is not, or does not hold, the files of {entry.name} ({endings}) "
+            f"with the right checksums. {_how_to_install(entry)}"
+        )
+    return found
+
+
+def _digest(path: Path) -> str:
+    try:
+        return sha256_of(path)
+    except OSError as error:
+        raise ModelError(f"{path.name} can't be read: {error.strerror}.") from error

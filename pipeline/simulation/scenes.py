@@ -13,6 +13,7 @@ from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.detector import Detector, detect
 from pipeline.simulation.director import Cast, improvise
 from pipeline.simulation.faults import Faults
+from pipeline.simulation.fields import Sketch, sketch
 from pipeline.simulation.occlusion import Box
 from pipeline.simulation.people import joints_at, perform
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
@@ -63,6 +64,8 @@ class Simulation:
         World positions, NaN while somebody is absent.
     present
         Who is there, in sight or not.
+    sketches
+        What each camera's heatmaps and part affinity fields are drawn from (``simulation.fields``).
     """
 
     cameras: tuple[Camera, ...]
@@ -73,6 +76,7 @@ class Simulation:
     timebase: Timebase
     truth_m: Float[np.ndarray, "people frames joints 3"]
     present: Bool[np.ndarray, "people frames"]
+    sketches: tuple[Sketch, ...]
 
 
 def _greeting(x: float, y: float, hand_s: float) -> tuple[Role, Role]:
@@ -92,6 +96,16 @@ def _greeting(x: float, y: float, hand_s: float) -> tuple[Role, Role]:
     )  # fmt: skip
 
 
+def _touching(x: float, y: float, gap_m: float, gesture: Gesture, hand_height_m: float) -> tuple[Role, Role]:
+    """Two people who walk up to each other, touch for a while, and touch again."""
+    meeting = (x, y, hand_height_m)
+    acts = Stay(4.0, gesture, meeting), Stay(1.0), Stay(4.0, gesture, meeting)
+    return (
+        Role((x - 1.0, y), 0.0, (Walk((x - gap_m / 2, y)), Turn(0.0), *acts)),
+        Role((x + 1.0, y), np.pi, (Walk((x + gap_m / 2, y)), Turn(np.pi), *acts)),
+    )
+
+
 _ACTIVE = (
     Gesture.IDLE, Gesture.TALK, Gesture.WAVE, Gesture.POINT, Gesture.CROUCH, Gesture.JUMP, Gesture.PUNCH,
     Gesture.SWING,
@@ -104,6 +118,15 @@ _LONG_SHELVES = (
     Box((2.0, -2.6, 0.0), (6.0, -2.0, 1.6)),
 )
 _ROOM_RIG = Rig(Layout.RING, 4, (4.0, 4.0), 2.2, focal_px=760.0)
+
+# As the paper's scenes: people close together under a dome.
+_DOME_RIG = Rig(Layout.DOME, 31, (4.5, 4.5), 0.9, (1920, 1080), 1000.0)
+
+
+def _crowd(num_people: int) -> Scene:
+    gestures = (*_ACTIVE[:4], Gesture.CROUCH)
+    return Scene(_DOME_RIG, Cast(num_people, (1.8, 1.8), gap_m=0.4, walking=0.25, gestures=gestures), duration_s=6.0)
+
 
 SCENES: Mapping[str, Scene] = {
     "room": Scene(_ROOM_RIG, Cast(3, (3.0, 3.0), gestures=_ACTIVE)),
@@ -130,9 +153,16 @@ SCENES: Mapping[str, Scene] = {
         Cast(3, (3.0, 3.0), gestures=_ACTIVE),
         Clock(30.0, camera_rates_hz=(30.0, 25.0, 24.0, 30.0), random_phase=True, dropped=0.03),
     ),
-    "crowd": Scene(
-        Rig(Layout.DOME, 31, (4.5, 4.5), 0.9, (1920, 1080), 1000.0),
-        Cast(7, (2.4, 2.4), gap_m=0.5, walking=0.25, gestures=(*_ACTIVE[:4], Gesture.CROUCH)),
+    "crowd": _crowd(7),
+    **{f"crowd-{num_people}": _crowd(num_people) for num_people in (2, 3, 5)},
+    "contact": Scene(
+        Rig(Layout.RING, 8, (4.5, 4.0), 2.4, (1920, 1080), 1000.0),
+        (
+            *_touching(-1.3, -0.8, 0.8, Gesture.CLAP, 1.3),
+            *_touching(1.3, -0.8, 0.76, Gesture.SHAKE_HANDS, 1.02),
+            *_touching(0.0, 1.0, 0.36, Gesture.HUG, 1.3),
+        ),
+        duration_s=12.0,
     ),
     "handshake": Scene(
         Rig(Layout.RING, 6, (5.0, 5.0), 2.4),
@@ -226,14 +256,15 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
     times: dict[str, FrameTimes] = {}
     detections: dict[str, Detections] = {}
     identities: dict[str, np.ndarray] = {}
+    sketches: list[Sketch] = []
     for number in chosen:
         camera, rng = cameras[number], streams[number]
         times[camera.name] = frame_times(scene.clock, number, scene.duration_s, rng)
         time_s = times[camera.name].time_s
         period_s = float(np.median(np.diff(time_s)))
-        detections[camera.name], identities[camera.name] = detect(
-            camera, period_s, truth_at(time_s), scene.boxes, scene.detector, rng
-        )
+        seen = camera, period_s, truth_at(time_s), scene.boxes, scene.detector, rng
+        detections[camera.name], identities[camera.name] = detect(*seen)
+        sketches.append(sketch(*seen))
     rate_hz = scene.clock.frame_rate_hz
     timebase = Timebase(0.0, rate_hz, round(scene.duration_s * rate_hz))
     truth_m = truth_at(np.arange(timebase.num_frames) / rate_hz)
@@ -246,4 +277,5 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
         timebase=timebase,
         truth_m=read_only(truth_m),
         present=read_only(np.isfinite(truth_m).all((2, 3))),
+        sketches=tuple(sketches),
     )

@@ -12,6 +12,8 @@ class Gesture(Enum):
     POINT = "point"
     TALK = "talk"
     SHAKE_HANDS = "shake_hands"
+    CLAP = "clap"
+    HUG = "hug"
     PUNCH = "punch"
     SWING = "swing"
     CROUCH = "crouch"
@@ -35,7 +37,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Stay:
-    """Stay in place and do something; ``hand_m`` is where hands meet in the world (``SHAKE_HANDS``)."""
+    """Stay in place and do something; ``hand_m`` is where hands meet in the world (``SHAKE_HANDS``, ``CLAP``)."""
 
     duration_s: float
     gesture: Gesture = Gesture.IDLE

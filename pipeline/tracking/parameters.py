@@ -4,14 +4,12 @@ The paper gives one set a data set; the rule behind them is that the 2D threshol
 penalty rates follow the frame rate. So they are derived here from cameras and frame rate, never by data set.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.data import Camera
-from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 
 # How fast a joint's image is allowed to move before its 2D affinity turns negative: a brisk walk with swinging arms.
@@ -97,32 +95,6 @@ def pixels_per_metre(cameras: Sequence[Camera]) -> float:
             ]
         )
     )
-
-
-def change_parameters(parameters: TrackingParameters, changes: Mapping[str, float]) -> TrackingParameters:
-    """Set some parameters, by name.
-
-    Raises
-    ------
-    InputError
-        With every name that is none, and every value that is not a positive number (weights may be 0).
-    """
-    names = [field.name for field in fields(TrackingParameters)]
-    problems = []
-    for name, value in changes.items():
-        if name not in names:
-            hint = f"Known are {', '.join(names)}."
-            problems.append(Problem("unknown_parameter", f"Tracking has no parameter {name!r}.", hint=hint))
-        elif not np.isfinite(value) or value < 0 or (value == 0 and not name.startswith("weight")):
-            problems.append(Problem("parameter_range", f"{name} must be a positive number, not {value:g}.", field=name))
-        elif name == "confirm_instants" and value != int(value):
-            problems.append(Problem("parameter_range", f"{name} must be a whole number, not {value:g}.", field=name))
-    if problems:
-        raise InputError(problems)
-    values: dict[str, Any] = dict(changes)
-    if "confirm_instants" in values:
-        values["confirm_instants"] = int(values["confirm_instants"])
-    return replace(parameters, **values)
 
 
 def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> TrackingParameters:

@@ -22,20 +22,16 @@ def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float
     Borders lie half-way between two output frames, so that rounding never moves a frame; the first range begins at
     minus infinity and the last one ends at infinity, so that consecutive ranges miss no frame and double none.
     """
-
-    def border_s(frame: int) -> float:
-        return timebase.start_time_s + (frame - 0.5) / timebase.frame_rate_hz
-
     return (
-        border_s(start_frame) if start_frame > 0 else -np.inf,
-        border_s(stop_frame) if stop_frame < timebase.num_frames else np.inf,
+        timebase.time_s(start_frame - 0.5) if start_frame > 0 else -np.inf,
+        timebase.time_s(stop_frame - 0.5) if stop_frame < timebase.num_frames else np.inf,
     )
 
 
-def chunk_ranges(timebase: Timebase, chunk_frames: int) -> list[tuple[float, float]]:
-    """Ranges ``[t0, t1)`` of ``chunk_frames`` output frames each, without gap or overlap."""
+def chunk_ranges(timebase: Timebase, chunk_frames: int) -> list[range]:
+    """Ranges of ``chunk_frames`` output frames each, the last one shorter, without gap or overlap."""
     starts = range(0, timebase.num_frames, chunk_frames)
-    return [span_s(timebase, start, start + chunk_frames) for start in starts]
+    return [range(start, min(start + chunk_frames, timebase.num_frames)) for start in starts]
 
 
 def frames_in(times: FrameTimes, start_s: float, stop_s: float) -> range:

@@ -3,9 +3,21 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.data import Camera, Detections, FrameTimes
+from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.data import Camera, Detections, FrameTimes, MapGrid, PafFields, Poses3D
 from pipeline.geometry.rigid import Rigid3
-from pipeline.records_npz import decode_detections, decode_session, encode_detections, encode_session
+from pipeline.records_npz import (
+    decode_detections,
+    decode_fields,
+    decode_lengths,
+    decode_poses,
+    decode_session,
+    encode_detections,
+    encode_fields,
+    encode_lengths,
+    encode_poses,
+    encode_session,
+)
 from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
 
@@ -54,3 +66,34 @@ def test_detections_come_back() -> None:
     assert back.camera == "left"
     for name in ("frame", "keypoints_px", "score", "box_px"):
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
+
+
+def test_fields_come_back() -> None:
+    found = PafFields(
+        camera="left",
+        frame=np.array([3, 4]),
+        peak_row=np.array([0, 1, 1]),
+        peak_joint=np.array([2, 0, 5]),
+        peak_px=RNG.normal(size=(3, 2)),
+        peak_score=RNG.uniform(size=3),
+        fields=RNG.integers(0, 256, (2, 19, 2, 6, 8)).astype(np.uint8),
+        limbs=np.arange(38).reshape(19, 2),
+        grid=MapGrid((3.5, 3.4), (8.0, 8.1)),
+    )
+    content = encode_fields(found)
+    assert encode_fields(found) == content
+    back = decode_fields(content)
+    for field in fields(PafFields):
+        np.testing.assert_array_equal(getattr(back, field.name), getattr(found, field.name))
+
+
+def test_lengths_and_poses_come_back() -> None:
+    lengths = LimbLengths(np.array([[np.nan, 0.3], [0.2, 0.25]]), np.array([0.0, 0.5]))
+    for ours, theirs in zip(lengths, decode_lengths(encode_lengths(lengths)), strict=True):
+        np.testing.assert_array_equal(theirs, ours)
+    poses = Poses3D(
+        np.array([0, 0, 2]), RNG.normal(size=(3, 14, 3)), RNG.normal(size=(3, 14, 4, 2)), RNG.uniform(size=(3, 14, 4))
+    )
+    back = decode_poses(encode_poses(poses))
+    for field in fields(Poses3D):
+        np.testing.assert_array_equal(getattr(back, field.name), getattr(poses, field.name))

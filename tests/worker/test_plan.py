@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.detect.registry import REGISTRY
 from worker import plan as planning
 from worker.jobs.model import InputFile, Session
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, plan
 
 FILES = tuple(
     InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
@@ -63,6 +64,34 @@ def test_the_stages_and_their_sizes() -> None:
     stages = plan(make_session(60), JobSpec(), 25)
     assert [(stage.name, len(stage.chunks)) for stage in stages] == [(DETECT, 6), (ASSOCIATE, 1), (FIT, 1), (EXPORT, 1)]
     assert [chunk.unit_count for chunk in stages[0].chunks] == [25, 25, 25, 25, 10, 10]
+
+
+CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
+
+
+def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
+    detect, lengths, poses, *_ = stages = plan(make_session(60), CLUSTERING, 25)
+    assert [stage.name for stage in stages] == [DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
+    assert lengths.chunks[0].payload == {"chunk_frames": 25}
+    ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
+    assert ranges == [(0, 25), (25, 50), (50, 60)]
+    assert [chunk.unit_count for chunk in poses.chunks] == [25, 25, 10]
+    of_ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in detect.chunks]
+    assert of_ranges == [one for one in ranges for _ in range(2)]  # cameras
+
+
+def test_fields_are_another_output_than_bodies() -> None:
+    session = make_session()
+    bodies = keys(session, JobSpec(detector=CLUSTERING.detector))
+    assert not set(bodies[DETECT]) & set(keys(session, CLUSTERING)[DETECT])
+    # Whole bodies serve both methods.
+    assert keys(session)[DETECT] == keys(session, JobSpec(method="clustering"))[DETECT]
+
+
+@given(chunk_frames=st.integers(1, 300))
+def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
+    one, other = keys(make_session(), CLUSTERING, chunk_frames), keys(make_session(), CLUSTERING)
+    assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, FIT, EXPORT))
 
 
 def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
@@ -125,4 +154,14 @@ def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
     files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
     session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
     assert list(keys(session)) == [ASSOCIATE, FIT, EXPORT]
+    assert list(keys(session, CLUSTERING)) == [LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
     assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, FIT, EXPORT))
+
+
+def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
+    for name, entry in REGISTRY.items():
+        spec = JobSpec.model_validate({"method": "clustering", "detector": name})
+        assert spec.uses_fields == (entry.fields is not None)
+        assert bool(spec.warnings(of_keypoints=False)) == (entry.fields is None)
+        assert spec.warnings(of_keypoints=True)
+        assert not JobSpec.model_validate({"detector": name}).warnings(of_keypoints=True)

@@ -89,7 +89,7 @@ class ChunkPlan:
     """One unit of work. ``unit_count`` is what its progress counts: a camera's frames, or 1."""
 
     index: int
-    payload: Mapping[str, Any]  # JSON: {"camera", "start_frame", "stop_frame"} for a map; {} for a reduce
+    payload: Mapping[str, Any]  # JSON: of a map {"start_frame", "stop_frame"}, and "camera" if it is of one
     unit_count: int
     output_key: str  # content-addressed key of what it will leave, without a tenant's or session's prefix
 
@@ -98,7 +98,7 @@ class ChunkPlan:
 class StagePlan:
     """A stage: its chunks may run at once; it becomes ready when the stage before it is done."""
 
-    name: str  # "detect", "associate", "fit", "export"
+    name: str  # as in ``worker.plan``
     chunks: tuple[ChunkPlan, ...]
 
 

@@ -63,6 +63,7 @@ def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
 
 def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
     spec = JobSpec.model_validate(row.spec)
+    of_keypoints = all(stage.name != "detect" for stage in stages)
     return Job(
         id=row.id,
         session_id=row.session_id,
@@ -76,7 +77,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         started_at=row.started_at,
         finished_at=row.finished_at,
         problem=None if row.problem is None else Problem(**row.problem),
-        warnings=(*row.preflight.get("warnings", ()), *spec.warnings),
+        warnings=(*row.preflight.get("warnings", ()), *spec.warnings(of_keypoints)),
     )
 
 

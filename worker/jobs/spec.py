@@ -4,6 +4,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+# Networks with part affinity fields; the others find whole bodies.
+_FIELD_DETECTORS = frozenset({"openpose-mobilenet-thin", "human-pose-estimation-0001"})
+
 
 class JobSpec(BaseModel):
     """A reconstruction's choices. Unknown fields are refused."""
@@ -11,12 +14,25 @@ class JobSpec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: Literal["tracking", "clustering"] = Field(default="tracking", description="How detections become tracks.")
-    detector: Literal["movenet-multipose"] = Field(default="movenet-multipose", description="The 2D joint detector.")
+    detector: Literal["movenet-multipose", "openpose-mobilenet-thin", "human-pose-estimation-0001"] = Field(
+        default="movenet-multipose",
+        description="The 2D joint detector. With `clustering` the latter two give part affinity fields as evidence.",
+    )
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a client should know of these choices, a sentence each."""
-        if self.method == "clustering":
+    def uses_fields(self) -> bool:
+        """Whether people are found from part affinity fields, where there are videos."""
+        return self.method == "clustering" and self.detector in _FIELD_DETECTORS
+
+    def warnings(self, of_keypoints: bool) -> tuple[str, ...]:
+        """What a client should know of these choices, a sentence each.
+
+        Parameters
+        ----------
+        of_keypoints
+            Whether there are keypoints instead of videos, and so no detector.
+        """
+        if self.method == "clustering" and (of_keypoints or not self.uses_fields):
             return (
                 "Clustering takes whole bodies for evidence: two joints are connected where one detection has both.",
             )

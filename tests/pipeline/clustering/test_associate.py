@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.clustering.associate import reconstruct_by_clustering
+from pipeline.clustering.associate import find_poses, reconstruct_by_clustering
 from pipeline.clustering.bone_lengths import LimbLengths, unknown_lengths
+from pipeline.clustering.candidates import Instant
 from pipeline.clustering.clusters import find_joints
+from pipeline.clustering.evidence import Membership
 from pipeline.clustering.hypotheses import Candidates
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
-from pipeline.clustering.parsing import parse
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, Track3D
 from pipeline.geometry.camera import image_from_world
@@ -19,6 +20,7 @@ from pipeline.metrics.simulated import score_simulated
 from pipeline.simulation.scenes import SCENES, Simulation, record
 
 SKELETON = skeleton_of(COCO_17)
+EVIDENCE = Membership(SKELETON, 0.3)
 
 
 def reconstruct(simulation: Simulation) -> tuple[Track3D, ...]:
@@ -60,7 +62,8 @@ def candidates_of(cameras: tuple[Camera, ...], people_m: np.ndarray, noise_px: f
     points_px = in_cam[..., :2] / in_cam[..., 2:]
     view, body, joint = (axis.ravel() for axis in np.indices(points_px.shape[:3]))
     points_px = points_px.reshape(-1, 2) + rng.normal(0.0, noise_px, (len(view), 2)) if noise_px else points_px
-    return Candidates(joint, view, points_px.reshape(-1, 2), np.full(len(view), 0.9), body)
+    points_px = points_px.reshape(-1, 2)
+    return Candidates(joint, view, points_px, points_px, np.full(len(view), 0.9), body)
 
 
 def known_lengths(people_m: np.ndarray) -> LimbLengths:
@@ -72,7 +75,7 @@ def known_lengths(people_m: np.ndarray) -> LimbLengths:
 @pytest.mark.parametrize("scene", ["room", "handshake", "unsynchronised"])
 def test_everybody_is_found_and_nobody_else(scene: str) -> None:
     simulation = record(replace(SCENES[scene], duration_s=2.0), seed=11)
-    scores = score_simulated(reconstruct(simulation), simulation)
+    scores = score_simulated(reconstruct(simulation), simulation, simulation.joints)
     assert scores["people_correct"] >= 0.97
     assert scores["switches"] == 0
     assert scores["mpjpe_mm"] < 25.0
@@ -83,11 +86,11 @@ def test_perfect_candidates_give_exact_people(ring: tuple[Camera, ...]) -> None:
     projections = np.array([image_from_world(camera) for camera in ring])
     parameters = ClusteringParameters(tau1_px=8.0)
     lengths = unknown_lengths(SKELETON)
-    found = find_joints(projections, candidates_of(ring, people_m), SKELETON, lengths, parameters)
-    poses = parse(found, SKELETON, lengths, parameters)
+    candidates = candidates_of(ring, people_m)
+    poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, parameters)
     order = np.argsort(poses.xyz_m[:, 0, 1])
     np.testing.assert_allclose(poses.xyz_m[order], people_m, atol=1e-4)
-    assert (poses.body[order] == np.arange(2)[:, None, None]).all()
+    assert (candidates.body[poses.candidate[order]] == np.arange(2)[:, None, None]).all()
 
 
 def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
@@ -102,8 +105,8 @@ def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(ring, people_m, noise_px=1.0)
     parameters = ClusteringParameters(tau1_px=8.0)
-    found = find_joints(projections, candidates, SKELETON, known_lengths(people_m), parameters).of(wrist)
-    return [np.unique(body[seen]).tolist() for body, seen in zip(found.body, found.is_seen, strict=True)]
+    found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters).of(wrist)
+    return [np.unique(candidates.body[chosen[chosen >= 0]]).tolist() for chosen in found.candidate]
 
 
 def test_hands_that_clap_belong_to_two_people(ring: tuple[Camera, ...]) -> None:
@@ -117,15 +120,15 @@ def test_bone_lengths_tell_whose_joint_it_is(ring: tuple[Camera, ...]) -> None:
     elbow = SKELETON.names.index("left_elbow")
     wrong_m = people_m.copy()
     wrong_m[0, elbow] += [0.0, 0.14, 0.0]
-    both = [candidates_of(ring, people_m), candidates_of(ring, wrong_m).of([elbow])]
+    both = [candidates_of(ring, people_m), candidates_of(ring, wrong_m)]
+    both[1] = both[1].where(both[1].joint == elbow)
     candidates = Candidates(*(np.concatenate(pair) for pair in zip(*both, strict=True)))
     candidates.score[-len(both[1].score) :] = 1.0  # the detector prefers the wrong ones
     projections = np.array([image_from_world(camera) for camera in ring])
     parameters = ClusteringParameters(tau1_px=8.0)
 
     def elbow_error_m(lengths: LimbLengths) -> float:
-        found = find_joints(projections, candidates, SKELETON, lengths, parameters)
-        poses = parse(found, SKELETON, lengths, parameters)
+        poses = find_poses(projections, Instant(candidates, EVIDENCE), SKELETON, lengths, parameters)
         first = np.argmin(poses.xyz_m[:, 0, 1])
         return float(np.linalg.norm(poses.xyz_m[first, elbow] - people_m[0, elbow]))
 

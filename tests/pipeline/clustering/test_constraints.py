@@ -1,17 +1,36 @@
 import numpy as np
 
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths
-from pipeline.clustering.constraints import is_connected, length_error, membership
+from pipeline.clustering.constraints import fits, length_error, nearly_fits
+from pipeline.clustering.evidence import Membership, Places
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.joints import COCO_17
 
 
 def test_membership_is_the_share_of_views_that_agree() -> None:
-    parents = np.array([[0, 1, 2, -1], [3, -1, -1, 5]])
-    points = np.array([[0, 1, -1, -1], [0, 7, -1, -1], [-1, -1, -1, 5], [-1, 1, -1, -1]])
-    score = membership(parents, points)
+    evidence = Membership(skeleton_of(COCO_17), 0.6)
+    parents = places(np.array([[0, 1, 2, -1], [3, -1, -1, 5]]))
+    points = places(np.array([[0, 1, -1, -1], [0, 7, -1, -1], [-1, -1, -1, 5], [-1, 1, -1, -1]]))
+    score = evidence.connect(parents, points, np.ones((2, 4), bool))
     np.testing.assert_array_equal(score, [[1.0, 0.5, np.nan, 1.0], [0.0, 0.0, 1.0, np.nan]])
-    np.testing.assert_array_equal(is_connected(score, 0.6)[0], [True, False, True, True])
+    found = fits(score, evidence.least[points.joint], np.zeros((2, 4)), tau3=0.1)
+    np.testing.assert_array_equal(found[0], [True, False, True, True])
+    unwanted = evidence.connect(parents, points, np.zeros((2, 4), bool))
+    assert np.isnan(unwanted).all()
+
+
+def test_one_of_connectivity_and_length_may_be_missed() -> None:
+    score = np.array([[0.4, 0.4, 0.2, 0.2, 0.1, 0.2]])
+    error = np.array([[0.1, 0.2, 0.1, 0.2, 0.0, 0.1]])
+    is_measured = np.array([True, True, True, True, True, False])
+    least = np.full(6, 0.3)
+    np.testing.assert_array_equal(fits(score, least, error, 0.1)[0], [True, *5 * [False]])
+    near = nearly_fits(score, least, error, 0.1, is_measured, leniency=2.0)[0]
+    np.testing.assert_array_equal(near, [True, True, True, False, False, False])
+
+
+def places(body: np.ndarray) -> Places:
+    return Places(np.ones(len(body), int), np.zeros((len(body), 3)), body)
 
 
 def test_a_length_fits_the_nearest_of_the_known() -> None:

@@ -11,10 +11,12 @@ def candidates_of(projections: np.ndarray, points_m: np.ndarray) -> Candidates:
     """Perfect candidates of joint 0 in every view, point by point."""
     in_cam = np.einsum("cij,kj->cki", projections[:, :, :3], points_m) + projections[:, None, :, 3]
     num_views, num_points = in_cam.shape[:2]
+    points_px = (in_cam[..., :2] / in_cam[..., 2:]).reshape(-1, 2)
     return Candidates(
         joint=np.zeros(num_views * num_points, int),
         view=np.repeat(np.arange(num_views), num_points),
-        points_px=(in_cam[..., :2] / in_cam[..., 2:]).reshape(-1, 2),
+        points_px=points_px,
+        seen_px=points_px,
         score=np.full(num_views * num_points, 0.9),
         body=np.tile(np.arange(num_points), num_views),
     )

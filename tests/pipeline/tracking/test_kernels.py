@@ -19,7 +19,7 @@ from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.state import make_room
 from pipeline.tracking.tracker import Tracker, make_frames, make_rig
-from pipeline.tracking.warm_up import warm_up
+from pipeline.warm_up import warm_up
 
 
 @pytest.mark.parametrize(("scene", "seed"), [("noisy", 3), ("unsynchronised", 1), ("comings-and-goings", 2)])

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.data import FrameTimes, Timebase
-from pipeline.video.timeline import chunk_ranges, frames_in, session_timebase
+from pipeline.video.timeline import chunk_ranges, frames_in, session_timebase, span_s
 
 
 @given(
@@ -14,10 +14,13 @@ from pipeline.video.timeline import chunk_ranges, frames_in, session_timebase
 )
 def test_every_frame_is_in_exactly_one_chunk(rate_hz: float, num_frames: int, chunk_frames: int, phase: float) -> None:
     times = FrameTimes((np.arange(num_frames) + phase) / rate_hz)
-    ranges = chunk_ranges(Timebase(0.0, rate_hz, num_frames), chunk_frames)
-    assert [frame for span in ranges for frame in frames_in(times, *span)] == list(range(num_frames))
+    timebase = Timebase(0.0, rate_hz, num_frames)
+    ranges = chunk_ranges(timebase, chunk_frames)
+    assert [frame for one in ranges for frame in one] == list(range(num_frames))
+    spans = [span_s(timebase, one.start, one.stop) for one in ranges]
+    assert [frame for span in spans for frame in frames_in(times, *span)] == list(range(num_frames))
     if chunk_frames < num_frames and abs(phase) < 0.4:
-        assert len(frames_in(times, *ranges[0])) == chunk_frames
+        assert len(frames_in(times, *spans[0])) == chunk_frames
 
 
 def test_timebase_takes_the_fastest_camera_and_the_longest_span() -> None:

@@ -7,8 +7,8 @@ import onnxruntime
 import pytest
 import tflite
 
-from pipeline.detect.tflite_model import Graph, Operator, Tensor, read_model
-from pipeline.detect.tflite_to_onnx import convert_graph
+from pipeline.detect.conversion.tflite_model import Graph, Operator, Tensor, read_model
+from pipeline.detect.conversion.tflite_to_onnx import convert_graph
 from pipeline.errors import ModelError
 
 RANDOM = np.random.default_rng(0)

@@ -1,9 +1,10 @@
-"""``python -m pipeline.tracking.warm_up``: compile everything that tracking needs, so that no request has to."""
+"""``python -m pipeline.warm_up``: compile every kernel, so that no request has to."""
 
 import numpy as np
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
 from pipeline.geometry.camera import project
+from pipeline.geometry.fields import connectivity
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import BODY_25, COCO_17
 from pipeline.tracking.associate import reconstruct_tracks
@@ -14,9 +15,11 @@ _RATE_HZ = 25.0
 
 
 def warm_up() -> None:
-    """Track somebody who stands before three cameras, for every number of lanes that a joint set needs."""
+    """Track somebody who stands before three cameras, for every number of lanes that a joint set needs; ask a field."""
     for num_joints in (len(COCO_17.names), len(BODY_25.names)):
         _track_somebody(num_joints)
+    ends = np.array([[0.0, 0.0], [1.0, 1.0]])
+    connectivity(read_only(np.full((1, 2, 2, 2), 255, np.uint8)), np.zeros(1, int), ends[:1], ends[1:])
 
 
 def _track_somebody(num_joints: int) -> None:

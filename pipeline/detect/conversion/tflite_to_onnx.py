@@ -6,19 +6,14 @@ What operators do: the TensorFlow Lite schema, and https://onnx.ai/onnx/operator
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
-import onnx
 import tflite
-from onnx import TensorProto, helper, numpy_helper
 
-from pipeline.detect.tflite_model import Graph, Operator, read_model
+from pipeline.detect.conversion.onnx_graph import OnnxGraph
+from pipeline.detect.conversion.tflite_model import Graph, Operator, read_model
 from pipeline.errors import ModelError
 
-# Pinned, so that the same weights give the same bytes whatever release of onnx writes them.
-_OPSET = 13
-_IR_VERSION = 8
 _NCHW_FROM_NHWC = (0, 3, 1, 2)
 
 
@@ -49,17 +44,11 @@ def convert_graph(graph: Graph, inputs: Mapping[str, str], outputs: Mapping[str,
     conversion = _Conversion(graph, {_index(graph, name): onnx_name for name, onnx_name in inputs.items()})
     ends = {_index(graph, name): onnx_name for name, onnx_name in outputs.items()}
     for index, onnx_name in ends.items():
-        conversion.emit("Identity", [conversion.activation(index)], onnx_name)
-    body = helper.make_graph(
-        conversion.nodes,
-        "network",
-        [_value_info(graph, index, onnx_name) for index, onnx_name in conversion.starts.items()],
-        [_value_info(graph, index, onnx_name) for index, onnx_name in ends.items()],
-        list(conversion.constants.values()),
+        conversion.onnx.emit("Identity", [conversion.activation(index)], onnx_name)
+    return conversion.onnx.encode(
+        {onnx_name: graph.tensors[index].shape[-1] for index, onnx_name in conversion.starts.items()},
+        {onnx_name: graph.tensors[index].shape[-1] for index, onnx_name in ends.items()},
     )
-    converted = helper.make_model(body, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION)
-    onnx.checker.check_model(converted)
-    return bytes(converted.SerializeToString(deterministic=True))
 
 
 def _index(graph: Graph, name: str) -> int:
@@ -68,35 +57,14 @@ def _index(graph: Graph, name: str) -> int:
     return graph.activations[name]
 
 
-def _value_info(graph: Graph, index: int, onnx_name: str) -> onnx.ValueInfoProto:
-    shape: list[str | int | None] = [
-        "batch",
-        graph.tensors[index].shape[-1],
-        f"{onnx_name}_height",
-        f"{onnx_name}_width",
-    ]
-    return helper.make_tensor_value_info(onnx_name, TensorProto.FLOAT, shape)
-
-
 class _Conversion:
     """Nodes and constants so far; operators are converted when something asks for what they make."""
 
     def __init__(self, graph: Graph, starts: dict[int, str]) -> None:
         self.graph = graph
         self.starts = starts
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: dict[str, onnx.TensorProto] = {}
+        self.onnx = OnnxGraph()
         self._names = dict(starts)
-
-    def emit(self, kind: str, inputs: list[str], output: str, **attributes: Any) -> str:
-        """Append a node; returns the name of its output."""
-        self.nodes.append(helper.make_node(kind, inputs, [output], **attributes))
-        return output
-
-    def add_constant(self, name: str, value: np.ndarray) -> str:
-        """Add a constant under its name; returns the name."""
-        self.constants[name] = numpy_helper.from_array(np.ascontiguousarray(value), name)
-        return name
 
     def activation(self, index: int) -> str:
         """Name of a tensor that depends on the input."""
@@ -122,20 +90,20 @@ class _Conversion:
         if value is None:
             return self.activation(index)
         four_axes = value.reshape((1,) * (4 - value.ndim) + value.shape)
-        return self.add_constant(f"t{index}", four_axes.transpose(_NCHW_FROM_NHWC))
+        return self.onnx.add_constant(f"t{index}", four_axes.transpose(_NCHW_FROM_NHWC))
 
     def activate(self, name: str, function: int) -> str:
         """Apply the activation function that is fused into an operator."""
         if function == tflite.ActivationFunctionType.NONE:
             return name
         if function == tflite.ActivationFunctionType.RELU:
-            return self.emit("Relu", [name], f"{name}_relu")
+            return self.onnx.emit("Relu", [name], f"{name}_relu")
         if function == tflite.ActivationFunctionType.RELU6:
             bounds = [
-                self.add_constant("zero", np.array(0, np.float32)),
-                self.add_constant("six", np.array(6, np.float32)),
+                self.onnx.add_constant("zero", np.array(0, np.float32)),
+                self.onnx.add_constant("six", np.array(6, np.float32)),
             ]
-            return self.emit("Clip", [name, *bounds], f"{name}_relu6")
+            return self.onnx.emit("Clip", [name, *bounds], f"{name}_relu6")
         raise ModelError(f"The TensorFlow Lite model needs activation {function}, which is not supported.")
 
 
@@ -159,10 +127,10 @@ def _emit_convolution(
     options = operator.options
     if (options.DilationHFactor(), options.DilationWFactor()) != (1, 1):
         raise ModelError("The TensorFlow Lite model needs a dilated convolution, which is not supported.")
-    inputs = [conversion.activation(operator.inputs[0]), conversion.add_constant(f"{name}_weights", weights)]
+    inputs = [conversion.activation(operator.inputs[0]), conversion.onnx.add_constant(f"{name}_weights", weights)]
     if len(operator.inputs) > 2 and operator.inputs[2] >= 0:
-        inputs.append(conversion.add_constant(f"{name}_bias", conversion.weights(operator.inputs[2])))
-    conversion.emit(
+        inputs.append(conversion.onnx.add_constant(f"{name}_bias", conversion.weights(operator.inputs[2])))
+    conversion.onnx.emit(
         "Conv",
         inputs,
         name,
@@ -178,14 +146,14 @@ def _emit_convolution(
 
 def _elementwise(kind: str) -> "_Handler":
     def handle(conversion: _Conversion, operator: Operator, name: str) -> str:
-        conversion.emit(kind, [conversion.operand(index) for index in operator.inputs], name)
+        conversion.onnx.emit(kind, [conversion.operand(index) for index in operator.inputs], name)
         return conversion.activate(name, operator.options.FusedActivationFunction())
 
     return handle
 
 
 def _sigmoid(conversion: _Conversion, operator: Operator, name: str) -> str:
-    return conversion.emit("Sigmoid", [conversion.activation(operator.inputs[0])], name)
+    return conversion.onnx.emit("Sigmoid", [conversion.activation(operator.inputs[0])], name)
 
 
 def _resize_bilinear(conversion: _Conversion, operator: Operator, name: str) -> str:
@@ -194,9 +162,9 @@ def _resize_bilinear(conversion: _Conversion, operator: Operator, name: str) -> 
     factors = conversion.graph.constant(new_size.inputs[1]) if new_size and new_size.kind == "MUL" else None
     if factors is None or not operator.options.HalfPixelCenters():
         raise ModelError("The TensorFlow Lite model resizes in a way that is not supported.")
-    scales = conversion.add_constant(f"{name}_scales", np.array([1, 1, *factors], np.float32))
+    scales = conversion.onnx.add_constant(f"{name}_scales", np.array([1, 1, *factors], np.float32))
     source = conversion.activation(operator.inputs[0])
-    return conversion.emit(
+    return conversion.onnx.emit(
         "Resize", [source, "", scales], name, mode="linear", coordinate_transformation_mode="half_pixel"
     )
 

@@ -1,0 +1,134 @@
+"""From what detectors found in a session to tracks: the steps of both methods.
+
+``tracking`` is one sequential pass. ``clustering`` first measures everybody's bones over the whole session, then finds
+people in any range of frames by itself, and at last links them. What found them may be whole bodies (``Detections``),
+of the whole session, or fields (``PafFields``) that show the range.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+
+from pipeline.clustering.associate import find_people, first_lengths, link_people, sampled_frames
+from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.clustering.candidates import Seen, SeenBodies, SeenFields
+from pipeline.clustering.parameters import ClusteringParameters
+from pipeline.clustering.parameters import derive_parameters as derive_clustering
+from pipeline.clustering.skeleton import skeleton_of
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Detections, Observations, PafFields, Poses3D, Track3D
+from pipeline.detect.registry import entry_of
+from pipeline.joints import JointSet
+from pipeline.keypoints import KeypointSession
+from pipeline.parameters import change_parameters
+from pipeline.session import CaptureSession
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.parameters import derive_parameters as derive_tracking
+
+Views = CaptureSession | KeypointSession
+Found = Mapping[str, Detections] | Mapping[str, PafFields]
+"""By camera."""
+
+_DEFAULTS = ReconstructionConfig()
+
+
+def uses_fields(session: Views, config: ReconstructionConfig) -> bool:
+    """Whether people are found from part affinity fields, not from whole bodies."""
+    is_clustering = config.method == "clustering"
+    return is_clustering and isinstance(session, CaptureSession) and entry_of(config.detector).fields is not None
+
+
+def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
+    """Those derived from the session, but for what was asked to be otherwise.
+
+    Raises
+    ------
+    InputError
+        If a parameter does not exist, or can't have that value.
+    """
+    return change_parameters(derive_tracking(session.cameras, session.timebase.frame_rate_hz), changes)
+
+
+def clustering_parameters(session: Views, config: ReconstructionConfig) -> ClusteringParameters:
+    """Those derived from the session and the detector, but for what was asked to be otherwise.
+
+    Raises
+    ------
+    InputError
+        If a parameter does not exist, or can't have that value.
+    """
+    fields = entry_of(config.detector).fields if uses_fields(session, config) else None
+    own = {} if fields is None else {"tau2": fields.tau2}
+    return change_parameters(derive_clustering(session.cameras, **own), config.clustering)
+
+
+def track(
+    session: Views, detections: Mapping[str, Detections], config: ReconstructionConfig = _DEFAULTS
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Turn all cameras' detections into tracks by cross-view tracking, one pass in time order."""
+    parameters = tracking_parameters(session, config.tracking)
+    return reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
+
+
+def num_sampled(session: Views, config: ReconstructionConfig) -> int:
+    """How many frames bones are measured in."""
+    return len(sampled_frames(session.timebase, clustering_parameters(session, config)))
+
+
+def measure_bones(
+    session: Views,
+    chunks: Iterable[tuple[range, Found]],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_frame: Callable[[], None] = lambda: None,
+) -> LimbLengths:
+    """Everybody's bone lengths, from a first pass over frames all over the session.
+
+    Parameters
+    ----------
+    chunks
+        Ranges of output frames in order of time, and what shows each; read one at a time.
+    joints
+        What the joint axis of the detector holds.
+    on_frame
+        Called after each frame.
+    """
+    parameters = clustering_parameters(session, config)
+    sampled = sampled_frames(session.timebase, parameters)
+    seen = (
+        (_seen(session, found, joints, parameters), [frame for frame in frames if frame in sampled])
+        for frames, found in chunks
+    )
+    return first_lengths(session.cameras, seen, session.timebase, skeleton_of(joints), parameters, on_frame)
+
+
+def locate_people(
+    session: Views,
+    frames: range,
+    found: Found,
+    lengths: LimbLengths,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_frame: Callable[[], None] = lambda: None,
+) -> Poses3D:
+    """Find everybody in a range of output frames; the cut into ranges changes nothing."""
+    parameters = clustering_parameters(session, config)
+    seen = _seen(session, found, joints, parameters)
+    return find_people(session.cameras, seen, frames, skeleton_of(joints), lengths, parameters, on_frame)
+
+
+def link(
+    session: Views, chunks: Sequence[Poses3D], joints: JointSet, config: ReconstructionConfig
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Link the poses of all ranges to tracks."""
+    parameters = clustering_parameters(session, config)
+    return link_people(session.cameras, chunks, session.timebase, joints, parameters)
+
+
+def _seen(session: Views, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:
+    skeleton = skeleton_of(joints)
+    fields = {camera: one for camera, one in found.items() if isinstance(one, PafFields)}
+    if fields:
+        return SeenFields(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
+    bodies = {camera: one for camera, one in found.items() if isinstance(one, Detections)}
+    return SeenBodies(session.cameras, session.times, bodies, session.timebase, skeleton, parameters)

@@ -1,0 +1,169 @@
+"""Convert a quantised OpenVINO IR to a float32 ONNX model, without OpenVINO.
+
+Weights are unpacked from eight bits. The quantisation of activations is left out: it saves memory on hardware that
+computes with bytes, and costs accuracy elsewhere. What layers do: OpenVINO's specification of operation set 4.
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from pipeline.detect.conversion.ir_model import Layer, read_ir
+from pipeline.detect.conversion.onnx_graph import OnnxGraph
+from pipeline.errors import ModelError
+
+
+def convert(xml: bytes, weights: bytes, input_name: str, outputs: Mapping[str, int]) -> bytes:
+    """Convert a whole network.
+
+    Parameters
+    ----------
+    xml, weights
+        The two files.
+    input_name
+        What the image, of three channels, is called in ONNX.
+    outputs
+        Names in ONNX and numbers of channels, which tell them apart.
+
+    Returns
+    -------
+        The ONNX model, float32, NCHW; the same bytes for the same arguments.
+
+    Raises
+    ------
+    ModelError
+        If the network is damaged, lacks an output, or needs a layer that is not supported.
+    """
+    layers = read_ir(xml, weights)
+    conversion = _Conversion(layers, input_name)
+    made = {
+        layers[layer.inputs[0]].num_channels: layer.inputs[0] for layer in layers.values() if layer.kind == "Result"
+    }
+    for name, num_channels in outputs.items():
+        if num_channels not in made:
+            raise ModelError(f"The OpenVINO network has no output of {num_channels} channels: it is another one.")
+        conversion.onnx.emit("Identity", [conversion.activation(made[num_channels])], name)
+    return conversion.onnx.encode({input_name: 3}, dict(outputs))
+
+
+class _Conversion:
+    """Layers are converted when something asks for what they make."""
+
+    def __init__(self, layers: Mapping[str, Layer], input_name: str) -> None:
+        self.onnx = OnnxGraph()
+        self._layers = layers
+        self._input_name = input_name
+        self._made: dict[str, str] = {}
+        self._constants: dict[str, np.ndarray | None] = {}
+
+    def activation(self, number: str) -> str:
+        """ONNX name of what a layer makes."""
+        if number not in self._made:
+            layer = self._layers[number]
+            if layer.kind == "Parameter":
+                self._made[number] = self._input_name
+            elif layer.kind == "FakeQuantize":
+                self._made[number] = self.activation(layer.inputs[0])
+            else:
+                handler = _HANDLERS.get(layer.kind)
+                if handler is None:
+                    raise ModelError(f"The OpenVINO network needs {layer.kind}, which is not supported.")
+                self._made[number] = handler(self, layer, f"l{number}")
+        return self._made[number]
+
+    def operand(self, number: str) -> str:
+        """ONNX name of an operand of elementwise arithmetic, constant or not."""
+        value = self.constant(number)
+        if value is None:
+            return self.activation(number)
+        return self.onnx.add_constant(f"c{number}", value.astype(np.float32))
+
+    def weights(self, number: str) -> np.ndarray:
+        """Value of a constant."""
+        value = self.constant(number)
+        if value is None:
+            raise ModelError("The OpenVINO network has weights of a kind that is not supported.")
+        return value
+
+    def constant(self, number: str) -> np.ndarray | None:
+        """Value of what depends on constants only; ``None`` for what depends on the image."""
+        if number not in self._constants:
+            self._constants[number] = self._fold(self._layers[number])
+        return self._constants[number]
+
+    def _fold(self, layer: Layer) -> np.ndarray | None:
+        if layer.kind == "Const":
+            return layer.value
+        if layer.kind not in {"Convert", "Reshape", "FakeQuantize"}:
+            return None
+        values = [self.constant(number) for number in layer.inputs]
+        known = [value for value in values if value is not None]
+        if len(known) < len(values):
+            return None
+        if layer.kind == "Convert":
+            return known[0].astype(np.float32)
+        if layer.kind == "Reshape":
+            return known[0].reshape(known[1].tolist())
+        return _dequantise(known, int(layer.options["levels"]))
+
+
+def _dequantise(values: list[np.ndarray], levels: int) -> np.ndarray:
+    """FakeQuantize of a constant: from the input's range to the nearest level of the output's."""
+    value, low, high, low_out, high_out = (one.astype(np.float32) for one in values)
+    level = np.round((np.clip(value, low, high) - low) / (high - low) * np.float32(levels - 1))
+    return np.asarray(level / np.float32(levels - 1) * (high_out - low_out) + low_out, np.float32)
+
+
+def _convolution(conversion: _Conversion, layer: Layer, name: str) -> str:
+    """Weights: output channels, input channels, height, width; before them groups, if there are any."""
+    weights = conversion.weights(layer.inputs[1])
+    num_groups = 1
+    if layer.kind == "GroupConvolution":
+        num_groups = len(weights)
+        weights = weights.reshape(-1, *weights.shape[2:])
+    return conversion.onnx.emit(
+        "Conv",
+        [
+            conversion.activation(layer.inputs[0]),
+            conversion.onnx.add_constant(f"{name}_weights", weights.astype(np.float32)),
+        ],
+        name,
+        group=num_groups,
+        kernel_shape=list(weights.shape[2:]),
+        strides=layer.whole_numbers("strides"),
+        dilations=layer.whole_numbers("dilations"),
+        pads=[*layer.whole_numbers("pads_begin"), *layer.whole_numbers("pads_end")],
+    )
+
+
+def _elementwise(kind: str) -> "_Handler":
+    def handle(conversion: _Conversion, layer: Layer, name: str) -> str:
+        return conversion.onnx.emit(kind, [conversion.operand(number) for number in layer.inputs], name)
+
+    return handle
+
+
+def _relu(conversion: _Conversion, layer: Layer, name: str) -> str:
+    return conversion.onnx.emit("Relu", [conversion.activation(layer.inputs[0])], name)
+
+
+def _elu(conversion: _Conversion, layer: Layer, name: str) -> str:
+    source = conversion.activation(layer.inputs[0])
+    return conversion.onnx.emit("Elu", [source], name, alpha=float(layer.options["alpha"]))
+
+
+def _concatenation(conversion: _Conversion, layer: Layer, name: str) -> str:
+    sources = [conversion.activation(number) for number in layer.inputs]
+    return conversion.onnx.emit("Concat", sources, name, axis=int(layer.options["axis"]))
+
+
+_Handler = Callable[[_Conversion, Layer, str], str]
+_HANDLERS: dict[str, _Handler] = {
+    "Convolution": _convolution,
+    "GroupConvolution": _convolution,
+    "Add": _elementwise("Add"),
+    "Multiply": _elementwise("Mul"),
+    "ReLU": _relu,
+    "Elu": _elu,
+    "Concat": _concatenation,
+}

@@ -1,0 +1,92 @@
+"""Clustering of simulated people from heatmaps and part affinity fields, and what its parts are worth.
+
+The rows of the ablation are those of the paper's table 3 (Chen et al. 2020): hypotheses are constrained by reprojection
+error alone (``RE``), by connectivity (``+PAF``), by bone lengths (``+BL``), or by both (``All``). They are of the
+method as the paper has it: a cluster gives one joint, and nobody gets a second chance. Beside them stand what the
+method does by default (``default``), and that without the split of clusters by parents (``unsplit``).
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pipeline.clustering.associate import find_people, first_lengths, link_people, sampled_frames
+from pipeline.clustering.candidates import SeenFields
+from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
+from pipeline.clustering.skeleton import skeleton_of
+from pipeline.data import Track3D
+from pipeline.detect.field_files import FieldFiles
+from pipeline.joints import COCO_18
+from pipeline.metrics.simulated import score_simulated
+from pipeline.records_npz import encode_fields
+from pipeline.simulation.fields import GRID, render
+from pipeline.simulation.scenes import Simulation
+from pipeline.video.timeline import chunk_ranges, span_s
+
+_CHUNK_FRAMES = 25
+_PAPERS = {"separate_clusters": False, "leniency": 1.0}
+_VARIANTS: Mapping[str, Mapping[str, Any]] = {
+    "RE": {**_PAPERS, "use_connectivity": False, "use_lengths": False},
+    "+PAF": {**_PAPERS, "use_lengths": False},
+    "+BL": {**_PAPERS, "use_connectivity": False},
+    "All": _PAPERS,
+    "unsplit": {"split_clusters": False},
+}
+
+
+@contextmanager
+def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
+    """All cameras' fields in a temporary folder."""
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        files = FieldFiles(Path(folder), [camera.name for camera in simulation.cameras])
+        for frames in chunk_ranges(simulation.timebase, _CHUNK_FRAMES):
+            span = span_s(simulation.timebase, frames.start, frames.stop)
+            for camera, fields in render(simulation.sketches, simulation.times, span).items():
+                files.write(camera, frames, encode_fields(fields))
+        yield files
+
+
+def cluster_fields(
+    simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[Track3D, ...]:
+    """Reconstruct everybody, in joints of ``COCO_18``.
+
+    Parameters
+    ----------
+    changes
+        Parameters that shall not be the default.
+    """
+    parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
+    skeleton, timebase = skeleton_of(COCO_18), simulation.timebase
+    ranges = chunk_ranges(timebase, _CHUNK_FRAMES)
+
+    def seen_in(frames: range) -> SeenFields:
+        fields = files.read(frames)
+        return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
+
+    sampled = sampled_frames(timebase, parameters)
+    seen = ((seen_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
+    lengths = first_lengths(simulation.cameras, seen, timebase, skeleton, parameters)
+    poses = [
+        find_people(simulation.cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges
+    ]
+    return link_people(simulation.cameras, poses, timebase, COCO_18, parameters)[0]
+
+
+def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
+    """Scores of each variant as of ``score_simulated``, the variants at once on all cores."""
+    score = partial(_score_variant, simulation, files)
+    with ProcessPoolExecutor(min(len(_VARIANTS), os.cpu_count() or 1), get_context("spawn")) as pool:
+        return dict(zip(_VARIANTS, pool.map(score, _VARIANTS.values()), strict=True))
+
+
+def _score_variant(simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any]) -> dict[str, Any]:
+    return score_simulated(cluster_fields(simulation, files, changes), simulation, COCO_18)
