@@ -22,7 +22,7 @@ from pipeline.geometry.triangulation import plane_rows
 class _Draft(NamedTuple):
     """A view's candidate each, where they meet, the parent, and the cluster that it is of."""
 
-    candidate: Int[np.ndarray, " cameras"]
+    candidates: list[int]
     seed_m: Float[np.ndarray, " 3"]
     parent: int
     cluster: int
@@ -87,7 +87,7 @@ def find_joints(
             value = _agreement(here, hypotheses, found.places, evidence, skeleton, lengths, parameters)
             chosen = np.any(value > -np.inf, axis=0)
             hypotheses, value = hypotheses.where(chosen), value[:, chosen]
-        drafts = _draft(image_from_world, here, hypotheses, value, found.places, lengths, parameters)
+        drafts = _draft(image_from_world, here, hypotheses, value, found.places, skeleton, lengths, parameters)
         located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m)
         candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
         found = found.with_others(located._replace(candidate=candidate))
@@ -108,15 +108,12 @@ def _agreement(
     The cheap constraint comes first: evidence is asked about what bone lengths leave.
     """
     joint = candidates.joint[hypotheses.pair[:, 0]]
-    error = length_error(parents.xyz_m, hypotheses.xyz_m, joint, lengths)
-    is_limb = parents.joint[:, None] == np.array(skeleton.parents)[joint]
-    possible = is_limb & (error <= parameters.leniency * parameters.tau3)
-    if parameters.use_connectivity:
-        body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
-        np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
-        score = evidence.connect(parents, Places(joint, hypotheses.xyz_m, body), possible)
-    else:
-        score = np.full(error.shape, np.nan)
+    body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
+    np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
+    points = Places(joint, hypotheses.xyz_m, body)
+    error = length_error(parents, points, skeleton, lengths)
+    possible = error <= parameters.leniency * parameters.tau3
+    score = evidence.connect(parents, points, possible) if parameters.use_connectivity else np.full(error.shape, np.nan)
     least = evidence.least[joint]
     allowed = possible & fits(score, least, error, parameters.tau3)
     chance = possible & nearly_fits(
@@ -136,6 +133,7 @@ def _draft(
     hypotheses: Hypotheses,
     value: Float[np.ndarray, "parents hypotheses"],
     parents: Places,
+    skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
 ) -> list[_Draft]:
@@ -148,14 +146,20 @@ def _draft(
     may_split = parameters.split_clusters and value.size > 0
     outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
     for cluster, members in enumerate(clusters):
-        kind = int(joint[members[0]])
-        groups = _split(hypotheses.xyz_m, members, kind, parent_of, parents, lengths, parameters)
         shared = [(parent, members[value[parent, members] > -np.inf]) for parent in outbid.get(cluster, [])]
+        if len(members) == 1:  # by far the most are chance meetings
+            parents_here = [int(parent_of[members[0]]), *(parent for parent, _ in shared)]
+            used, seed_m = hypotheses.pair[members[0]].tolist(), hypotheses.xyz_m[members[0]]
+            drafts.extend(_Draft(used, seed_m, parent, cluster) for parent in parents_here)
+            continue
+        groups = _split(
+            hypotheses.xyz_m, members, int(joint[members[0]]), parent_of, parents, skeleton, lengths, parameters
+        )
         for parent, group in (*groups, *shared):
             own = parents.body[parent] if parent >= 0 else nobody
             drafts.extend(
-                _Draft(candidate, seed_m, parent, cluster)
-                for candidate, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters)
+                _Draft(used, seed_m, parent, cluster)
+                for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters)
             )
     return drafts
 
@@ -181,6 +185,7 @@ def _split(
     joint: int,
     parent_of: Int[np.ndarray, " hypotheses"],
     parents: Places,
+    skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
 ) -> Iterator[tuple[int, Int[np.ndarray, " _"]]]:
@@ -189,8 +194,8 @@ def _split(
     if len(wanted) < 2 or not parameters.split_clusters:
         yield int(wanted[counts.argmax()]), members
         return
-    centre_m = xyz_m[members].mean(0, keepdims=True)
-    error = length_error(parents.xyz_m[wanted], centre_m, np.array([joint]), lengths)
+    centre = Places(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
+    error = length_error(Places(*(values[wanted] for values in parents)), centre, skeleton, lengths)
     if (error <= parameters.tau3).sum() < 2:
         yield int(wanted[counts.argmax()]), members
         return
@@ -229,18 +234,13 @@ def _extract(
     members: Int[np.ndarray, " _"],
     parent_body: Int[np.ndarray, " cameras"],
     parameters: ClusteringParameters,
-) -> Iterator[tuple[Int[np.ndarray, " cameras"], Float[np.ndarray, " 3"]]]:
+) -> Iterator[tuple[list[int], Float[np.ndarray, " 3"]]]:
     """Candidates of one joint, a view each, from where hypotheses are densest; what uses none of them goes on.
 
     Of a view's candidates the one that is connected to the parent is taken, then the nearest.
     """
-    if len(members) == 1:  # by far the most are chance meetings
-        candidate = np.full(len(image_from_world), NOWHERE)
-        candidate[candidates.view[hypotheses.pair[members[0]]]] = hypotheses.pair[members[0]]
-        yield candidate, hypotheses.xyz_m[members[0]]
-        return
     if not parameters.separate_clusters:
-        yield _match(candidates, hypotheses, members, len(image_from_world))
+        yield _match(candidates, hypotheses, members)
         return
     while len(members):
         xyz_m, pair = hypotheses.xyz_m[members], hypotheses.pair[members]
@@ -257,19 +257,19 @@ def _extract(
         in_order = np.lexsort((-errors_px, ~is_strange))  # the best of a view last
         in_order = in_order[errors_px[in_order] <= 2 * parameters.tau1_px]
         candidate[views[in_order]] = used[in_order]
-        yield candidate, seed_m
-        members = members[~(pair[:, :, None] == candidate).any((1, 2))]
+        candidate = candidate[candidate >= 0]
+        yield candidate.tolist(), seed_m
+        members = members[~np.isin(pair, candidate).any(1)]
 
 
 def _match(
-    candidates: Candidates, hypotheses: Hypotheses, members: Int[np.ndarray, " _"], num_cameras: int
-) -> tuple[Int[np.ndarray, " cameras"], Float[np.ndarray, " 3"]]:
+    candidates: Candidates, hypotheses: Hypotheses, members: Int[np.ndarray, " _"]
+) -> tuple[list[int], Float[np.ndarray, " 3"]]:
     """The candidates of one joint as the paper has them: of each view the one behind most of the hypotheses."""
     used, counts = np.unique(hypotheses.pair[members], return_counts=True)
     in_order = used[np.lexsort((candidates.score[used], counts))]  # the best of a view last
-    candidate = np.full(num_cameras, NOWHERE)
-    candidate[candidates.view[in_order]] = in_order
-    return candidate, np.median(hypotheses.xyz_m[members], axis=0)
+    of_view = dict(zip(candidates.view[in_order].tolist(), in_order.tolist(), strict=True))
+    return list(of_view.values()), np.median(hypotheses.xyz_m[members], axis=0)
 
 
 def _locate(
@@ -284,19 +284,22 @@ def _locate(
     Joints of several people in one place, whom a split cluster told apart, may share what a view shows as one.
     Candidates that are left go to a joint nearby that lacks their view.
     """
-    confidence = np.append(candidates.score, 0.0)
-    drafts = sorted(drafts, key=lambda one: (-(one.candidate >= 0).sum(), -confidence[one.candidate].sum()))
+    score = candidates.score.tolist()
+    drafts = sorted(drafts, key=lambda one: (-len(one.candidates), -sum(score[k] for k in one.candidates)))
     owners: dict[int, list[_Draft]] = {}
     kept: list[_Draft] = []
     for draft in drafts:
-        left = np.array([k if k >= 0 and _may_share(draft, owners.get(k, [])) else NOWHERE for k in draft.candidate])
-        if (left >= 0).sum() >= 2:
-            kept.append(draft._replace(candidate=left))
-            for k in left[left >= 0].tolist():
+        left = [k for k in draft.candidates if k not in owners or _may_share(draft, owners[k])]
+        if len(left) >= 2:
+            kept.append(draft._replace(candidates=left))
+            for k in left:
                 owners.setdefault(k, []).append(draft)
     if not kept:
         return no_joints(len(image_from_world))
-    chosen = np.array([draft.candidate for draft in kept])
+    chosen = np.full((len(kept), len(image_from_world)), NOWHERE)
+    for row, draft in enumerate(kept):
+        chosen[row, candidates.view[draft.candidates]] = draft.candidates
+    confidence = np.append(candidates.score, 0.0)
     points_px = np.append(candidates.points_px, [[0.0, 0.0]], axis=0)
     seeds_m = np.array([draft.seed_m for draft in kept])
     xyz_m = refine(image_from_world, seeds_m, points_px[chosen], confidence[chosen])

@@ -1,9 +1,11 @@
 """What a hypothesis has to agree with: its parent's appearance and the lengths of bones (section 3.2.1, eq. 1-3)."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.clustering.evidence import Places
+from pipeline.clustering.skeleton import Skeleton
 
 _SHORTEST_M = 0.02
 
@@ -42,26 +44,23 @@ def nearly_fits(
 
 
 def length_error(
-    parents_m: Float[np.ndarray, "parents 3"],
-    points_m: Float[np.ndarray, "points 3"],
-    joint: Int[np.ndarray, " points"],
-    lengths: LimbLengths,
+    parents: Places, points: Places, skeleton: Skeleton, lengths: LimbLengths
 ) -> Float[np.ndarray, "parents points"]:
     """How far a point's distance to a parent is from the length of somebody's bone, as a share of that (eq. 3).
 
-    Parameters
-    ----------
-    joint
-        Which joint each point is.
-
     Returns
     -------
-        The smallest over all people; 0 where nobody's length is known; infinite where no human being's can be so.
+        The smallest over all people; 0 where nobody's length is known; infinite where no human being's can be so, and
+        where no limb leads from the one kind of joint to the other.
     """
-    distance_m = np.linalg.norm(parents_m[:, None] - points_m[None], axis=-1)
-    error = np.full(distance_m.shape, np.inf)
+    error = np.full((len(parents.joint), len(points.joint)), np.inf)
+    parent, point = np.nonzero(parents.joint[:, None] == np.array(skeleton.parents)[points.joint])
+    distance_m = np.linalg.norm(parents.xyz_m[parent] - points.xyz_m[point], axis=-1)
+    joint = points.joint[point]
+    of_limb = np.full(len(joint), np.inf)
     for known_m in lengths.known_m.T[:, joint]:
-        error = np.fmin(error, np.abs(distance_m - known_m) / known_m)
-    error = np.where(lengths.is_measured[joint], error, 0.0)
+        of_limb = np.fmin(of_limb, np.abs(distance_m - known_m) / known_m)
+    of_limb = np.where(lengths.is_measured[joint], of_limb, 0.0)
     possible = (distance_m > _SHORTEST_M) & (distance_m < lengths.longest_m[joint])
-    return np.where(possible, error, np.inf)
+    error[parent, point] = np.where(possible, of_limb, np.inf)
+    return error

@@ -110,11 +110,12 @@ class AffinityFields:
         """Mean of s over the views that show both; see ``Evidence``."""
         limb = self._limb_of[points.joint]
         parent, point = np.nonzero(wanted & (limb >= 0))
+        used, number = np.unique(point, return_inverse=True)
         total, num_views = np.zeros(len(parent)), np.zeros(len(parent), int)
         for view in self._views:
             begin = view.grid.map_from_image(project(view.camera, parents.xyz_m))
-            end = view.grid.map_from_image(project(view.camera, points.xyz_m))
-            score, _ = connectivity(view.fields, limb[point], begin[parent], end[point])
+            end = view.grid.map_from_image(project(view.camera, points.xyz_m[used]))
+            score, _ = connectivity(view.fields, limb[point], begin[parent], end[number])
             sees = ~np.isnan(score)
             total += np.where(sees, score, 0.0)
             num_views += sees

@@ -71,8 +71,7 @@ def reprojection_px(
 def meet(image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float) -> Hypotheses:
     """Triangulate all pairs of a joint's candidates in two views; keep those with a small reprojection error."""
     views = image_from_world[candidates.view]
-    is_pair = (candidates.view[:, None] < candidates.view) & (candidates.joint[:, None] == candidates.joint)
-    pair = np.argwhere(is_pair)
+    pair = _pairs(candidates)
     rows = plane_rows(views, candidates.points_px[:, None])[:, 0]
     normal = rows.swapaxes(-1, -2) @ rows
     xyz_m = solve_normal(normal[pair[:, 0]] + normal[pair[:, 1]])
@@ -80,3 +79,12 @@ def meet(image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candida
         views[pair], np.broadcast_to(xyz_m[:, None], (*pair.shape, 3)), candidates.points_px[pair]
     )
     return Hypotheses(xyz_m, pair).where(np.all(errors_px <= tau1_px, axis=-1))
+
+
+def _pairs(candidates: Candidates) -> Int[np.ndarray, "pairs 2"]:
+    """Any two candidates of a joint in two views, the first in the view that comes first."""
+    found = [np.empty((0, 2), int)]
+    for joint in np.unique(candidates.joint):
+        mine = np.flatnonzero(candidates.joint == joint)
+        found.append(mine[np.argwhere(candidates.view[mine][:, None] < candidates.view[mine])])
+    return np.concatenate(found)

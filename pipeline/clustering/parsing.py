@@ -36,42 +36,44 @@ def parse(
     found: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
 ) -> Poses:
     """Assemble people, each from a root joint on; a joint belongs to one person."""
-    by_joint = [found.of(j) for j in range(len(skeleton.names))]
-    shape = len(by_joint[0].candidate), len(by_joint)
+    value = _limb_values(found, evidence, skeleton, lengths, parameters)
+    by_joint = [np.flatnonzero(found.places.joint == j) for j in range(len(skeleton.names))]
+    shape = len(by_joint[0]), len(by_joint)
     joint_of = np.full(shape, NOWHERE)
-    joint_of[:, 0] = np.arange(len(joint_of))
+    joint_of[:, 0] = by_joint[0]
     for j in range(1, len(by_joint)):
-        parent = skeleton.parents[j]
-        holders = np.flatnonzero(joint_of[:, parent] >= 0)
-        if len(holders) and len(by_joint[j].candidate):
-            held = by_joint[parent].where(joint_of[holders, parent])
-            for holder, joint in _join(held, by_joint[j], evidence, lengths, parameters):
-                joint_of[holders[holder], j] = joint
+        holders = np.flatnonzero(joint_of[:, skeleton.parents[j]] >= 0)
+        held = joint_of[holders, skeleton.parents[j]]
+        for holder, joint in _join(value[np.ix_(held, by_joint[j])]):
+            joint_of[holders[holder], j] = by_joint[j][joint]
+    has = joint_of >= 0
     xyz_m = np.full((*shape, 3), np.nan)
     candidate = np.full((*shape, found.candidate.shape[1]), NOWHERE)
-    for j, joints in enumerate(by_joint):
-        holders = np.flatnonzero(joint_of[:, j] >= 0)
-        mine = joint_of[holders, j]
-        xyz_m[holders, j] = joints.places.xyz_m[mine]
-        candidate[holders, j] = joints.candidate[mine]
-    enough = np.flatnonzero((joint_of[:, skeleton.core] >= 0).sum(-1) >= parameters.min_joints)
+    xyz_m[has], candidate[has] = found.places.xyz_m[joint_of[has]], found.candidate[joint_of[has]]
+    enough = np.flatnonzero(has[:, skeleton.core].sum(-1) >= parameters.min_joints)
     distinct = _distinct(xyz_m[enough], (candidate[enough] >= 0).sum((1, 2)), parameters.duplicate_m)
     return Poses(xyz_m[enough[distinct]], candidate[enough[distinct]])
 
 
-def _join(
-    holders: Joints, joints: Joints, evidence: Evidence, lengths: LimbLengths, parameters: ClusteringParameters
-) -> list[tuple[int, int]]:
-    """Pairs of a person's parent joint and a joint, the best first, each once."""
-    error = length_error(holders.places.xyz_m, joints.places.xyz_m, joints.places.joint, lengths)
+def _limb_values(
+    found: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
+) -> Float[np.ndarray, "joints joints"]:
+    """What each limb from a joint to another is worth; minus infinity where there can be none."""
+    places = found.places
+    error = length_error(places, places, skeleton, lengths)
     possible = error <= parameters.leniency * parameters.tau3
-    score = evidence.connect(holders.places, joints.places, possible)
-    least = evidence.least[joints.places.joint] * parameters.use_connectivity
-    measured = lengths.is_measured[joints.places.joint]
+    score = evidence.connect(places, places, possible)
+    least = evidence.least[places.joint] * parameters.use_connectivity
+    measured = lengths.is_measured[places.joint]
     allowed = possible & nearly_fits(score, least, error, parameters.tau3, measured, parameters.leniency)
-    value = np.nan_to_num(score, nan=0.0) + _VIEW_WORTH * (joints.candidate >= 0).sum(-1)
+    value = np.nan_to_num(score, nan=0.0) + _VIEW_WORTH * (found.candidate >= 0).sum(-1)
+    return np.where(allowed, value, -np.inf)
+
+
+def _join(value: Float[np.ndarray, "holders joints"]) -> list[tuple[int, int]]:
+    """Pairs of a person's parent joint and a joint, the best first, each once."""
     pairs: list[tuple[int, int]] = []
-    for flat in np.argsort(-np.where(allowed, value, -1.0), axis=None, kind="stable")[: int(allowed.sum())]:
+    for flat in np.argsort(-value, axis=None, kind="stable")[: int((value > -np.inf).sum())]:
         holder, joint = divmod(int(flat), value.shape[1])
         if all(holder != one and joint != other for one, other in pairs):
             pairs.append((holder, joint))

@@ -34,12 +34,21 @@ def places(body: np.ndarray) -> Places:
 
 
 def test_a_length_fits_the_nearest_of_the_known() -> None:
-    lengths = LimbLengths(np.array([[np.nan, np.nan], [0.30, 0.40], [np.nan, np.nan]]), np.array([0.0, 0.5, 0.5]))
-    parents_m = np.zeros((1, 3))
+    skeleton = skeleton_of(COCO_17)
+    shoulder, elbow, wrist = skeleton.indices(("left_shoulder", "left_elbow", "left_wrist"))
+    known_m = np.full((len(skeleton.names), 2), np.nan)
+    known_m[elbow] = [0.30, 0.40]
+    lengths = LimbLengths(known_m, np.full(len(skeleton.names), 0.5))
+    parent = Places(np.array([shoulder]), np.zeros((1, 3)), np.zeros((1, 4), int))
     points_m = np.array([[0.33, 0.0, 0.0], [0.0, 0.38, 0.0], [0.0, 0.0, 0.49], [0.6, 0.0, 0.0]])
-    error = length_error(parents_m, points_m, np.array([1, 1, 1, 1]), lengths)
-    np.testing.assert_allclose(error, [[0.1, 0.05, 0.225, np.inf]])
-    unknown = length_error(parents_m, points_m, np.array([2, 2, 2, 2]), lengths)
+
+    def error(parent: Places, joint: int) -> np.ndarray:
+        points = Places(np.full(4, joint), points_m, np.zeros((4, 4), int))
+        return length_error(parent, points, skeleton, lengths)
+
+    np.testing.assert_allclose(error(parent, elbow), [[0.1, 0.05, 0.225, np.inf]])
+    np.testing.assert_array_equal(error(parent, wrist), np.full((1, 4), np.inf))  # no limb leads there
+    unknown = error(parent._replace(joint=np.array([elbow])), wrist)
     np.testing.assert_array_equal(unknown, [[0.0, 0.0, 0.0, np.inf]])
 
 
