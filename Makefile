@@ -24,6 +24,7 @@ demo: setup  ## Start the service, send it a real four-camera capture, leave the
 
 serve: setup  ## Run the service on this machine until Ctrl-C
 	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap serve
 
 browser:  ## Install Chromium for the tests of the page, where Debian's packages are at hand
@@ -33,6 +34,7 @@ browser:  ## Install Chromium for the tests of the page, where Debian's packages
 
 test: setup browser  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark"
 

@@ -12,6 +12,7 @@ RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 # Detector networks and compiled kernels come with the image: a worker needs no network to start.
 ENV MULTICAP_HOME=/opt/multicap-home
 RUN /opt/multicap/bin/multicap models install movenet-multipose \
+    && /opt/multicap/bin/multicap models install openpose-mobilenet-thin \
     && /opt/multicap/bin/python -m pipeline.warm_up
 
 FROM python:3.11-slim-bookworm

@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from pipeline.association import (
     Found,
@@ -47,7 +47,8 @@ _BY_MEMBERSHIP = (
 )
 _Tracks = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
 _Chunk = tuple[str, range]  # output frames of a camera
-_Detected_co = TypeVar("_Detected_co", covariant=True)
+_Detected = TypeVar("_Detected")
+_Detect = Callable[[CaptureSession, _Chunk, Detector, Callable[[], None]], _Detected]
 
 
 def reconstruct(
@@ -195,35 +196,25 @@ def _counter(stage: Stage, total: int, on_progress: OnProgress) -> Callable[[], 
     return count
 
 
-def _bodies_of(
-    session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None] = lambda: None
-) -> Detections:
+def _bodies_of(session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None]) -> Detections:
     camera, frames = chunk
     return detect_chunk(session, camera, span_s(session.timebase, frames.start, frames.stop), detector, on_frame)
 
 
-def _fields_of(
-    session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None] = lambda: None
-) -> bytes:
+def _fields_of(session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None]) -> bytes:
     camera, frames = chunk
     span = span_s(session.timebase, frames.start, frames.stop)
     return encode_fields(detect_fields_chunk(session, camera, span, detector, on_frame))
 
 
-class _DetectChunk(Protocol[_Detected_co]):
-    def __call__(
-        self, session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None] = ...
-    ) -> _Detected_co: ...
-
-
 def _map(
-    detect: _DetectChunk[_Detected_co],
+    detect: _Detect[_Detected],
     session: CaptureSession,
     chunks: Sequence[_Chunk],
     detector: Detector,
     config: ReconstructionConfig,
     on_progress: OnProgress,
-) -> Iterator[_Detected_co]:
+) -> Iterator[_Detected]:
     """What was detected in each chunk, in their order."""
     if config.processes == 1:
         count = _counter("detect", _num_frames(session), on_progress)
@@ -247,17 +238,17 @@ class _Worker:
         cls.detector = open_detector(detector_name)
 
     @classmethod
-    def run(cls, detect: _DetectChunk[_Detected_co], chunk: _Chunk) -> _Detected_co:
-        return detect(cls.session, chunk, cls.detector)
+    def run(cls, detect: _Detect[_Detected], chunk: _Chunk) -> _Detected:
+        return detect(cls.session, chunk, cls.detector, lambda: None)
 
 
 def _map_in_processes(
-    detect: _DetectChunk[_Detected_co],
+    detect: _Detect[_Detected],
     session: CaptureSession,
     chunks: Sequence[_Chunk],
     config: ReconstructionConfig,
     on_progress: OnProgress,
-) -> Iterator[_Detected_co]:
+) -> Iterator[_Detected]:
     done, total = 0, len(chunks)
     on_progress(Progress("detect", 0, _num_frames(session)))
     pool = ProcessPoolExecutor(

@@ -84,7 +84,7 @@ def _check_sources(
         raise InputError(problems)
 
 
-def _tracking_parameters(said: Sequence[str]) -> dict[str, float]:
+def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
     """NAME=VALUE pairs as numbers by name."""
     changes: dict[str, float] = {}
     problems = []
@@ -93,7 +93,7 @@ def _tracking_parameters(said: Sequence[str]) -> dict[str, float]:
         try:
             changes[name.strip()] = float(value)
         except ValueError:
-            hint = "Write it as alpha_3d_m=0.2."
+            hint = f"Write it as {example}."
             problems.append(Problem("parameter_unreadable", f"{text!r} is no NAME=NUMBER.", hint=hint))
     if problems:
         raise InputError(problems)
@@ -126,6 +126,10 @@ def command(
             metavar="NAME=VALUE", help="A parameter of the tracker, see docs/tracking.md; as often as needed."
         ),
     ] = None,
+    clustering: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Likewise a parameter of clustering, see docs/clustering.md."),
+    ] = None,
     chunk_frames: Annotated[
         int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
     ] = 100,
@@ -138,7 +142,8 @@ def command(
         config = ReconstructionConfig(
             method=known_method(method),
             detector=detector,
-            tracking=_tracking_parameters(tracking or []),
+            tracking=_parameters(tracking or [], "alpha_3d_m=0.2"),
+            clustering=_parameters(clustering or [], "tau2=0.25"),
             chunk_frames=chunk_frames,
             processes=processes,
         )

@@ -1,0 +1,95 @@
+"""Clustering from part affinity fields: a fifth of a second of the real sample capture."""
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from api.commands.reconstruct import write_results
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Reconstruction
+from pipeline.detect import models
+from pipeline.joints import COCO_18
+from pipeline.run import reconstruct
+from pipeline.samples import Sample
+from pipeline.session import open_session
+from tests.e2e.serving import Served, digests
+
+pytestmark = pytest.mark.xdist_group("sample")
+
+NUM_FRAMES = 12
+CONFIG = ReconstructionConfig("clustering", "openpose-mobilenet-thin", chunk_frames=NUM_FRAMES)
+BODY = COCO_18.indices(tuple(name for name in COCO_18.names if not name.endswith(("eye", "ear"))))
+
+
+@pytest.fixture(scope="module")
+def clips(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first frames of every camera."""
+    models.install(CONFIG.detector)
+    folder = tmp_path_factory.mktemp("clips")
+    for camera, video in sample.videos.items():
+        with av.open(str(video)) as source, av.open(str(folder / f"{camera}.mp4"), "w") as target:
+            stream = target.add_stream("libx264", rate=60, options={"crf": "18"})
+            assert isinstance(stream, av.VideoStream)
+            size = source.streams.video[0]
+            stream.width, stream.height, stream.pix_fmt = size.width, size.height, "yuv420p"
+            for number, frame in zip(range(NUM_FRAMES), source.decode(video=0), strict=False):
+                frame.pts, frame.time_base = number, Fraction(1, 60)
+                target.mux(stream.encode(frame))
+            target.mux(stream.encode())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def clustered(clips: Path, sample: Sample) -> Reconstruction:
+    return reconstruct(open_session(clips, sample.calibration), CONFIG)
+
+
+def test_both_main_people_are_found_by_many_views(clustered: Reconstruction) -> None:
+    tracks = sorted(clustered.tracks, key=lambda track: -int(track.views.sum()))
+    for track in tracks[:2]:
+        assert track.num_frames == NUM_FRAMES
+        found = track.views[:, BODY]
+        assert (found > 0).sum(1).mean() >= 9
+        assert found[found > 0].mean() >= 2.8
+        assert np.nanmedian(track.error_px[:, BODY]) <= 12
+    # The bystander may be a third.
+    assert len(tracks) <= 3
+    assert clustered.warnings == ()
+
+
+def test_the_cut_and_the_processes_change_nothing(
+    clips: Path, sample: Sample, clustered: Reconstruction, tmp_path: Path
+) -> None:
+    write_results(clustered, tmp_path / "whole")
+    session = open_session(clips, sample.calibration)
+    write_results(reconstruct(session, replace(CONFIG, chunk_frames=5, processes=2)), tmp_path / "cut")
+    assert digests(tmp_path / "cut") == digests(tmp_path / "whole")
+
+
+def test_the_service_gives_the_same_files(
+    served: Served, clips: Path, sample: Sample, clustered: Reconstruction, tmp_path: Path
+) -> None:
+    write_results(clustered, tmp_path)
+    files = [("videos", (path.name, path.read_bytes())) for path in sorted(clips.iterdir())]
+    files.append(("calibration", (sample.calibration.name, sample.calibration.read_bytes())))
+    spec = {"method": CONFIG.method, "detector": CONFIG.detector}
+    answer = served.client.post("/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))])
+    assert answer.status_code == 202, answer.text
+    job = served.wait_for_end(answer.json()["id"])
+    assert job["state"] == "succeeded", job
+    assert [stage["name"] for stage in job["stages"]] == ["detect", "lengths", "poses", "associate", "fit", "export"]
+    assert all(stage["done"] == stage["total"] for stage in job["stages"])
+    assert job["warnings"] == []
+    assert served.downloads(job["id"]) == digests(tmp_path)
+
+
+def test_the_same_network_groups_bodies_for_tracking(clips: Path, sample: Sample) -> None:
+    session = open_session(clips, sample.calibration)
+    tracks = reconstruct(session, replace(CONFIG, method="tracking")).tracks
+    long = [track for track in tracks if track.num_frames >= NUM_FRAMES - 3]
+    assert len(long) >= 2
