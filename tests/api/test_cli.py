@@ -1,6 +1,7 @@
 """What programs rely on: exit codes, one JSON object on stdout, every problem at once."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from pipeline.data import Reconstruction, Timebase
 from pipeline.detect import models
 from pipeline.errors import PipelineError
 from pipeline.joints import COCO_17
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
 
 runner = CliRunner()
 
@@ -70,6 +73,48 @@ def test_parameters_of_the_tracker_that_are_no_numbers_are_refused(tmp_path: Pat
     assert result.exit_code == 2
     codes = [problem["code"] for problem in json.loads(result.stdout)["problems"]]
     assert codes == ["parameter_unreadable"] * 2
+
+
+@pytest.mark.parametrize(
+    ("options", "codes"),
+    [
+        (["--clustering=tau2=high", "--clustering=0.2"], ["parameter_unreadable"] * 2),
+        (["--tracking=alpha_3d_m=0.2", "--method=clustering"], ["unknown_parameter"]),
+        (["--clustering=tau2=0.2"], ["unknown_parameter"]),
+        (
+            ["--clustering=tau9=0.2", "--clustering=tau3=-1", "--method=clustering"],
+            ["unknown_parameter", "parameter_range"],
+        ),
+    ],
+)
+def test_parameters_of_clustering_that_can_not_be_are_refused(
+    tmp_path: Path, options: list[str], codes: list[str]
+) -> None:
+    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=0.2), 0, 2)):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+    session = [f"--keypoints={tmp_path / 'keypoints'}", f"--calibration={tmp_path / 'calibration.json'}"]
+    arguments = ["reconstruct", *session, f"--out={tmp_path / 'out'}", "--json", *options]
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 2
+    assert [problem["code"] for problem in json.loads(result.stdout)["problems"]] == codes
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        (["--evidence=eyes"], "unknown_evidence"),
+        (["--evidence=fields"], "unknown_evidence"),
+        (["--ablation"], "no_ablation"),
+        (["--ablation", "--method=clustering", "--evidence=bodies"], "no_ablation"),
+        (["--views=4,many"], "wrong_number_of_views"),
+    ],
+)
+def test_evaluations_that_make_no_sense_are_refused(options: list[str], code: str) -> None:
+    result = runner.invoke(app, ["evaluate", "simulated", "--scene=room", "--json", *options])
+    assert result.exit_code == 2
+    assert [problem["code"] for problem in json.loads(result.stdout)["problems"]] == [code]
 
 
 def test_wrong_usage_exits_with_2() -> None:

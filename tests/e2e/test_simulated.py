@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.joints import COCO_17
+from pipeline.joints import COCO_17, COCO_18
 from pipeline.metrics.mpjpe import BODY_JOINTS, accuracy, select_joints
+from pipeline.metrics.simulated import score_simulated
+from pipeline.metrics.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.tracking.associate import reconstruct_tracks
@@ -33,6 +35,31 @@ def test_everybody_keeps_one_identity(name: str) -> None:
     assert found.recall is not None
     assert found.recall >= 0.97
     assert found.ghost_rate == 0
+
+
+def test_hands_that_touch_stay_both_peoples() -> None:
+    """Clapping, handshakes and a hug, seen as heatmaps and fields: while they touch, both keep both wrists."""
+    simulation = record(replace(find_scene("contact"), duration_s=4.0), seed=2)
+    with drawn_fields(simulation) as files:
+        whole = score_simulated(cluster_fields(simulation, files), simulation, COCO_18)
+        unsplit = score_simulated(cluster_fields(simulation, files, {"split_clusters": False}), simulation, COCO_18)
+    assert whole["hands_kept"] >= 0.9
+    assert whole["hands_kept"] > unsplit["hands_kept"]
+    assert whole["people_correct"] >= 0.97
+    assert whole["mpjpe_mm"] <= 22
+    assert whole["switches"] == 0
+
+
+def test_constraints_are_worth_what_the_paper_says() -> None:
+    """A short, small version of the paper's table 3; `multicap evaluate simulated --ablation` is the long one."""
+    simulation = record(replace(find_scene("crowd"), duration_s=1.0), seed=3, num_views=8)
+    with drawn_fields(simulation) as files:
+        rows = ablate_clustering(simulation, files)
+    errors_mm = {name: scores["mpjpe_mm"] for name, scores in rows.items()}
+    assert errors_mm["All"] <= min(errors_mm["+PAF"], errors_mm["+BL"])
+    assert max(errors_mm["+PAF"], errors_mm["+BL"]) < errors_mm["RE"]
+    assert errors_mm["All"] <= 0.6 * errors_mm["RE"]
+    assert rows["All"]["bone_std_cm"] <= 0.5 * rows["RE"]["bone_std_cm"]
 
 
 def test_clustering_from_keypoint_files(tmp_path: Path) -> None:
