@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.constraints import fits, length_error, nearly_fits
@@ -17,6 +18,9 @@ from pipeline.clustering.joints import refine
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 from pipeline.geometry.triangulation import plane_rows
+
+# Of a large cluster so many points are tried for the densest: each is near many others, and eq. 4 does the rest.
+_MAX_SEEDS = 128
 
 
 class _Draft(NamedTuple):
@@ -244,9 +248,10 @@ def _extract(
         return
     while len(members):
         xyz_m, pair = hypotheses.xyz_m[members], hypotheses.pair[members]
-        apart_m = xyz_m[:, None] - xyz_m
-        density = np.exp((apart_m * apart_m).sum(-1) * (-0.5 / (parameters.eps_m / 3) ** 2)).sum(-1)
-        seed_m = xyz_m[density.argmax()]
+        seeds_m = xyz_m[:: -(-len(xyz_m) // _MAX_SEEDS)]
+        squared_m2 = cdist(seeds_m, xyz_m, "sqeuclidean")
+        density = np.exp(squared_m2 * (-0.5 / (parameters.eps_m / 3) ** 2)).sum(-1)
+        seed_m = seeds_m[density.argmax()]
         used = np.unique(pair)
         views = candidates.view[used]
         errors_px = reprojection_px(
