@@ -5,11 +5,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Method = Literal["tracking", "clustering"]
+Smoothing = Literal["none", "butterworth", "one-euro"]
 
 
 @dataclass(frozen=True, slots=True)
 class ReconstructionConfig:
-    """Choices of one reconstruction; the result depends on the first four only.
+    """Choices of one reconstruction; the result does not depend on the last two.
 
     Parameters
     ----------
@@ -22,6 +23,10 @@ class ReconstructionConfig:
         ``tracking.parameters.TrackingParameters``.
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
+    smoothing
+        What becomes of the joints' positions before the skeleton is fitted; see ``skeleton.smooth``.
+    cutoff_hz
+        Of ``butterworth``.
     chunk_frames
         Output frames of one chunk: what is decoded and detected as one piece, of one camera.
     processes
@@ -32,5 +37,7 @@ class ReconstructionConfig:
     detector: str = "movenet-multipose"
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
+    smoothing: Smoothing = "none"
+    cutoff_hz: float = 6.0
     chunk_frames: int = 100
     processes: int = 1

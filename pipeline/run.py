@@ -37,6 +37,7 @@ from pipeline.keypoints import KeypointSession
 from pipeline.progress import OnProgress, Progress, Stage, silent
 from pipeline.records_npz import encode_fields
 from pipeline.session import CaptureSession
+from pipeline.skeleton.smooth import check_smoothing, smooth_tracks
 from pipeline.skeleton.solve import motion_from_track
 from pipeline.video.timeline import chunk_ranges, span_s
 
@@ -121,6 +122,7 @@ def fit(session: Views, tracks: Sequence[Track3D], joints: JointSet) -> tuple[Sk
 
 def _check(session: Views, config: ReconstructionConfig) -> None:
     """Find out what is wrong before the work begins."""
+    check_smoothing(session.timebase, config)
     tracking_parameters(session, config.tracking)
     clustering_parameters(session, config)
     foreign = config.clustering if config.method == "tracking" else config.tracking
@@ -169,14 +171,15 @@ def _finish(
     session: Views, tracks: _Tracks, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
 ) -> Reconstruction:
     count = _counter("fit", 1, on_progress)
-    motions = fit(session, tracks[0], joints)
+    smoothed = smooth_tracks(*tracks, session.cameras, session.timebase, config)
+    motions = fit(session, smoothed, joints)
     count()
     by_membership = config.method == "clustering" and not uses_fields(session, config)
     return Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
-        tracks=tracks[0],
+        tracks=smoothed,
         observations=tracks[1],
         motions=motions,
         warnings=(*session.warnings, *([_BY_MEMBERSHIP] if by_membership else [])),

@@ -54,7 +54,11 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
         stages.append(StagePlan(LENGTHS, _reduce(lengths, _num_measured(session), {"chunk_frames": chunk_frames})))
         stages.append(StagePlan(POSES, _map_frames(session, inputs[0], chunk_frames)))
     associate = _key(ASSOCIATE, {"method": spec.method}, inputs)
-    fit = _key(FIT, {}, [associate])
+    smoothing = {
+        "smoothing": spec.smoothing,
+        **({"cutoff_hz": spec.cutoff_hz} if spec.smoothing == "butterworth" else {}),
+    }
+    fit = _key(FIT, smoothing, [associate])
     export = _key(EXPORT, {}, [associate, fit])
     stages.extend(StagePlan(name, _reduce(key)) for name, key in ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export)))
     return tuple(stages)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pipeline.association import Found, Views, link, locate_people, measure_bones, track
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Reconstruction, SkeletonMotion
+from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError, PipelineError
@@ -37,6 +37,7 @@ from pipeline.records_npz import (
 )
 from pipeline.run import fit
 from pipeline.session import CaptureSession
+from pipeline.skeleton.smooth import smooth_tracks
 from pipeline.video.timeline import chunk_ranges, span_s
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
@@ -98,7 +99,9 @@ def _views_of(work: Work) -> tuple[Views, JointSet]:
 
 def _config(work: Work) -> ReconstructionConfig:
     spec = work.claim.spec
-    return ReconstructionConfig(method=spec.method, detector=spec.detector)
+    return ReconstructionConfig(
+        method=spec.method, detector=spec.detector, smoothing=spec.smoothing, cutoff_hz=spec.cutoff_hz
+    )
 
 
 def detect(work: Work) -> Outcome:
@@ -164,10 +167,16 @@ def associate_people(work: Work) -> Outcome:
     return Outcome(encode_tracks(*track(session, _bodies(work, session, joints), _config(work))))
 
 
+def _smoothed(work: Work, session: Views) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Everybody's final positions, and the observations behind them."""
+    tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
+    return smooth_tracks(tracks, observations, session.cameras, session.timebase, _config(work)), observations
+
+
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
     session, joints = _views_of(work)
-    tracks, _ = decode_tracks(*work.outputs(ASSOCIATE))
+    tracks, _ = _smoothed(work, session)
     motions: list[SkeletonMotion] = []
     for one in tracks:
         motions.extend(fit(session, [one], joints))
@@ -178,7 +187,7 @@ def fit_skeletons(work: Work) -> Outcome:
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
     session, joints = _views_of(work)
-    tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
+    tracks, observations = _smoothed(work, session)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from api.commands.options import MethodOption, known_method
+from api.commands.options import MethodOption, SmoothingOption, known_method, known_smoothing
 from api.console import StageBars, console, emit, reporting
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
@@ -19,12 +19,13 @@ from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.metrics.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.metrics.datasets.shelf_ablation import ablate
 from pipeline.metrics.datasets.shelf_tracking import association_accuracy, score_tracking
-from pipeline.metrics.quality import bone_length_std_cm
+from pipeline.metrics.quality import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.metrics.simulated import score_simulated
 from pipeline.metrics.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.run import reconstruct
 from pipeline.session import open_session
 from pipeline.simulation.scenes import SCENES, Simulation, simulate
+from pipeline.skeleton.smooth import smooth_tracks
 from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.warm_up import warm_up
@@ -42,13 +43,15 @@ def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
     method: MethodOption = "tracking",
+    smoothing: SmoothingOption = "none",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
-        reconstruction = reconstruct(session, ReconstructionConfig(known_method(method), detector), bars.update)
+        config = ReconstructionConfig(known_method(method), detector, smoothing=known_smoothing(smoothing))
+        reconstruction = reconstruct(session, config, bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
     if as_json:
         emit(scores)
@@ -63,6 +66,7 @@ def rendered(
 def shelf(
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
     method: MethodOption = "tracking",
+    smoothing: SmoothingOption = "none",
     detections: Annotated[Path | None, typer.Option(help="Other 2D keypoints of the same images.")] = None,
     every: Annotated[int, typer.Option(min=1, max=10, help="Keep every n-th image, a phase a camera.")] = 1,
     ablation: Annotated[bool, typer.Option(help="Also what the method's parts are worth; half a minute.")] = False,
@@ -71,6 +75,7 @@ def shelf(
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
         checked_method = known_method(method)
+        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing))
         whole = load_shelf(data, detections)
         _refuse_ablation(checked_method, ablation)
         benchmark, kept = thin(whole, every)
@@ -80,11 +85,12 @@ def shelf(
         identities = None
         if checked_method == "clustering":
             parameters = clustering_parameters(benchmark.cameras)
-            tracks, _ = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
+            found = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
         else:
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
-            tracks, _ = locate_people(*views, identities, benchmark.timebase, limits)
+            found = locate_people(*views, identities, benchmark.timebase, limits)
+        tracks = smooth_tracks(*found, benchmark.cameras, benchmark.timebase, config)
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
@@ -93,6 +99,7 @@ def shelf(
             "association_accuracy": None if identities is None else association_accuracy(identities, kept)["all"],
             **score_tracking(tracks, benchmark),
             "bone_std_cm": bone_length_std_cm(tracks, COCO_17),
+            "jitter_m_s2": mean_jitter_m_s2(tracks, benchmark.timebase.frame_rate_hz),
             "fps": benchmark.timebase.num_frames / elapsed_s,
         }
         if ablation:
@@ -153,6 +160,7 @@ def simulated(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
     method: MethodOption = "tracking",
+    smoothing: SmoothingOption = "none",
     evidence: Annotated[
         str | None,
         typer.Option(
@@ -171,13 +179,14 @@ def simulated(
     with reporting(as_json):
         checked_method = known_method(method)
         checked_evidence = _known_evidence(evidence, checked_method, ablation)
+        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing))
         for num_views in _numbers(views):
             simulation = simulate(scene, seed, num_views)
             warm_up()
             scores = (
-                _score_fields(simulation, ablation)
+                _score_fields(simulation, config, ablation)
                 if checked_evidence == "fields"
-                else _score_bodies(simulation, checked_method)
+                else _score_bodies(simulation, config)
             )
             by_views[len(simulation.cameras)] = scores
     if as_json:
@@ -216,23 +225,25 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
     return chosen
 
 
-def _score_bodies(simulation: Simulation, method: Method) -> dict[str, Any]:
+def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[str, Any]:
     views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
     started_s = time.perf_counter()
-    if method == "clustering":
+    if config.method == "clustering":
         parameters = clustering_parameters(simulation.cameras)
-        tracks, _ = reconstruct_by_clustering(*views, simulation.joints, parameters)
+        found = reconstruct_by_clustering(*views, simulation.joints, parameters)
     else:
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
-        tracks, _ = reconstruct_tracks(*views, limits)
+        found = reconstruct_tracks(*views, limits)
+    tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, config)
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
     return score_simulated(tracks, simulation, simulation.joints) | {"fps": fps}
 
 
-def _score_fields(simulation: Simulation, ablation: bool) -> dict[str, Any]:
+def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
-        tracks = cluster_fields(simulation, files)
+        found = cluster_fields(simulation, files)
+        tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = score_simulated(tracks, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files) | {"default": scores}} if ablation else {}

@@ -49,7 +49,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
         "reprojection_error_px": _summarise_error(errors_px, cameras, joints),
         "coverage": _rounded(np.mean(_known(track.source == Source.MEASURED for track in tracks)), 4),
         "bone_length_std_cm": _rounded(bone_length_std_cm(tracks, joints), 3),
-        "jitter_m_s2": _rounded(np.mean(_known(acceleration_m_s2(track, frame_rate_hz) for track in tracks)), 3),
+        "jitter_m_s2": _rounded(mean_jitter_m_s2(tracks, frame_rate_hz), 3),
         "people": [
             {
                 "id": track.track_id,
@@ -107,6 +107,11 @@ def _has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:
 
 def _counts(observations: Observations) -> Bool[np.ndarray, "frames cameras joints"]:
     return (observations.score >= MIN_SCORE) & np.isfinite(observations.points_px).all(-1)
+
+
+def mean_jitter_m_s2(tracks: Sequence[Track3D], frame_rate_hz: float) -> float:
+    """Mean length of the joints' second differences times the squared frame rate; NaN where nothing is known."""
+    return float(np.mean(_known(acceleration_m_s2(track, frame_rate_hz) for track in tracks)))
 
 
 def reprojection_error_px(

@@ -11,7 +11,7 @@ from pipeline.data import Track3D
 from pipeline.joints import JointSet
 from pipeline.metrics.mot import MotFrame, score_mot
 from pipeline.metrics.mpjpe import BODY_JOINTS, GATE_M, accuracy, match_frames, mean_distance_m, select_joints
-from pipeline.metrics.quality import bone_length_std_cm
+from pipeline.metrics.quality import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.simulation.scenes import Simulation
 
 _WRISTS = [BODY_JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
@@ -30,10 +30,10 @@ def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: J
     Returns
     -------
         ``mpjpe_mm``, ``recall``, ``ghost_rate`` and ``switches`` as of ``metrics.mpjpe``; ``mota`` and ``idf1`` with
-        0.5 m as the gate; ``bone_std_cm`` as of ``metrics.quality``; ``people_correct``, the share of frames with as
-        many tracks as people; ``hands_kept``, of frames in which two people touch, the share in which both have both
-        wrists within 0.15 m (``None`` where nobody touches); ``mpjpe_by_joint_mm``, left and right together, the head's
-        and the neck's beside the twelve.
+        0.5 m as the gate; ``bone_std_cm`` and ``jitter_m_s2`` as of ``metrics.quality``; ``people_correct``, the share
+        of frames with as many tracks as people; ``hands_kept``, of frames in which two people touch, the share in which
+        both have both wrists within 0.15 m (``None`` where nobody touches); ``mpjpe_by_joint_mm``, left and right
+        together, the head's and the neck's beside the twelve.
     """
     frames = np.arange(simulation.timebase.num_frames)
     truth_m = simulation.truth_m[:, :, simulation.joints.indices(BODY_JOINTS)]
@@ -48,6 +48,7 @@ def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: J
         "idf1": mot.idf1,
         "switches": found.switches,
         "bone_std_cm": bone_length_std_cm(tracks, joints) if tracks else None,
+        "jitter_m_s2": mean_jitter_m_s2(tracks, simulation.timebase.frame_rate_hz) if tracks else None,
         "people_correct": float(np.mean(there.sum(0) == simulation.present.sum(0))),
         "recall": found.recall,
         "ghost_rate": found.ghost_rate,

@@ -22,7 +22,7 @@ from pipeline.clustering.associate import find_people, first_lengths, link_peopl
 from pipeline.clustering.candidates import SeenFields
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.data import Track3D
+from pipeline.data import Observations, Track3D
 from pipeline.detect.field_files import FieldFiles
 from pipeline.joints import COCO_18
 from pipeline.metrics.simulated import score_simulated
@@ -56,8 +56,8 @@ def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
 
 def cluster_fields(
     simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any] = MappingProxyType({})
-) -> tuple[Track3D, ...]:
-    """Reconstruct everybody, in joints of ``COCO_18``.
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Reconstruct everybody, in joints of ``COCO_18``; tracks and the observations behind them.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def cluster_fields(
     poses = [
         find_people(simulation.cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges
     ]
-    return link_people(simulation.cameras, poses, timebase, COCO_18, parameters)[0]
+    return link_people(simulation.cameras, poses, timebase, COCO_18, parameters)
 
 
 def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
@@ -89,4 +89,4 @@ def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, di
 
 
 def _score_variant(simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any]) -> dict[str, Any]:
-    return score_simulated(cluster_fields(simulation, files, changes), simulation, COCO_18)
+    return score_simulated(cluster_fields(simulation, files, changes)[0], simulation, COCO_18)

@@ -31,7 +31,12 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
 
 def test_job_without_a_body_is_as_by_default(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs")
-    assert answer.json()["spec"] == {"method": "tracking", "detector": "movenet-multipose"}
+    assert answer.json()["spec"] == {
+        "method": "tracking",
+        "detector": "movenet-multipose",
+        "smoothing": "none",
+        "cutoff_hz": 6.0,
+    }
 
 
 def test_session_and_job_in_one_call(live: Live) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from api.commands.reconstruct import write_results
-from pipeline.config import Method, ReconstructionConfig
+from pipeline.config import Method, ReconstructionConfig, Smoothing
 from pipeline.keypoints import open_keypoints
 from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
@@ -45,11 +45,14 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     return [*archives(capture), *((part, (name, (capture / name).read_bytes())) for part, name in one_each)]
 
 
-@pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_the_same_files_as_without_the_service(served: Served, capture: Path, tmp_path: Path, method: Method) -> None:
+@pytest.mark.parametrize(("method", "smoothing"), [("tracking", "none"), ("clustering", "butterworth")])
+def test_the_same_files_as_without_the_service(
+    served: Served, capture: Path, tmp_path: Path, method: Method, smoothing: Smoothing
+) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    write_results(reconstruct_keypoints(session, ReconstructionConfig(method=method)), tmp_path)
-    spec = ("spec", (None, json.dumps({"method": method})))
+    config = ReconstructionConfig(method=method, smoothing=smoothing, cutoff_hz=5.0)
+    write_results(reconstruct_keypoints(session, config), tmp_path)
+    spec = ("spec", (None, json.dumps({"method": method, "smoothing": smoothing, "cutoff_hz": 5.0})))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])

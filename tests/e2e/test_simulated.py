@@ -41,8 +41,8 @@ def test_hands_that_touch_stay_both_peoples() -> None:
     """Clapping, handshakes and a hug, seen as heatmaps and fields: while they touch, both keep both wrists."""
     simulation = record(replace(find_scene("contact"), duration_s=4.0), seed=2)
     with drawn_fields(simulation) as files:
-        whole = score_simulated(cluster_fields(simulation, files), simulation, COCO_18)
-        unsplit = score_simulated(cluster_fields(simulation, files, {"split_clusters": False}), simulation, COCO_18)
+        whole = score_simulated(cluster_fields(simulation, files)[0], simulation, COCO_18)
+        unsplit = score_simulated(cluster_fields(simulation, files, {"split_clusters": False})[0], simulation, COCO_18)
     assert whole["hands_kept"] >= 0.9
     assert whole["hands_kept"] > unsplit["hands_kept"]
     assert whole["people_correct"] >= 0.97

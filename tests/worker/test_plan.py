@@ -66,6 +66,13 @@ def test_the_stages_and_their_sizes() -> None:
     assert [chunk.unit_count for chunk in stages[0].chunks] == [25, 25, 25, 25, 10, 10]
 
 
+def test_a_cutoff_counts_where_it_is_used() -> None:
+    session = make_session()
+    assert keys(session, JobSpec(cutoff_hz=3.0)) == keys(session)
+    low, high = (keys(session, JobSpec(smoothing="butterworth", cutoff_hz=hz)) for hz in (3.0, 6.0))
+    assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
+
+
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
@@ -121,7 +128,11 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 
 @pytest.mark.parametrize(
     ("field", "changed"),
-    [("detector", {DETECT, ASSOCIATE, FIT, EXPORT}), ("method", {ASSOCIATE, FIT, EXPORT})],
+    [
+        ("detector", {DETECT, ASSOCIATE, FIT, EXPORT}),
+        ("method", {ASSOCIATE, FIT, EXPORT}),
+        ("smoothing", {FIT, EXPORT}),
+    ],
 )
 def test_a_choice_changes_the_keys_of_its_stage_and_those_after(field: str, changed: set[str]) -> None:
     ours, other = (

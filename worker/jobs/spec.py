@@ -19,6 +19,13 @@ class JobSpec(BaseModel):
         description="The 2D joint detector. With `clustering` the latter two give part affinity fields as evidence.",
     )
 
+    smoothing: Literal["none", "butterworth", "one-euro"] = Field(
+        default="none", description="What becomes of the joints' positions before the skeleton is fitted."
+    )
+    cutoff_hz: float = Field(
+        default=6.0, gt=0.0, le=1000.0, allow_inf_nan=False, description="Of `butterworth`, below half the frame rate."
+    )
+
     @property
     def uses_fields(self) -> bool:
         """Whether people are found from part affinity fields, where there are videos."""

@@ -1,0 +1,132 @@
+"""Smoothing of joints' positions over time; gaps stay gaps, and nothing is smoothed across one.
+
+*Butterworth*: low-pass of fourth order without delay, a second-order filter forth and back; the cutoff of each pass is
+raised so that both together have the one that was asked for (Winter, "Biomechanics and motor control of human
+movement", section 2.2.4.4).
+
+*One-euro*: a low-pass whose cutoff rises with speed, so that a still hand does not tremble and a fast one does not lag
+(Casiez, Roussel and Vogel, "1 euro filter", CHI 2012). It looks back only, as it would in a live preview.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.signal import butter, sosfiltfilt
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.tracks import reproject
+
+_ORDER = 2
+# What two passes of a filter do to its cutoff.
+_BOTH_PASSES = (np.sqrt(2.0) - 1.0) ** (1.0 / (2 * _ORDER))
+
+# Cutoff of a joint at rest, what a metre a second adds to it, and the cutoff of the speed itself. In simulation the lag
+# costs then as much accuracy as the smoothing gains.
+_REST_HZ, _HZ_PER_M_S, _SPEED_HZ = 3.0, 8.0, 2.0
+
+_Filter = Callable[[Float[np.ndarray, "frames joints 3"]], Float[np.ndarray, "frames joints 3"]]
+
+
+def smooth_tracks(
+    tracks: Sequence[Track3D],
+    observations: Sequence[Observations],
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    config: ReconstructionConfig,
+) -> tuple[Track3D, ...]:
+    """Smooth everybody's joints, and measure the reprojection error anew.
+
+    Parameters
+    ----------
+    observations
+        Behind the tracks, in their order.
+    config
+        Says how; ``none`` gives the tracks back.
+
+    Raises
+    ------
+    InputError
+        As ``check_smoothing``.
+    """
+    check_smoothing(timebase, config)
+    if config.smoothing == "none":
+        return tuple(tracks)
+    rate_hz = timebase.frame_rate_hz
+    low_pass: _Filter = (
+        partial(butterworth, rate_hz=rate_hz, cutoff_hz=config.cutoff_hz)
+        if config.smoothing == "butterworth"
+        else partial(one_euro, rate_hz=rate_hz)
+    )
+    return tuple(_smooth(track, seen, cameras, low_pass) for track, seen in zip(tracks, observations, strict=True))
+
+
+def check_smoothing(timebase: Timebase, config: ReconstructionConfig) -> None:
+    """Refuse a cutoff that a take's frame rate can't have.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and half of the frame rate.
+    """
+    if config.smoothing == "butterworth" and not 0 < config.cutoff_hz < timebase.frame_rate_hz / 2:
+        problem = (
+            f"A cutoff of {config.cutoff_hz:g} Hz is not between 0 and half of the frame rate, "
+            f"{timebase.frame_rate_hz / 2:g} Hz."
+        )
+        raise InputError([Problem("cutoff_range", problem, field="cutoff_hz", hint="6 Hz suits most movements.")])
+
+
+def butterworth(
+    xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float, cutoff_hz: float
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Low-pass of fourth order without delay; NaN stays, and parts what is before from what is after."""
+    # The bilinear transform behind the digital filter bends frequencies as the tangent does.
+    raised_hz = np.arctan(np.tan(np.pi * cutoff_hz / rate_hz) / _BOTH_PASSES) * rate_hz / np.pi
+    sections = butter(_ORDER, raised_hz, fs=rate_hz, output="sos")
+    smoothed = xyz_m.copy()
+    for joint in range(xyz_m.shape[1]):
+        for run in _runs(np.isfinite(xyz_m[:, joint]).all(-1)):
+            # The filter needs some past to settle: the run mirrored at its ends, for a period of the cutoff.
+            num_mirrored = min(run.stop - run.start - 1, max(1, round(rate_hz / cutoff_hz)))
+            smoothed[run, joint] = sosfiltfilt(sections, xyz_m[run, joint], axis=0, padlen=num_mirrored)
+    return smoothed
+
+
+def one_euro(xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float) -> Float[np.ndarray, "frames joints 3"]:
+    """Low-pass that follows fast movements; NaN stays, and it begins anew after it."""
+    smoothed = xyz_m.copy()
+    velocity_m_s = np.zeros(xyz_m.shape[1:])
+    for frame in range(1, len(xyz_m)):
+        step_m = xyz_m[frame] - smoothed[frame - 1]
+        goes_on = np.isfinite(step_m).all(-1, keepdims=True)
+        step_m = np.where(goes_on, step_m, 0.0)
+        velocity_m_s += _share(_SPEED_HZ, rate_hz) * (step_m * rate_hz - velocity_m_s)
+        velocity_m_s[~goes_on[:, 0]] = 0.0
+        cutoff_hz = _REST_HZ + _HZ_PER_M_S * np.linalg.norm(velocity_m_s, axis=-1, keepdims=True)
+        followed_m = smoothed[frame - 1] + _share(cutoff_hz, rate_hz) * step_m
+        smoothed[frame] = np.where(goes_on, followed_m, xyz_m[frame])
+    return smoothed
+
+
+def _share(cutoff_hz: float | Float[np.ndarray, "*batch"], rate_hz: float) -> float | Float[np.ndarray, "*batch"]:
+    """How much of a new value an exponential low-pass takes."""
+    return 1.0 / (1.0 + rate_hz / (2 * np.pi * cutoff_hz))
+
+
+def _smooth(track: Track3D, seen: Observations, cameras: Sequence[Camera], low_pass: _Filter) -> Track3D:
+    xyz_m = low_pass(track.xyz_m)
+    error_px, _, _ = reproject(cameras, xyz_m, seen.points_px, seen.score)
+    return replace(track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
+
+
+def _runs(known: Bool[np.ndarray, " frames"]) -> Iterator[slice]:
+    """Stretches of at least two known frames."""
+    borders = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
+    for start, stop in borders.reshape(-1, 2).tolist():
+        if stop - start >= 2:
+            yield slice(start, stop)
