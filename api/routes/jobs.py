@@ -10,6 +10,7 @@ from api import examples
 from api.bodies import SmallBodyRoute
 from api.contract import Responses, answer, form_body, problems
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
+from api.errors import ErrorItem, pointer_to, unprocessable
 from api.intake import MANIFEST, SPEC, take_in
 from api.routes.sessions import remove_session
 from api.schemas import JobOut, JobPage
@@ -62,7 +63,7 @@ async def create_session_and_job(request: Request, response: Response, services:
     intake = await take_in(request, services, frozenset({MANIFEST, SPEC}))
     with contextlib.ExitStack() as undo:
         undo.callback(remove_session, services, intake.session.id)
-        job = await run_in_threadpool(_start, services, intake.session, intake.spec)
+        job = await run_in_threadpool(_start, services, intake.session, intake.spec, SPEC)
         undo.pop_all()
     return _accepted(response, job)
 
@@ -124,7 +125,18 @@ def delete_job(job_id: JobId, services: ServicesDep) -> None:
         services.artifacts.delete(key)
 
 
-def _start(services: Services, session: Session, spec: JobSpec) -> Job:
+def _start(services: Services, session: Session, spec: JobSpec, *field: str) -> Job:
+    """Create a job.
+
+    Parameters
+    ----------
+    field
+        Where the spec is in what the client sent.
+    """
+    half_rate_hz = session.preflight["timebase"]["frame_rate_hz"] / 2
+    if spec.smoothing == "butterworth" and spec.cutoff_hz >= half_rate_hz:
+        message = f"The cutoff must be below half of the session's frame rate, {half_rate_hz:g} Hz."
+        raise unprocessable([ErrorItem(pointer=pointer_to(*field, "cutoff_hz"), code="cutoff_range", message=message)])
     job = services.store.create_job(session.id, spec, plan(session, spec, services.settings.chunk_frames))
     # When the broker is away, the reaper makes the message good.
     services.queue.publish()

@@ -39,6 +39,21 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
     }
 
 
+def test_a_cutoff_that_the_frame_rate_can_not_have_is_refused_at_once(live: Live) -> None:
+    session_id = live.session_id()
+    half_rate_hz = live.client.get(f"/v1/sessions/{session_id}").json()["preflight"]["timebase"]["frame_rate_hz"] / 2
+    spec = {"smoothing": "butterworth", "cutoff_hz": half_rate_hz}
+    problem = problem_of(live.client.post(f"/v1/sessions/{session_id}/jobs", json=spec), 422, "invalid_request")
+    assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [("cutoff_range", "/cutoff_hz")]
+    num_sessions = len(live.client.get("/v1/sessions").json()["sessions"])
+    parts = [*form(), ("spec", (None, json.dumps(spec)))]
+    problem = problem_of(live.client.post("/v1/jobs", files=parts), 422, "invalid_request")
+    assert [item["pointer"] for item in problem["errors"]] == ["/spec/cutoff_hz"]
+    assert len(live.client.get("/v1/sessions").json()["sessions"]) == num_sessions
+    lower = {"smoothing": "butterworth", "cutoff_hz": half_rate_hz - 0.1}
+    assert live.client.post(f"/v1/sessions/{session_id}/jobs", json=lower).status_code == 202
+
+
 def test_session_and_job_in_one_call(live: Live) -> None:
     parts = [*form(), ("spec", ("", json.dumps({"method": "tracking"}))), ("manifest", (None, b'{"name": "Take 3"}'))]
     answer = live.client.post("/v1/jobs", files=parts)
