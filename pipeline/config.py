@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Method = Literal["tracking", "clustering"]
-Smoothing = Literal["none", "butterworth", "one-euro"]
+Smoothing = Literal["none", "butterworth", "one-euro", "fit"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class ReconstructionConfig:
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
     smoothing
-        What becomes of the joints' positions before the skeleton is fitted; see ``skeleton.smooth``.
+        What becomes of the joints' positions before the skeleton follows them; see ``skeleton.smooth`` and ``fit``.
     cutoff_hz
         Of ``butterworth``.
     chunk_frames

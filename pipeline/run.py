@@ -171,7 +171,7 @@ def _finish(
     session: Views, tracks: _Tracks, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
 ) -> Reconstruction:
     count = _counter("fit", 1, on_progress)
-    smoothed = smooth_tracks(*tracks, session.cameras, session.timebase, config)
+    smoothed = smooth_tracks(*tracks, session.cameras, session.timebase, joints, config)
     motions = fit(session, smoothed, joints)
     count()
     by_membership = config.method == "clustering" and not uses_fields(session, config)

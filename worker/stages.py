@@ -167,16 +167,16 @@ def associate_people(work: Work) -> Outcome:
     return Outcome(encode_tracks(*track(session, _bodies(work, session, joints), _config(work))))
 
 
-def _smoothed(work: Work, session: Views) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+def _smoothed(work: Work, session: Views, joints: JointSet) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Everybody's final positions, and the observations behind them."""
     tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
-    return smooth_tracks(tracks, observations, session.cameras, session.timebase, _config(work)), observations
+    return smooth_tracks(tracks, observations, session.cameras, session.timebase, joints, _config(work)), observations
 
 
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
     session, joints = _views_of(work)
-    tracks, _ = _smoothed(work, session)
+    tracks, _ = _smoothed(work, session, joints)
     motions: list[SkeletonMotion] = []
     for one in tracks:
         motions.extend(fit(session, [one], joints))
@@ -187,7 +187,7 @@ def fit_skeletons(work: Work) -> Outcome:
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
     session, joints = _views_of(work)
-    tracks, observations = _smoothed(work, session)
+    tracks, observations = _smoothed(work, session, joints)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,

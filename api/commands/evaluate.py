@@ -90,7 +90,7 @@ def shelf(
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
             found = locate_people(*views, identities, benchmark.timebase, limits)
-        tracks = smooth_tracks(*found, benchmark.cameras, benchmark.timebase, config)
+        tracks = smooth_tracks(*found, benchmark.cameras, benchmark.timebase, COCO_17, config)
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
@@ -234,7 +234,7 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
     else:
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
         found = reconstruct_tracks(*views, limits)
-    tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, config)
+    tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
     return score_simulated(tracks, simulation, simulation.joints) | {"fps": fps}
 
@@ -243,7 +243,7 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
         found = cluster_fields(simulation, files)
-        tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, config)
+        tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, COCO_18, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = score_simulated(tracks, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files) | {"default": scores}} if ablation else {}

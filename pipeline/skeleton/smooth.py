@@ -20,6 +20,8 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.tracks import reproject
+from pipeline.joints import JointSet
+from pipeline.skeleton.fit import fit_tracks
 
 _ORDER = 2
 # What two passes of a filter do to its cutoff.
@@ -37,6 +39,7 @@ def smooth_tracks(
     observations: Sequence[Observations],
     cameras: Sequence[Camera],
     timebase: Timebase,
+    joints: JointSet,
     config: ReconstructionConfig,
 ) -> tuple[Track3D, ...]:
     """Smooth everybody's joints, and measure the reprojection error anew.
@@ -45,8 +48,10 @@ def smooth_tracks(
     ----------
     observations
         Behind the tracks, in their order.
+    joints
+        Of the tracks.
     config
-        Says how; ``none`` gives the tracks back.
+        Says how; ``none`` gives the tracks back, ``fit`` is ``skeleton.fit``.
 
     Raises
     ------
@@ -56,6 +61,8 @@ def smooth_tracks(
     check_smoothing(timebase, config)
     if config.smoothing == "none":
         return tuple(tracks)
+    if config.smoothing == "fit":
+        return fit_tracks(tracks, observations, cameras, timebase, joints)
     rate_hz = timebase.frame_rate_hz
     low_pass: _Filter = (
         partial(butterworth, rate_hz=rate_hz, cutoff_hz=config.cutoff_hz)

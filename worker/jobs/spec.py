@@ -19,7 +19,7 @@ class JobSpec(BaseModel):
         description="The 2D joint detector. With `clustering` the latter two give part affinity fields as evidence.",
     )
 
-    smoothing: Literal["none", "butterworth", "one-euro"] = Field(
+    smoothing: Literal["none", "butterworth", "one-euro", "fit"] = Field(
         default="none", description="What becomes of the joints' positions before the skeleton is fitted."
     )
     cutoff_hz: float = Field(
