@@ -37,7 +37,7 @@ class ReconstructionConfig:
     detector: str = "movenet-multipose"
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
-    smoothing: Smoothing = "none"
+    smoothing: Smoothing = "fit"
     cutoff_hz: float = 6.0
     chunk_frames: int = 100
     processes: int = 1

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from api.client import Json, served
 from api.commands.benchmark_clustering import clustering
+from api.commands.benchmark_fit import fit
 from api.commands.benchmark_tracking import tracking
 from api.commands.reconstruct import write_results
 from api.console import StageBars, console, emit, reporting
@@ -35,6 +36,7 @@ from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
 app.command()(clustering)
+app.command()(fit)
 app.command()(tracking)
 
 

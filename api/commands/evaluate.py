@@ -43,7 +43,7 @@ def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
     detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
     method: MethodOption = "tracking",
-    smoothing: SmoothingOption = "none",
+    smoothing: SmoothingOption = "fit",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
@@ -66,7 +66,7 @@ def rendered(
 def shelf(
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
     method: MethodOption = "tracking",
-    smoothing: SmoothingOption = "none",
+    smoothing: SmoothingOption = "fit",
     detections: Annotated[Path | None, typer.Option(help="Other 2D keypoints of the same images.")] = None,
     every: Annotated[int, typer.Option(min=1, max=10, help="Keep every n-th image, a phase a camera.")] = 1,
     ablation: Annotated[bool, typer.Option(help="Also what the method's parts are worth; half a minute.")] = False,
@@ -160,7 +160,7 @@ def simulated(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
     method: MethodOption = "tracking",
-    smoothing: SmoothingOption = "none",
+    smoothing: SmoothingOption = "fit",
     evidence: Annotated[
         str | None,
         typer.Option(
@@ -246,7 +246,7 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
         tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, COCO_18, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = score_simulated(tracks, simulation, COCO_18)
-        parts = {"ablation": ablate_clustering(simulation, files) | {"default": scores}} if ablation else {}
+        parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}
     return scores | {"fps": fps} | parts
 
 

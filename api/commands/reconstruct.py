@@ -130,7 +130,7 @@ def command(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Likewise a parameter of clustering, see docs/clustering.md."),
     ] = None,
-    smoothing: SmoothingOption = "none",
+    smoothing: SmoothingOption = "fit",
     cutoff: Annotated[float, typer.Option(help="Of Butterworth's low-pass, in Hz.")] = 6.0,
     chunk_frames: Annotated[
         int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")

@@ -3,7 +3,8 @@
 The rows of the ablation are those of the paper's table 3 (Chen et al. 2020): hypotheses are constrained by reprojection
 error alone (``RE``), by connectivity (``+PAF``), by bone lengths (``+BL``), or by both (``All``). They are of the
 method as the paper has it: a cluster gives one joint, and nobody gets a second chance. Beside them stand what the
-method does by default (``default``), and that without the split of clusters by parents (``unsplit``).
+method does by default (``default``), and that without the split of clusters by parents (``unsplit``). All are of joints
+as they were located, not smoothed.
 """
 
 import os
@@ -39,6 +40,7 @@ _VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "+BL": {**_PAPERS, "use_connectivity": False},
     "All": _PAPERS,
     "unsplit": {"split_clusters": False},
+    "default": {},
 }
 
 

@@ -34,7 +34,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
     assert answer.json()["spec"] == {
         "method": "tracking",
         "detector": "movenet-multipose",
-        "smoothing": "none",
+        "smoothing": "fit",
         "cutoff_hz": 6.0,
     }
 

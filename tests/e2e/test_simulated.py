@@ -93,6 +93,7 @@ def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
         *(sys.executable, "-m", "api.cli", "reconstruct", "--json"),
         *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
         *("--calibration", str(tmp_path / "calibration.json"), "--out", str(out)),
+        *("--smoothing", "none"),
     ]
     said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)

@@ -20,7 +20,7 @@ class JobSpec(BaseModel):
     )
 
     smoothing: Literal["none", "butterworth", "one-euro", "fit"] = Field(
-        default="none", description="What becomes of the joints' positions before the skeleton is fitted."
+        default="fit", description="What becomes of the joints' positions before the skeleton is fitted."
     )
     cutoff_hz: float = Field(
         default=6.0, gt=0.0, le=1000.0, allow_inf_nan=False, description="Of `butterworth`, below half the frame rate."

@@ -119,9 +119,9 @@ def test_a_cutoff_that_can_not_be_is_refused(cutoff_hz: float) -> None:
 
 def test_none_gives_the_same_tracks() -> None:
     track = track_of(np.zeros((3, 1, 3)))
-    assert smooth_tracks([track], [unseen(3, 1)], [], Timebase(0.0, 25.0, 3), TWO_JOINTS, ReconstructionConfig()) == (
-        track,
-    )
+    assert smooth_tracks(
+        [track], [unseen(3, 1)], [], Timebase(0.0, 25.0, 3), TWO_JOINTS, ReconstructionConfig(smoothing="none")
+    ) == (track,)
 
 
 def track_of(xyz_m: np.ndarray) -> Track3D:
