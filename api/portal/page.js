@@ -9,7 +9,14 @@ const STATES = {
   queued: "Waiting", running: "Running", canceling: "Canceling", succeeded: "Done",
   failed: "Failed", canceled: "Canceled", expired: "Expired",
 };
-const STAGES = { detect: "Detect 2D joints", associate: "Track people", fit: "Fit skeletons", export: "Write files" };
+const STAGES = {
+  detect: "Detect 2D joints",
+  lengths: "Measure bones",
+  poses: "Find people",
+  associate: "Track people",
+  fit: "Fit skeletons",
+  export: "Write files",
+};
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 
 const at = (id) => document.getElementById(id);
@@ -226,6 +233,8 @@ function formOf(fields) {
   if (name) form.append("manifest", new Blob([JSON.stringify({ name })], { type: "application/json" }));
   form.append("calibration", fields.calibration.files[0]);
   for (const video of fields.videos.files) form.append("videos", video);
+  const spec = { method: fields.method.value, detector: fields.detector.value, smoothing: fields.smoothing.value };
+  form.append("spec", new Blob([JSON.stringify(spec)], { type: "application/json" }));
   return form;
 }
 

@@ -50,6 +50,15 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     assert found == digests(results)
 
 
+def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served) -> None:
+    properties = served.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
+    page.get_by_text("How", exact=True).click()
+    for name, label in (("method", "People are put together"), ("detector", "Detector"), ("smoothing", "Smoothing")):
+        options = page.get_by_label(label).get_by_role("option").evaluate_all("all => all.map(one => one.value)")
+        assert sorted(options) == sorted(properties[name]["enum"])
+        assert page.get_by_label(label).input_value() == properties[name]["default"]
+
+
 def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_path: Path) -> None:
     broken = tmp_path / "broken.mp4"
     broken.write_bytes(b"no video")
