@@ -9,6 +9,7 @@ What is minimised, X being a joint at an instant, in metres:
   Gaussian prior would pull punches and jumps straight. It knows the frame rate;
 - *bones*: the squared difference of a limb's length to the person's own, left and right pooled.
 
+Where a view took a person's left limb for the right one, which fits clearly better exchanged, it is exchanged back.
 Each step reweights and solves for one joint after the other with the others held: a banded system over time, so that
 the cost is linear in the track's length. Long tracks are cut into windows that overlap.
 """
@@ -43,6 +44,14 @@ _HEAVY_TAIL = 3.0
 _BONE_SIGMA_M = 0.010
 _PREDICTED_FOR_S = 0.5
 _WINDOW_FRAMES, _OVERLAP_FRAMES = 600, 60
+# What detectors take for the other side's, how much better it must fit there (in observations of full score), and when
+# this is looked at: where joints were located, and when they are about where they are.
+_EXCHANGEABLE = (
+    ("shoulder", "elbow", "wrist"), ("elbow", "wrist"), ("wrist",), ("hip", "knee", "ankle"), ("knee", "ankle"),
+    ("ankle",),
+)  # fmt: skip
+_CLEARLY = 0.5
+_STEPS_OF_EXCHANGE = (0, 3, 6)
 # No joint moves farther in a step: rays that hardly cross say little of where along them it is.
 _LONGEST_STEP_M = 0.3
 # Holds a joint that nothing else holds where it is.
@@ -86,7 +95,9 @@ def _fit_track(
     usual_m = usual_m_s2 / timebase.frame_rate_hz**2
     xyz_m = np.array(track.xyz_m)
     for rows, kept in _windows(track.num_frames):
-        fitted_m = _fit_window(track.xyz_m[rows], seen.points_px[rows], seen.score[rows], cameras, limbs, usual_m)
+        fitted_m = _fit_window(
+            track.xyz_m[rows], seen.points_px[rows], seen.score[rows], cameras, limbs, usual_m, joints
+        )
         xyz_m[kept] = fitted_m[kept.start - rows.start : kept.stop - rows.start]
     known = _within(measured, round(_PREDICTED_FOR_S * timebase.frame_rate_hz))
     xyz_m[~known] = np.nan
@@ -144,6 +155,7 @@ def _fit_window(
     cameras: Sequence[Camera],
     limbs: Sequence[Sequence[tuple[int, float]]],
     usual_m: Float[np.ndarray, " joints"],
+    joints: JointSet,
 ) -> Float[np.ndarray, "frames joints 3"]:
     xyz_m = _filled(start_m)
     centers_m = np.array([center_in_world(camera) for camera in cameras])
@@ -154,10 +166,21 @@ def _fit_window(
     rays = np.where(is_seen[..., None], rays, 0.0)
     weight = np.where(is_seen, score**3, 0.0) / _SIGMA_M**2
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    sides = [[tuple(f"{side}_{name}" for name in limb) for side in ("left", "right")] for limb in _EXCHANGEABLE]
+    pairs = [
+        (joints.indices(left), joints.indices(right)) for left, right in sides if {*left, *right} <= set(joints.names)
+    ]
     # Of a joint that was never located there is nothing to fit.
     located = np.flatnonzero(np.isfinite(xyz_m[0, :, 0]))
     for step in range(_NUM_STEPS):
         scale_m2 = _SCALES_M[min(step, len(_SCALES_M) - 1)] ** 2
+        if step in _STEPS_OF_EXCHANGE:
+            for left, right in pairs:
+                exchanged = _exchanged(xyz_m, centers_m, across, weight, left, right, scale_m2)
+                for seen in (across, weight):
+                    swapped = seen[:, :, [*right, *left]]
+                    here = exchanged.reshape(*exchanged.shape, *(1,) * (seen.ndim - 2))
+                    seen[:, :, [*left, *right]] = np.where(here, swapped, seen[:, :, [*left, *right]])
         for joint in located.tolist():
             off_m = np.einsum("fcab,fcb->fca", across[:, :, joint], xyz_m[:, None, joint] - centers_m)
             robust = weight[:, :, joint] * (scale_m2 / ((off_m**2).sum(-1) + scale_m2)) ** 2
@@ -169,6 +192,27 @@ def _fit_window(
             length_m = np.linalg.norm(step_m, axis=-1, keepdims=True)
             xyz_m[:, joint] += step_m * np.minimum(1.0, _LONGEST_STEP_M / np.maximum(length_m, 1e-9))
     return xyz_m
+
+
+def _exchanged(
+    xyz_m: Float[np.ndarray, "frames joints 3"],
+    centers_m: Float[np.ndarray, "cameras 3"],
+    across: Float[np.ndarray, "frames cameras joints 3 3"],
+    weight: Float[np.ndarray, "frames cameras joints"],
+    left: list[int],
+    right: list[int],
+    scale_m2: float,
+) -> Bool[np.ndarray, "frames cameras"]:
+    """Where a view's left limb fits the right one and the other way round, clearly better than as they are."""
+
+    def cost(of: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
+        from_center_m = xyz_m[:, None, of] - centers_m[:, None]
+        off_m2 = (np.einsum("fcjab,fcjb->fcja", across[:, :, seen_as], from_center_m) ** 2).sum(-1)
+        lost = weight[:, :, seen_as] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m2)
+        return np.asarray(np.nan_to_num(lost).sum(-1))
+
+    both, other_way = [*left, *right], [*right, *left]
+    return cost(both, both) - cost(both, other_way) > _CLEARLY
 
 
 def _filled(xyz_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:

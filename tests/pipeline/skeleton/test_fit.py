@@ -135,3 +135,31 @@ def test_short_tracks(ring: tuple[Camera, ...], num_frames: int) -> None:
     (found,) = fit_tracks([track], [seen], ring, Timebase(0.0, 25.0, num_frames), COCO_17)
     np.testing.assert_allclose(found.xyz_m[:, KNEE], true_m, atol=2e-3)
     np.testing.assert_allclose(found.error_px[:, KNEE], 0.0, atol=1.0)
+
+
+def test_a_view_that_takes_left_for_right_is_put_right(
+    ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two cameras, so that nobody outvotes the wrong one."""
+    simulation = record(replace(find_scene("room"), duration_s=2.0, detector=PERFECT), seed=6)
+    true_m, timebase, cameras = simulation.truth_m[0], simulation.timebase, ring[:2]
+    points_px = np.stack([project(camera, true_m) for camera in cameras], axis=1)
+    seen_px = points_px.copy()
+    names = ("hip", "knee", "ankle")
+    left, right = (COCO_17.indices(tuple(f"{side}_{name}" for name in names)) for side in ("left", "right"))
+    wrong = slice(15, 30)
+    seen_px[wrong, 1, left], seen_px[wrong, 1, right] = points_px[wrong, 1][:, right], points_px[wrong, 1][:, left]
+    shape = true_m.shape[:2]
+    track = Track3D(
+        1, 0, true_m, np.ones(shape), np.full(shape, Source.MEASURED, np.int8), np.zeros(shape), np.full(shape, 2)
+    )
+    seen = Observations(1, seen_px, np.full(seen_px.shape[:3], 0.9))
+
+    def leg_error_m() -> float:
+        (found,) = fit_tracks([track], [seen], cameras, timebase, COCO_17)
+        legs = [*left, *right]
+        return float(np.linalg.norm(found.xyz_m[wrong][:, legs] - true_m[wrong][:, legs], axis=-1).mean())
+
+    assert leg_error_m() < 0.005
+    monkeypatch.setattr(fit, "_STEPS_OF_EXCHANGE", ())
+    assert leg_error_m() > 0.01
