@@ -170,7 +170,11 @@ def associate_people(work: Work) -> Outcome:
 def _smoothed(work: Work, session: Views, joints: JointSet) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Everybody's final positions, and the observations behind them."""
     tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
-    return smooth_tracks(tracks, observations, session.cameras, session.timebase, joints, _config(work)), observations
+    smoothed: list[Track3D] = []
+    for one, seen in zip(tracks, observations, strict=True):
+        smoothed.extend(smooth_tracks([one], [seen], session.cameras, session.timebase, joints, _config(work)))
+        work.on_unit()
+    return tuple(smoothed), observations
 
 
 def fit_skeletons(work: Work) -> Outcome:
