@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBars
+from rich.table import Table
 from rich.text import Text
 
 from pipeline.errors import InputError, PipelineError
@@ -35,6 +36,17 @@ _LABELS = {
 def emit(value: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout."""
     sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def show_sizes(sizes: Sequence[Mapping[str, Any]], as_json: bool) -> None:
+    """Print what was measured at each size, a column a key."""
+    if as_json:
+        emit({"sizes": sizes})
+        return
+    table = Table(*(name.replace("_", " ") for name in sizes[0]))
+    for size in sizes:
+        table.add_row(*(f"{value:.4g}" for value in size.values()))
+    console.print(table)
 
 
 @contextmanager

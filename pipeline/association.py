@@ -1,8 +1,8 @@
 """From what detectors found in a session to tracks: the steps of both methods.
 
 ``tracking`` is one sequential pass. ``clustering`` first measures everybody's bones over the whole session, then finds
-people in any range of frames by itself, and at last links them. What found them may be whole bodies (``Detections``),
-of the whole session, or fields (``PafFields``) that show the range.
+people in any range of frames by itself, and at last links them. What found them may be whole bodies (``Detections``)
+or fields (``PafFields``), of the range at least.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,6 +16,7 @@ from pipeline.clustering.parameters import derive_parameters as derive_clusterin
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Observations, PafFields, Poses3D, Track3D
+from pipeline.detect.chunk import bodies_in
 from pipeline.detect.registry import entry_of
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
@@ -24,6 +25,7 @@ from pipeline.session import CaptureSession
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
+from pipeline.video.timeline import frames_in, span_s
 
 Views = CaptureSession | KeypointSession
 Found = Mapping[str, Detections] | Mapping[str, PafFields]
@@ -96,7 +98,7 @@ def measure_bones(
     parameters = clustering_parameters(session, config)
     sampled = sampled_frames(session.timebase, parameters)
     seen = (
-        (_seen(session, found, joints, parameters), [frame for frame in frames if frame in sampled])
+        (_seen(session, frames, found, joints, parameters), [frame for frame in frames if frame in sampled])
         for frames, found in chunks
     )
     return first_lengths(session.cameras, seen, session.timebase, skeleton_of(joints), parameters, on_frame)
@@ -113,7 +115,7 @@ def locate_people(
 ) -> Poses3D:
     """Find everybody in a range of output frames; the cut into ranges changes nothing."""
     parameters = clustering_parameters(session, config)
-    seen = _seen(session, found, joints, parameters)
+    seen = _seen(session, frames, found, joints, parameters)
     return find_people(session.cameras, seen, frames, skeleton_of(joints), lengths, parameters, on_frame)
 
 
@@ -125,10 +127,16 @@ def link(
     return link_people(session.cameras, chunks, session.timebase, joints, parameters)
 
 
-def _seen(session: Views, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:
+def _seen(session: Views, frames: range, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:
+    """What shows a range of output frames."""
     skeleton = skeleton_of(joints)
     fields = {camera: one for camera, one in found.items() if isinstance(one, PafFields)}
     if fields:
         return SeenFields(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
-    bodies = {camera: one for camera, one in found.items() if isinstance(one, Detections)}
+    span = span_s(session.timebase, frames.start, frames.stop)
+    bodies = {
+        camera: bodies_in(one, frames_in(session.times[camera], *span))
+        for camera, one in found.items()
+        if isinstance(one, Detections)
+    }
     return SeenBodies(session.cameras, session.times, bodies, session.timebase, skeleton, parameters)

@@ -7,7 +7,7 @@ import contextlib
 import functools
 import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from pipeline.association import Found, Views, link, locate_people, measure_bones, track
@@ -117,34 +117,28 @@ def detect(work: Work) -> Outcome:
     return Outcome(encode_detections(detect_chunk(*seen)))
 
 
-def _bodies(work: Work, session: Views, joints: JointSet) -> Mapping[str, Detections]:
-    """All bodies of the session."""
+def _bodies(session: Views, joints: JointSet, outputs: Iterable[bytes]) -> Mapping[str, Detections]:
+    """All cameras' bodies out of chunks of the map."""
+    cameras = [camera.name for camera in session.cameras]
+    return concatenate(map(decode_detections, outputs), cameras, len(joints.names))
+
+
+def _found(work: Work, session: Views, joints: JointSet, number: int) -> Found:
+    """What was detected in a range of output frames: a chunk of every camera, which follow each other."""
     if isinstance(session, KeypointSession):
         return session.detections
-    chunks = (decode_detections(content) for content in work.outputs(DETECT))
-    return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
-
-
-def _found(work: Work, session: Views, joints: JointSet) -> Callable[[int], Found]:
-    """What shows the output frames of a chunk of the map, by the chunk's number."""
-    if isinstance(session, KeypointSession) or not work.claim.spec.uses_fields:
-        bodies = _bodies(work, session, joints)
-        return lambda _: bodies
     num_cameras = len(session.cameras)
-
-    def fields_of(number: int) -> Found:
-        chunks = work.outputs(DETECT, slice(number * num_cameras, (number + 1) * num_cameras))
-        return {one.camera: one for one in map(decode_fields, chunks)}
-
-    return fields_of
+    outputs = work.outputs(DETECT, slice(number * num_cameras, (number + 1) * num_cameras))
+    if work.claim.spec.uses_fields:
+        return {one.camera: one for one in map(decode_fields, outputs)}
+    return _bodies(session, joints, outputs)
 
 
 def measure_lengths(work: Work) -> Outcome:
     """Measure everybody's bones in frames all over the session, a chunk of the map at a time."""
     session, joints = _views_of(work)
-    found = _found(work, session, joints)
     ranges = chunk_ranges(session.timebase, work.claim.payload["chunk_frames"])
-    chunks = ((frames, found(number)) for number, frames in enumerate(ranges))
+    chunks = ((frames, _found(work, session, joints, number)) for number, frames in enumerate(ranges))
     return Outcome(encode_lengths(measure_bones(session, chunks, joints, _config(work), work.on_unit)))
 
 
@@ -152,7 +146,7 @@ def find_poses(work: Work) -> Outcome:
     """Find everybody in a range of output frames, each instant by itself."""
     session, joints = _views_of(work)
     chunk = work.claim.payload
-    found = _found(work, session, joints)(work.claim.index)
+    found = _found(work, session, joints, work.claim.index)
     lengths = decode_lengths(*work.outputs(LENGTHS))
     frames = range(chunk["start_frame"], chunk["stop_frame"])
     return Outcome(encode_poses(locate_people(session, frames, found, lengths, joints, _config(work), work.on_unit)))
@@ -164,7 +158,10 @@ def associate_people(work: Work) -> Outcome:
     if work.claim.spec.method == "clustering":
         poses = [decode_poses(content) for content in work.outputs(POSES)]
         return Outcome(encode_tracks(*link(session, poses, joints, _config(work))))
-    return Outcome(encode_tracks(*track(session, _bodies(work, session, joints), _config(work))))
+    detections = (
+        session.detections if isinstance(session, KeypointSession) else _bodies(session, joints, work.outputs(DETECT))
+    )
+    return Outcome(encode_tracks(*track(session, detections, _config(work))))
 
 
 def _smoothed(work: Work, session: Views, joints: JointSet) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:

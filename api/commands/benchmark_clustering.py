@@ -6,9 +6,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
-from api.console import console, emit, reporting
+from api.console import reporting, show_sizes
 from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
 from pipeline.clustering.candidates import SeenFields
 from pipeline.clustering.parameters import derive_parameters
@@ -62,10 +61,4 @@ def clustering(
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes()
-    if as_json:
-        emit({"sizes": sizes})
-        return
-    table = Table("cameras", "people", "frames a second")
-    for size in sizes:
-        table.add_row(str(size["cameras"]), str(size["people"]), f"{size['fps']:.1f}")
-    console.print(table)
+    show_sizes(sizes, as_json)

@@ -6,9 +6,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
-from api.console import console, emit, reporting
+from api.console import reporting, show_sizes
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.fit import fit_tracks
 from pipeline.tracking.associate import reconstruct_tracks
@@ -48,10 +47,4 @@ def fit(
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes()
-    if as_json:
-        emit({"sizes": sizes})
-        return
-    table = Table("cameras", "people", "person-frames a second")
-    for size in sizes:
-        table.add_row(str(size["cameras"]), str(size["people"]), f"{size['person_frames_per_s']:.0f}")
-    console.print(table)
+    show_sizes(sizes, as_json)

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+from collections.abc import Sequence
 from typing import Annotated, cast, get_args
 
 import typer
@@ -17,28 +18,17 @@ SmoothingOption = Annotated[str, typer.Option(help=f"What becomes of the joints'
 
 
 def known_method(name: str) -> Method:
-    """Check the name of a method.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
-    if name not in METHODS:
-        hint = f"Use {' or '.join(METHODS)}."
-        raise InputError([Problem("unknown_method", f"There is no method '{name}'.", hint=hint)])
-    return cast(Method, name)
+    """Check the name of a method; ``InputError`` if there is none of that name."""
+    return cast(Method, _known("method", name, METHODS))
 
 
 def known_smoothing(name: str) -> Smoothing:
-    """Check the name of a smoothing.
+    """Check the name of a smoothing; ``InputError`` if there is none of that name."""
+    return cast(Smoothing, _known("smoothing", name, SMOOTHINGS))
 
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
-    if name not in SMOOTHINGS:
-        hint = f"Use {', '.join(SMOOTHINGS)}."
-        raise InputError([Problem("unknown_smoothing", f"There is no smoothing '{name}'.", hint=hint)])
-    return cast(Smoothing, name)
+
+def _known(kind: str, name: str, names: Sequence[str]) -> str:
+    if name not in names:
+        hint = f"Use {', '.join(names)}."
+        raise InputError([Problem(f"unknown_{kind}", f"There is no {kind} '{name}'.", hint=hint)])
+    return name

@@ -96,21 +96,8 @@ def first_lengths(
     """
     unknown = unknown_lengths(skeleton)
     first = [find_people(cameras, one, frames, skeleton, unknown, parameters, on_frame) for one, frames in seen]
-    poses = join_poses(first, skeleton, len(cameras))
+    poses = _join(first)
     return measure_lengths([poses.xyz_m[life] for life in _lives(poses, timebase, skeleton, parameters)], skeleton)
-
-
-def join_poses(chunks: Sequence[Poses3D], skeleton: Skeleton, num_cameras: int) -> Poses3D:
-    """Poses of consecutive ranges as one record."""
-    shape = len(skeleton.names), num_cameras
-    nothing = Poses3D(np.empty(0, int), np.empty((0, shape[0], 3)), np.empty((0, *shape, 2)), np.empty((0, *shape)))
-    every = [nothing, *chunks]
-    return Poses3D(
-        np.concatenate([one.frame for one in every]),
-        np.concatenate([one.xyz_m for one in every]),
-        np.concatenate([one.points_px for one in every]),
-        np.concatenate([one.score for one in every]),
-    )
 
 
 def link_people(
@@ -134,7 +121,7 @@ def link_people(
         Tracks on the output frames, in order of first appearance, and the observations behind them.
     """
     skeleton = skeleton_of(joints)
-    poses = join_poses(chunks, skeleton, len(cameras))
+    poses = _join(chunks)
     lives = _lives(poses, timebase, skeleton, parameters)
     people = (_person(cameras, timebase, skeleton, joints, poses, life) for life in lives)
     return number_people([person for person in people if person is not None])
@@ -164,12 +151,49 @@ def reconstruct_by_clustering(
     ValueError
         If the detector lacks a joint of the paper's skeleton, beside the neck.
     """
+    seen = SeenBodies(cameras, times, detections, timebase, skeleton_of(joints), parameters)
+    return reconstruct_seen(cameras, lambda _: seen, [range(timebase.num_frames)], timebase, joints, parameters)
+
+
+def reconstruct_seen(
+    cameras: Sequence[Camera],
+    seen_in: Callable[[range], Seen],
+    ranges: Sequence[range],
+    timebase: Timebase,
+    joints: JointSet,
+    parameters: ClusteringParameters,
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Reconstruct everybody, range by range of output frames: all three steps.
+
+    Parameters
+    ----------
+    seen_in
+        What shows a range; asked twice for each.
+    ranges
+        All output frames, in order.
+    joints
+        What the joint axis of the detector holds.
+
+    Returns
+    -------
+        See ``link_people``.
+    """
     skeleton = skeleton_of(joints)
-    seen = SeenBodies(cameras, times, detections, timebase, skeleton, parameters)
     sampled = sampled_frames(timebase, parameters)
-    lengths = first_lengths(cameras, [(seen, sampled)], timebase, skeleton, parameters)
-    poses = find_people(cameras, seen, range(timebase.num_frames), skeleton, lengths, parameters)
-    return link_people(cameras, [poses], timebase, joints, parameters)
+    seen = ((seen_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
+    lengths = first_lengths(cameras, seen, timebase, skeleton, parameters)
+    poses = [find_people(cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges]
+    return link_people(cameras, poses, timebase, joints, parameters)
+
+
+def _join(chunks: Sequence[Poses3D]) -> Poses3D:
+    """Poses of consecutive ranges, one at least, as one record."""
+    return Poses3D(
+        np.concatenate([one.frame for one in chunks]),
+        np.concatenate([one.xyz_m for one in chunks]),
+        np.concatenate([one.points_px for one in chunks]),
+        np.concatenate([one.score for one in chunks]),
+    )
 
 
 def _lives(

@@ -65,7 +65,7 @@ class SeenBodies:
         self._frame = [one.frame for one in ordered]
         self._timebase, self._min_score = timebase, parameters.min_score
         self._seen_px = [_in_order(one.keypoints_px, skeleton) for one in ordered]
-        self._ideal_px = [undistort_px(camera, px) for camera, px in zip(cameras, self._seen_px, strict=True)]
+        self._cameras = cameras
         self._score = [_scores_in_order(one, skeleton) for one in ordered]
         self._evidence = Membership(skeleton, parameters.tau2)
 
@@ -80,13 +80,14 @@ class SeenBodies:
         return Instant(_join(views), self._evidence)
 
     def _candidates(self, view: int, rows: np.ndarray) -> Candidates:
-        score, ideal_px = self._score[view][rows], self._ideal_px[view][rows]
+        score, seen_px = self._score[view][rows], self._seen_px[view][rows]
+        ideal_px = _undistorted(self._cameras[view], seen_px)
         number, joint = np.nonzero((score >= self._min_score) & (score > 0) & np.isfinite(ideal_px).all(-1))
         return Candidates(
             joint=joint,
             view=np.full(len(joint), view),
             points_px=ideal_px[number, joint],
-            seen_px=self._seen_px[view][rows][number, joint],
+            seen_px=seen_px[number, joint],
             score=score[number, joint],
             body=rows[number],
         )
@@ -115,7 +116,6 @@ class SeenFields:
         self._cameras, self._timebase, self._skeleton, self._parameters = cameras, timebase, skeleton, parameters
         self._times = [times[camera.name] for camera in cameras]
         self._fields = [fields[camera.name] for camera in cameras]
-        self._ideal_px = [undistort_px(camera, one.peak_px) for camera, one in zip(cameras, self._fields, strict=True)]
         (self._limbs,) = {one.limbs.tobytes(): one.limbs for one in self._fields}.values()
 
     def at(self, frame: int) -> Instant:
@@ -139,12 +139,21 @@ class SeenFields:
         found = Candidates(
             joint=joint,
             view=np.full(len(joint), view),
-            points_px=self._ideal_px[view][peaks],
+            points_px=_undistorted(self._cameras[view], one.peak_px[peaks]),
             seen_px=one.peak_px[peaks],
             score=one.peak_score[peaks],
             body=np.full(len(joint), NOWHERE),
         )
         return found.where((joint >= 0) & (found.score >= self._parameters.min_score))
+
+
+def _undistorted(camera: Camera, seen_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Points of one frame in undistorted pixels.
+
+    A frame at a time: points that are undistorted together end together, so their last bits depend on each other, and
+    they must not depend on where the session was cut.
+    """
+    return undistort_px(camera, seen_px)
 
 
 def _join(views: Sequence[Candidates]) -> Candidates:

@@ -50,10 +50,6 @@ class Joints(NamedTuple):
         """Some of them."""
         return Joints(Places(*(values[chosen] for values in self.places)), self.candidate[chosen])
 
-    def of(self, joint: int) -> "Joints":
-        """Those of one kind."""
-        return self.where(self.places.joint == joint)
-
     def with_others(self, others: "Joints") -> "Joints":
         """All of both."""
         places = Places(*(np.concatenate(pair) for pair in zip(self.places, others.places, strict=True)))

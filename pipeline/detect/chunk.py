@@ -107,6 +107,18 @@ def _as_detections(camera: str, bodies: Sequence[tuple[int, Bodies]], num_joints
     )
 
 
+def bodies_in(detections: Detections, frames: range) -> Detections:
+    """Those of some of a camera's frames."""
+    rows = slice(*np.searchsorted(detections.frame, [frames.start, frames.stop]))
+    return Detections(
+        camera=detections.camera,
+        frame=detections.frame[rows],
+        keypoints_px=detections.keypoints_px[rows],
+        score=detections.score[rows],
+        box_px=detections.box_px[rows],
+    )
+
+
 def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints: int) -> dict[str, Detections]:
     """Join the detections of chunks, camera by camera; each camera's chunks come in the order of time."""
     of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pipeline.clustering.associate import find_people, first_lengths, link_people, sampled_frames
+from pipeline.clustering.associate import reconstruct_seen
 from pipeline.clustering.candidates import SeenFields
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
@@ -68,19 +68,13 @@ def cluster_fields(
     """
     parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
     skeleton, timebase = skeleton_of(COCO_18), simulation.timebase
-    ranges = chunk_ranges(timebase, _CHUNK_FRAMES)
 
     def seen_in(frames: range) -> SeenFields:
         fields = files.read(frames)
         return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
 
-    sampled = sampled_frames(timebase, parameters)
-    seen = ((seen_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
-    lengths = first_lengths(simulation.cameras, seen, timebase, skeleton, parameters)
-    poses = [
-        find_people(simulation.cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges
-    ]
-    return link_people(simulation.cameras, poses, timebase, COCO_18, parameters)
+    ranges = chunk_ranges(timebase, _CHUNK_FRAMES)
+    return reconstruct_seen(simulation.cameras, seen_in, ranges, timebase, COCO_18, parameters)
 
 
 def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:

@@ -105,8 +105,9 @@ def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(ring, people_m, noise_px=1.0)
     parameters = ClusteringParameters(tau1_px=8.0)
-    found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters).of(wrist)
-    return [np.unique(candidates.body[chosen[chosen >= 0]]).tolist() for chosen in found.candidate]
+    found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters)
+    of_wrists = found.candidate[found.places.joint == wrist]
+    return [np.unique(candidates.body[chosen[chosen >= 0]]).tolist() for chosen in of_wrists]
 
 
 def test_hands_that_clap_belong_to_two_people(ring: tuple[Camera, ...]) -> None:

@@ -1,0 +1,65 @@
+"""Ranges of frames, found one by one, give what the whole session gives; bodies and fields."""
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from pipeline.association import link, locate_people, measure_bones
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Detections, FrameTimes, Observations, Track3D
+from pipeline.detect.chunk import bodies_in
+from pipeline.keypoints import KeypointSession
+from pipeline.simulation.scenes import find_scene, record
+from pipeline.video.timeline import chunk_ranges, frames_in, span_s
+
+CONFIG = ReconstructionConfig(method="clustering")
+
+
+@pytest.fixture(scope="module")
+def session() -> KeypointSession:
+    """Cameras of three rates, whose frames lie anywhere, some of them lost."""
+    simulation = record(replace(find_scene("unsynchronised"), duration_s=2.0), seed=8)
+    return KeypointSession(
+        cameras=simulation.cameras,
+        times=simulation.times,
+        timebase=simulation.timebase,
+        detections=simulation.detections,
+        joints=simulation.joints,
+        folders={},
+        warnings=(),
+    )
+
+
+def of_range(session: KeypointSession, frames: range) -> Mapping[str, Detections]:
+    """What a worker has of a range: its chunk of every camera."""
+    span = span_s(session.timebase, frames.start, frames.stop)
+    times: Mapping[str, FrameTimes] = session.times
+    return {name: bodies_in(one, frames_in(times[name], *span)) for name, one in session.detections.items()}
+
+
+def clustered(session: KeypointSession, chunk_frames: int) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    ranges = chunk_ranges(session.timebase, chunk_frames)
+    found = [of_range(session, frames) for frames in ranges]
+    lengths = measure_bones(session, zip(ranges, found, strict=True), session.joints, CONFIG)
+    poses = [
+        locate_people(session, frames, one, lengths, session.joints, CONFIG)
+        for frames, one in zip(ranges, found, strict=True)
+    ]
+    return link(session, poses, session.joints, CONFIG)
+
+
+@pytest.mark.parametrize("chunk_frames", [7, 25])
+def test_no_cut_changes_a_byte(session: KeypointSession, chunk_frames: int) -> None:
+    whole, cut = clustered(session, session.timebase.num_frames), clustered(session, chunk_frames)
+    assert len(whole[0]) == len(cut[0]) >= 3
+    for track, same in zip(whole[0], cut[0], strict=True):
+        assert_equal(track, same)
+    for seen, same_seen in zip(whole[1], cut[1], strict=True):
+        assert_equal(seen, same_seen)
+
+
+def assert_equal(one: Track3D | Observations, other: Track3D | Observations) -> None:
+    for field in fields(one):
+        np.testing.assert_array_equal(getattr(other, field.name), getattr(one, field.name))
