@@ -32,7 +32,7 @@ ROOT = "neck"
 # The paper's 13 limbs; its network's head is the nose here. Limbs of the upper half come first, as in the paper's
 # figure 3. The other joints that detectors know hang on those: the paper has none of them, so that they decide nothing.
 _LIMBS: dict[str, Limb] = {
-    "nose": Limb(ROOT, 0.45, field_share=0.5),  # measured on both networks of the registry
+    "nose": Limb(ROOT, 0.45, field_share=0.5),  # weak in both networks of the registry
     **{f"{side}_shoulder": Limb(ROOT, 0.35) for side in ("left", "right")},
     **{f"{side}_elbow": Limb(f"{side}_shoulder", 0.50) for side in ("left", "right")},
     **{f"{side}_wrist": Limb(f"{side}_elbow", 0.45) for side in ("left", "right")},
