@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import sqlite3
+import time
 import weakref
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -17,6 +19,7 @@ from sqlalchemy.sql.functions import FunctionElement
 
 # How long a transaction waits for another one's lock.
 _LOCK_TIMEOUT_S = 30.0
+_LOCK_RETRY_S = 0.01
 
 _MIGRATION_LOCK = 0x6D63_6170  # any number that every process agrees on
 
@@ -114,14 +117,27 @@ def _create_engine(url: str) -> Engine:
     return engine
 
 
-def _configure_sqlite(connection: Any, record: Any) -> None:
+def _configure_sqlite(connection: sqlite3.Connection, record: Any) -> None:
     # Python's driver begins transactions late and commits some on its own; without an isolation level it leaves both
     # to us.
     connection.isolation_level = None
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode = WAL")
-    cursor.execute("PRAGMA foreign_keys = ON")
-    cursor.close()
+    _write_ahead(connection)
+    connection.execute("PRAGMA foreign_keys = ON")
+
+
+def _write_ahead(connection: sqlite3.Connection) -> None:
+    # The file keeps its journal mode, so only the first connection of all changes it. Where several are the first,
+    # SQLite refuses all but one at once, whatever the timeout: each holds a shared lock that another would wait for.
+    deadline = time.monotonic() + _LOCK_TIMEOUT_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > deadline:
+                raise
+            time.sleep(_LOCK_RETRY_S)
+        else:
+            return
 
 
 def _begin_sqlite(connection: Connection) -> None:
