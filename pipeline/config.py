@@ -6,6 +6,7 @@ from typing import Literal
 
 Method = Literal["tracking", "clustering"]
 Smoothing = Literal["none", "butterworth", "one-euro", "fit"]
+Feet = Literal["off", "auto", "always"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +25,11 @@ class ReconstructionConfig:
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
     smoothing
-        What becomes of the joints' positions before the skeleton follows them; see ``skeleton.smooth`` and ``fit``.
+        What becomes of the joints' positions; see ``skeleton.fit`` and ``skeleton.smooth``.
     cutoff_hz
         Of ``butterworth``.
+    feet
+        Which feet that stand are held in place: none, where it is likely that they stand, or all.
     chunk_frames
         Output frames of one chunk: what is decoded and detected as one piece, of one camera.
     processes
@@ -39,5 +42,6 @@ class ReconstructionConfig:
     clustering: Mapping[str, float] = field(default_factory=dict)
     smoothing: Smoothing = "fit"
     cutoff_hz: float = 6.0
+    feet: Feet = "auto"
     chunk_frames: int = 100
     processes: int = 1

@@ -6,12 +6,15 @@ is 0. World coordinates are metres, right-handed, Z up; pixel (0, 0) is the cent
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
+
+Side = Literal["left", "right"]
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
@@ -241,6 +244,64 @@ class Timebase:
         return self.start_time_s + frame / self.frame_rate_hz
 
 
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """The floor that feet stand on, as a plane: ``z_m + slope_x x + slope_y y`` is its height at x and y.
+
+    Parameters
+    ----------
+    z_m
+        Height at the world's origin.
+    slope_x, slope_y
+        Rise a metre.
+    """
+
+    z_m: float
+    slope_x: float
+    slope_y: float
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle to the horizontal."""
+        return float(np.degrees(np.arctan(np.hypot(self.slope_x, self.slope_y))))
+
+    def height_m(self, xyz_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+        """Vertical distance of points above the floor, negative below it."""
+        return xyz_m[..., 2] - self.z_m - self.slope_x * xyz_m[..., 0] - self.slope_y * xyz_m[..., 1]
+
+
+@dataclass(frozen=True, slots=True)
+class FootContact:
+    """A foot that stands on the floor for a while.
+
+    Parameters
+    ----------
+    side
+        Which foot.
+    start_frame, num_frames
+        On the motion's frames.
+    confidence
+        How sure it is, in [0, 1]: by height and speed of the ankle, and how long it lasts.
+    pinned
+        Whether the foot is held in place.
+    slide_before_m, slide_after_m
+        Mean horizontal distance of the ankle from its median place, without pinning and in the motion as it is.
+    """
+
+    side: Side
+    start_frame: int
+    num_frames: int
+    confidence: float
+    pinned: bool
+    slide_before_m: float
+    slide_after_m: float
+
+    @property
+    def rows(self) -> slice:
+        """Its frames on the motion's."""
+        return slice(self.start_frame, self.start_frame + self.num_frames)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonMotion:
     """One person's animation: constant bones, a root path and a rotation a joint and frame.
@@ -261,7 +322,7 @@ class SkeletonMotion:
     parent_from_joint
         Quaternions (x, y, z, w); the root's parent is the world, Z up.
     contacts
-        Frames in which a foot (left, right) stands on the floor; all false until contacts are estimated.
+        When and where feet stand on the floor, by start.
     """
 
     track_id: int
@@ -271,17 +332,56 @@ class SkeletonMotion:
     bone_length_m: Float[np.ndarray, " joints"]
     root_m: Float[np.ndarray, "frames 3"]
     parent_from_joint: Float[np.ndarray, "frames joints 4"]
-    contacts: Bool[np.ndarray, "frames 2"]
+    contacts: tuple[FootContact, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Animation:
+    """What smoothing or the fit makes of tracks.
+
+    Parameters
+    ----------
+    tracks
+        With final positions.
+    motions
+        A skeleton each, in their order.
+    floor
+        ``None`` if no foot ever rested.
+    """
+
+    tracks: tuple[Track3D, ...]
+    motions: tuple[SkeletonMotion, ...]
+    floor: Floor | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """Everything that a reconstruction gives."""
+    """Everything that a reconstruction gives.
+
+    Parameters
+    ----------
+    located
+        Tracks as association located the joints, before anything was smoothed or fit.
+    observations
+        Behind them, in their order.
+    animation
+        Made of them, in their order.
+    """
 
     cameras: tuple[Camera, ...]
     joints: JointSet
     timebase: Timebase
-    tracks: tuple[Track3D, ...]
+    located: tuple[Track3D, ...]
     observations: tuple[Observations, ...]
-    motions: tuple[SkeletonMotion, ...]
+    animation: Animation
     warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def tracks(self) -> tuple[Track3D, ...]:
+        """Everybody with final positions."""
+        return self.animation.tracks
+
+    @property
+    def motions(self) -> tuple[SkeletonMotion, ...]:
+        """Everybody's skeleton."""
+        return self.animation.motions

@@ -6,7 +6,7 @@ Only plain arrays are written and read (no pickles): a file that was tampered wi
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,11 @@ import numpy as np
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data import (
+    Animation,
     Camera,
     Detections,
+    Floor,
+    FootContact,
     FrameTimes,
     MapGrid,
     Observations,
@@ -33,6 +36,18 @@ from pipeline.video.info import VideoInfo
 
 _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
 _POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score")
+_TRACK_ARRAYS = ("xyz_m", "score", "source", "error_px", "views")
+_CONTACT = np.dtype(
+    [
+        ("side", "U5"),
+        ("start_frame", np.int64),
+        ("num_frames", np.int64),
+        ("confidence", np.float64),
+        ("pinned", np.bool_),
+        ("slide_before_m", np.float64),
+        ("slide_after_m", np.float64),
+    ]
+)
 _DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
 
 
@@ -213,68 +228,71 @@ def decode_poses(content: bytes) -> Poses3D:
 
 def encode_tracks(tracks: Sequence[Track3D], observations: Sequence[Observations]) -> bytes:
     """Write tracks with the observations behind them."""
-    arrays: dict[str, np.ndarray] = {
-        "track_id": np.array([track.track_id for track in tracks], np.int64),
-        "start_frame": np.array([track.start_frame for track in tracks], np.int64),
-    }
-    for k, (track, seen) in enumerate(zip(tracks, observations, strict=True)):
-        arrays |= {
-            f"xyz_m_{k}": track.xyz_m,
-            f"score_{k}": track.score,
-            f"source_{k}": track.source,
-            f"error_px_{k}": track.error_px,
-            f"views_{k}": track.views,
-            f"points_px_{k}": seen.points_px,
-            f"point_score_{k}": seen.score,
-        }
+    arrays = _track_arrays(tracks)
+    for k, seen in enumerate(observations):
+        arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
     return _encode(arrays)
 
 
 def decode_tracks(content: bytes) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Read what ``encode_tracks`` wrote."""
     arrays = _decode(content)
-    numbers = [int(number) for number in arrays["track_id"]]
-    tracks = tuple(
-        Track3D(
-            number,
-            int(arrays["start_frame"][k]),
-            *(arrays[f"{name}_{k}"] for name in ("xyz_m", "score", "source", "error_px", "views")),
-        )
-        for k, number in enumerate(numbers)
-    )
+    tracks = _tracks(arrays)
     return tracks, tuple(
-        Observations(number, arrays[f"points_px_{k}"], arrays[f"point_score_{k}"]) for k, number in enumerate(numbers)
+        Observations(track.track_id, arrays[f"points_px_{k}"], arrays[f"point_score_{k}"])
+        for k, track in enumerate(tracks)
     )
 
 
-def encode_motions(motions: Sequence[SkeletonMotion]) -> bytes:
-    """Write everybody's animation."""
+def encode_animation(animation: Animation) -> bytes:
+    """Write everybody's final positions and skeletons, and the floor."""
+    motions, floor = animation.motions, animation.floor
     arrays: dict[str, np.ndarray] = {
-        "track_id": np.array([motion.track_id for motion in motions], np.int64),
+        **_track_arrays(animation.tracks),
         "name": np.array([motion.name for motion in motions], dtype=np.str_),
-        "start_frame": np.array([motion.start_frame for motion in motions], np.int64),
         "frame_rate_hz": np.array([motion.frame_rate_hz for motion in motions], np.float64),
+        "floor": np.array([] if floor is None else astuple(floor), np.float64),
     }
     for k, motion in enumerate(motions):
         arrays |= {
             f"bone_length_m_{k}": motion.bone_length_m,
             f"root_m_{k}": motion.root_m,
             f"parent_from_joint_{k}": motion.parent_from_joint,
-            f"contacts_{k}": motion.contacts,
+            f"contacts_{k}": np.array([astuple(contact) for contact in motion.contacts], _CONTACT),
         }
     return _encode(arrays)
 
 
-def decode_motions(content: bytes) -> tuple[SkeletonMotion, ...]:
-    """Read what ``encode_motions`` wrote."""
+def decode_animation(content: bytes) -> Animation:
+    """Read what ``encode_animation`` wrote."""
     arrays = _decode(content)
-    return tuple(
+    tracks = _tracks(arrays)
+    motions = tuple(
         SkeletonMotion(
-            int(number),
+            track.track_id,
             str(arrays["name"][k]),
-            int(arrays["start_frame"][k]),
+            track.start_frame,
             float(arrays["frame_rate_hz"][k]),
-            *(arrays[f"{name}_{k}"] for name in ("bone_length_m", "root_m", "parent_from_joint", "contacts")),
+            arrays[f"bone_length_m_{k}"],
+            arrays[f"root_m_{k}"],
+            arrays[f"parent_from_joint_{k}"],
+            tuple(FootContact(*contact) for contact in arrays[f"contacts_{k}"].tolist()),
         )
+        for k, track in enumerate(tracks)
+    )
+    return Animation(tracks, motions, Floor(*arrays["floor"].tolist()) if len(arrays["floor"]) else None)
+
+
+def _track_arrays(tracks: Sequence[Track3D]) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {
+        "track_id": np.array([track.track_id for track in tracks], np.int64),
+        "start_frame": np.array([track.start_frame for track in tracks], np.int64),
+    }
+    return arrays | {f"{name}_{k}": getattr(track, name) for k, track in enumerate(tracks) for name in _TRACK_ARRAYS}
+
+
+def _tracks(arrays: Mapping[str, np.ndarray]) -> tuple[Track3D, ...]:
+    return tuple(
+        Track3D(int(number), int(arrays["start_frame"][k]), *(arrays[f"{name}_{k}"] for name in _TRACK_ARRAYS))
         for k, number in enumerate(arrays["track_id"])
     )

@@ -1,7 +1,7 @@
 """The whole way on one machine: a capture session to people in motion.
 
 The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, the steps of
-``pipeline.association`` and ``fit`` follow. The result does not depend on how the frames are cut or how many processes
+``pipeline.association`` and ``skeleton.animate`` follow. The result does not depend on how the frames are cut or how many processes
 work on them.
 """
 
@@ -27,7 +27,7 @@ from pipeline.association import (
     uses_fields,
 )
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
+from pipeline.data import Detections, Observations, Reconstruction, Track3D
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.detect.field_files import FieldFiles
@@ -37,8 +37,8 @@ from pipeline.keypoints import KeypointSession
 from pipeline.progress import OnProgress, Progress, Stage, silent
 from pipeline.records_npz import encode_fields
 from pipeline.session import CaptureSession
-from pipeline.skeleton.smooth import check_smoothing, smooth_tracks
-from pipeline.skeleton.solve import motion_from_track
+from pipeline.skeleton.animate import animate
+from pipeline.skeleton.smooth import check_smoothing
 from pipeline.video.timeline import chunk_ranges, span_s
 
 _DEFAULTS = ReconstructionConfig()
@@ -115,11 +115,6 @@ def reconstruct_keypoints(
     return _reconstruct_people(session, session.detections, session.joints, config, on_progress)
 
 
-def fit(session: Views, tracks: Sequence[Track3D], joints: JointSet) -> tuple[SkeletonMotion, ...]:
-    """Animate one skeleton a person."""
-    return tuple(motion_from_track(track, joints, session.timebase, f"person-{track.track_id}") for track in tracks)
-
-
 def _check(session: Views, config: ReconstructionConfig) -> None:
     """Find out what is wrong before the work begins."""
     check_smoothing(session.timebase, config)
@@ -170,18 +165,17 @@ def _cluster(
 def _finish(
     session: Views, tracks: _Tracks, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
 ) -> Reconstruction:
-    count = _counter("fit", 1, on_progress)
-    smoothed = smooth_tracks(*tracks, session.cameras, session.timebase, joints, config)
-    motions = fit(session, smoothed, joints)
-    count()
+    located, observations = tracks
+    count = _counter("fit", 2 * len(located), on_progress)
+    animation = animate(*tracks, session.cameras, session.timebase, joints, config, count)
     by_membership = config.method == "clustering" and not uses_fields(session, config)
     return Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
-        tracks=smoothed,
-        observations=tracks[1],
-        motions=motions,
+        located=located,
+        observations=observations,
+        animation=animation,
         warnings=(*session.warnings, *([_BY_MEMBERSHIP] if by_membership else [])),
     )
 

@@ -17,7 +17,7 @@ from worker.jobs.spec import JobSpec
 DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
 
 # A stage's number goes up with every change of its code that changes what it leaves.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 1, POSES: 1, ASSOCIATE: 3, FIT: 2, EXPORT: 1}
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 1, POSES: 1, ASSOCIATE: 3, FIT: 3, EXPORT: 2}
 
 DEFAULT_CHUNK_FRAMES = 100
 
@@ -56,6 +56,7 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
     associate = _key(ASSOCIATE, {"method": spec.method}, inputs)
     smoothing = {
         "smoothing": spec.smoothing,
+        "feet": spec.feet,
         **({"cutoff_hz": spec.cutoff_hz} if spec.smoothing == "butterworth" else {}),
     }
     fit = _key(FIT, smoothing, [associate])

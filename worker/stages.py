@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pipeline.association import Found, Views, link, locate_people, measure_bones, track
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Observations, Reconstruction, SkeletonMotion, Track3D
+from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError, PipelineError
@@ -20,24 +20,23 @@ from pipeline.export.results import result_files
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.records_npz import (
+    decode_animation,
     decode_detections,
     decode_fields,
     decode_keypoints,
     decode_lengths,
-    decode_motions,
     decode_poses,
     decode_session,
     decode_tracks,
+    encode_animation,
     encode_detections,
     encode_fields,
     encode_lengths,
-    encode_motions,
     encode_poses,
     encode_tracks,
 )
-from pipeline.run import fit
 from pipeline.session import CaptureSession
-from pipeline.skeleton.smooth import smooth_tracks
+from pipeline.skeleton.animate import animate
 from pipeline.video.timeline import chunk_ranges, span_s
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
@@ -100,7 +99,11 @@ def _views_of(work: Work) -> tuple[Views, JointSet]:
 def _config(work: Work) -> ReconstructionConfig:
     spec = work.claim.spec
     return ReconstructionConfig(
-        method=spec.method, detector=spec.detector, smoothing=spec.smoothing, cutoff_hz=spec.cutoff_hz
+        method=spec.method,
+        detector=spec.detector,
+        smoothing=spec.smoothing,
+        cutoff_hz=spec.cutoff_hz,
+        feet=spec.feet,
     )
 
 
@@ -164,38 +167,25 @@ def associate_people(work: Work) -> Outcome:
     return Outcome(encode_tracks(*track(session, detections, _config(work))))
 
 
-def _smoothed(work: Work, session: Views, joints: JointSet) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Everybody's final positions, and the observations behind them."""
-    tracks, observations = decode_tracks(*work.outputs(ASSOCIATE))
-    smoothed: list[Track3D] = []
-    for one, seen in zip(tracks, observations, strict=True):
-        smoothed.extend(smooth_tracks([one], [seen], session.cameras, session.timebase, joints, _config(work)))
-        work.on_unit()
-    return tuple(smoothed), observations
-
-
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
     session, joints = _views_of(work)
-    tracks, _ = _smoothed(work, session, joints)
-    motions: list[SkeletonMotion] = []
-    for one in tracks:
-        motions.extend(fit(session, [one], joints))
-        work.on_unit()
-    return Outcome(encode_motions(motions))
+    tracks = decode_tracks(*work.outputs(ASSOCIATE))
+    animation = animate(*tracks, session.cameras, session.timebase, joints, _config(work), work.on_unit)
+    return Outcome(encode_animation(animation))
 
 
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
     session, joints = _views_of(work)
-    tracks, observations = _smoothed(work, session, joints)
+    located, observations = decode_tracks(*work.outputs(ASSOCIATE))
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
-        tracks=tracks,
+        located=located,
         observations=observations,
-        motions=decode_motions(*work.outputs(FIT)),
+        animation=decode_animation(*work.outputs(FIT)),
         warnings=session.warnings,
     )
     files = []

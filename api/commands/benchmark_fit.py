@@ -8,8 +8,9 @@ import numpy as np
 import typer
 
 from api.console import reporting, show_sizes
+from pipeline.config import ReconstructionConfig
 from pipeline.simulation.scenes import SCENES, record
-from pipeline.skeleton.fit import fit_tracks
+from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.warm_up import warm_up
@@ -31,7 +32,7 @@ def measure_sizes() -> list[dict[str, Any]]:
         best_s = np.inf
         for _ in range(_REPEATS):
             started_s = time.perf_counter()
-            fit_tracks(*found, cameras, timebase, simulation.joints)
+            animate(*found, cameras, timebase, simulation.joints, ReconstructionConfig())
             best_s = min(best_s, time.perf_counter() - started_s)
         person_frames = sum(track.num_frames for track in found[0])
         sizes.append(

@@ -25,7 +25,7 @@ from pipeline.metrics.simulated_clustering import ablate_clustering, cluster_fie
 from pipeline.run import reconstruct
 from pipeline.session import open_session
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, simulate
-from pipeline.skeleton.smooth import smooth_tracks
+from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.warm_up import warm_up
@@ -93,7 +93,7 @@ def shelf(
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
             found = locate_people(*views, identities, benchmark.timebase, limits)
-        tracks = smooth_tracks(*found, benchmark.cameras, benchmark.timebase, COCO_17, config)
+        tracks = animate(*found, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
@@ -242,18 +242,18 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
     else:
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
         found = reconstruct_tracks(*views, limits)
-    tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
+    animation = animate(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-    return score_simulated(tracks, simulation, simulation.joints) | {"fps": fps}
+    return score_simulated(animation.tracks, simulation, simulation.joints) | {"fps": fps}
 
 
 def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
         found = cluster_fields(simulation, files)
-        tracks = smooth_tracks(*found, simulation.cameras, simulation.timebase, COCO_18, config)
+        animation = animate(*found, simulation.cameras, simulation.timebase, COCO_18, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-        scores = score_simulated(tracks, simulation, COCO_18)
+        scores = score_simulated(animation.tracks, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}
     return scores | {"fps": fps} | parts
 

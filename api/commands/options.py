@@ -5,16 +5,21 @@ from typing import Annotated, cast, get_args
 
 import typer
 
-from pipeline.config import Method, Smoothing
+from pipeline.config import Feet, Method, Smoothing
 from pipeline.errors import InputError, Problem
 
 METHODS: tuple[str, ...] = get_args(Method)
 SMOOTHINGS: tuple[str, ...] = get_args(Smoothing)
+FEET: tuple[str, ...] = get_args(Feet)
 
 MethodOption = Annotated[str, typer.Option(help=f"How detections become tracks: {' or '.join(METHODS)}.")]
 """To be checked by ``known_method``, which reports a wrong one as any other problem."""
 SmoothingOption = Annotated[str, typer.Option(help=f"What becomes of the joints' positions: {', '.join(SMOOTHINGS)}.")]
 """Likewise by ``known_smoothing``."""
+FeetOption = Annotated[
+    str, typer.Option(help=f"Which feet that stand are held in place: {', '.join(FEET)}; auto means likely ones.")
+]
+"""Likewise by ``known_feet``."""
 
 
 def known_method(name: str) -> Method:
@@ -25,6 +30,11 @@ def known_method(name: str) -> Method:
 def known_smoothing(name: str) -> Smoothing:
     """Check the name of a smoothing; ``InputError`` if there is none of that name."""
     return cast(Smoothing, _known("smoothing", name, SMOOTHINGS))
+
+
+def known_feet(name: str) -> Feet:
+    """Check what to do with feet; ``InputError`` if there is nothing of that name."""
+    return cast(Feet, _known("feet", name, FEET))
 
 
 def _known(kind: str, name: str, names: Sequence[str]) -> str:

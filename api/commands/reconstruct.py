@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from api.commands.options import MethodOption, SmoothingOption, known_method, known_smoothing
+from api.commands.options import FeetOption, MethodOption, SmoothingOption, known_feet, known_method, known_smoothing
 from api.console import StageBars, console, emit, reporting
 from pipeline.association import Views
 from pipeline.config import ReconstructionConfig
@@ -131,6 +131,7 @@ def command(
         typer.Option(metavar="NAME=VALUE", help="Likewise a parameter of clustering, see docs/clustering.md."),
     ] = None,
     smoothing: SmoothingOption = "fit",
+    feet: FeetOption = "auto",
     cutoff: Annotated[float, typer.Option(help="Of Butterworth's low-pass, in Hz.")] = 6.0,
     chunk_frames: Annotated[
         int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
@@ -147,6 +148,7 @@ def command(
             tracking=_parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=_parameters(clustering or [], "tau2=0.25"),
             smoothing=known_smoothing(smoothing),
+            feet=known_feet(feet),
             cutoff_hz=cutoff,
             chunk_frames=chunk_frames,
             processes=processes,

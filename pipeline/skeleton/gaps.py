@@ -1,7 +1,7 @@
 """Gaps in measured points: linear inside, held at the ends."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 
 def filled_linearly(
@@ -30,3 +30,12 @@ def carried(
         Offset from the reference where the point is never known.
     """
     return reference + filled_linearly(points - reference, default)
+
+
+def gaps_up_to(known: Bool[np.ndarray, "frames joints"], longest: int) -> Bool[np.ndarray, "frames joints"]:
+    """Frames in gaps of at most ``longest`` frames, each between two known ones."""
+    frames = np.arange(len(known))[:, None]
+    last = np.maximum.accumulate(np.where(known, frames, -1), axis=0)
+    following = np.minimum.accumulate(np.where(known, frames, len(known))[::-1], axis=0)[::-1]
+    inside = (last >= 0) & (following < len(known)) & ~known
+    return np.asarray(inside & (following - last <= longest + 1))

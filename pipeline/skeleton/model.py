@@ -111,6 +111,17 @@ def rest_offsets_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndar
     return directions * bone_length_m[:, None]
 
 
+def placed(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "frames 3"], Rotation]:
+    """World positions (metres) of one joint of ``SKELETON`` and its orientation, by the joints above it alone."""
+    joint = SKELETON[INDEX[name]]
+    rotation = Rotation.from_quat(motion.parent_from_joint[:, INDEX[name]])
+    if joint.parent is None:
+        return motion.root_m, rotation
+    parent_m, world_from_parent = placed(motion, joint.parent)
+    offset_m = motion.bone_length_m[INDEX[name]] * np.array(joint.rest_direction)
+    return parent_m + world_from_parent.apply(offset_m), world_from_parent * rotation
+
+
 def forward_kinematics(motion: SkeletonMotion) -> Float[np.ndarray, "frames joints 3"]:
     """World positions (metres) of all joints of ``SKELETON``, ends of bones included."""
     offsets_m = rest_offsets_m(motion.bone_length_m)

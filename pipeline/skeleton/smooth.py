@@ -20,8 +20,6 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.tracks import reproject
-from pipeline.joints import JointSet
-from pipeline.skeleton.fit import fit_tracks
 
 _ORDER = 2
 # What two passes of a filter do to its cutoff.
@@ -34,42 +32,33 @@ _REST_HZ, _HZ_PER_M_S, _SPEED_HZ = 3.0, 8.0, 2.0
 _Filter = Callable[[Float[np.ndarray, "frames joints 3"]], Float[np.ndarray, "frames joints 3"]]
 
 
-def smooth_tracks(
-    tracks: Sequence[Track3D],
-    observations: Sequence[Observations],
+def smooth_track(
+    track: Track3D,
+    seen: Observations,
     cameras: Sequence[Camera],
     timebase: Timebase,
-    joints: JointSet,
     config: ReconstructionConfig,
-) -> tuple[Track3D, ...]:
-    """Smooth everybody's joints, and measure the reprojection error anew.
+) -> Track3D:
+    """Smooth somebody's joints each by itself, and measure the reprojection error anew.
 
     Parameters
     ----------
-    observations
-        Behind the tracks, in their order.
-    joints
-        Of the tracks.
+    seen
+        The observations behind the track.
     config
-        Says how; ``none`` gives the tracks back, ``fit`` is ``skeleton.fit``.
-
-    Raises
-    ------
-    InputError
-        As ``check_smoothing``.
+        Says how: ``butterworth`` or ``one-euro``; anything else gives the track back.
     """
-    check_smoothing(timebase, config)
-    if config.smoothing == "none":
-        return tuple(tracks)
-    if config.smoothing == "fit":
-        return fit_tracks(tracks, observations, cameras, timebase, joints)
     rate_hz = timebase.frame_rate_hz
-    low_pass: _Filter = (
-        partial(butterworth, rate_hz=rate_hz, cutoff_hz=config.cutoff_hz)
-        if config.smoothing == "butterworth"
-        else partial(one_euro, rate_hz=rate_hz)
-    )
-    return tuple(_smooth(track, seen, cameras, low_pass) for track, seen in zip(tracks, observations, strict=True))
+    filters: dict[str, _Filter] = {
+        "butterworth": partial(butterworth, rate_hz=rate_hz, cutoff_hz=config.cutoff_hz),
+        "one-euro": partial(one_euro, rate_hz=rate_hz),
+    }
+    low_pass = filters.get(config.smoothing)
+    if low_pass is None:
+        return track
+    xyz_m = low_pass(track.xyz_m)
+    error_px, _, _ = reproject(cameras, xyz_m, seen.points_px, seen.score)
+    return replace(track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
 
 
 def check_smoothing(timebase: Timebase, config: ReconstructionConfig) -> None:
@@ -123,12 +112,6 @@ def one_euro(xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float) -> Flo
 def _share(cutoff_hz: float | Float[np.ndarray, "*batch"], rate_hz: float) -> float | Float[np.ndarray, "*batch"]:
     """How much of a new value an exponential low-pass takes."""
     return 1.0 / (1.0 + rate_hz / (2 * np.pi * cutoff_hz))
-
-
-def _smooth(track: Track3D, seen: Observations, cameras: Sequence[Camera], low_pass: _Filter) -> Track3D:
-    xyz_m = low_pass(track.xyz_m)
-    error_px, _, _ = reproject(cameras, xyz_m, seen.points_px, seen.score)
-    return replace(track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
 
 
 def _runs(known: Bool[np.ndarray, " frames"]) -> Iterator[slice]:

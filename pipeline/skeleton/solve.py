@@ -3,24 +3,21 @@
 From the hips outwards every bone is turned, by the smallest rotation, towards the measured position of its end, seen
 from where the bones before it really end; so differences in length don't add up along a limb. Upper arms and thighs
 are twisted so that elbows and knees work as hinges. What was not seen moves evenly from one known rotation to the next,
-relative to its parent; what was never seen keeps its rest rotation. So do wrists, ankles and collar bones, of which
-positions of joints say nothing.
+relative to its parent; what was never seen keeps its rest rotation. So do wrists and collar bones, of which positions
+of joints say nothing, and ankles where neither toes nor heels are known. It is what the fit starts from.
 """
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data import SkeletonMotion, Timebase, Track3D, read_only
-from pipeline.joints import JointSet
-from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
+from pipeline.skeleton.articulation import ARM_HINGES, KNEE_HINGE
+from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
+from pipeline.skeleton.rigid_parts import solve_foot, solve_head
 from pipeline.skeleton.rotations import continuous_quat_xyzw, filled, hinge_twist_rad, swing
-from pipeline.skeleton.trunk import solve_head, solve_torso
+from pipeline.skeleton.trunk import solve_torso
 
-# Axes about which a positive rotation bends a limb in the rest pose: forearms to the front, shins to the back.
-_ARM_HINGES = {"Left": np.array([0.0, 0.0, -1.0]), "Right": np.array([0.0, 0.0, 1.0])}
-_KNEE_HINGE = np.array([1.0, 0.0, 0.0])
 # A bone measured so much longer or shorter than it is, as a share of its length, was not measured: it isn't followed.
 _MAX_STRETCH = 0.5
 
@@ -111,33 +108,28 @@ class _Pose:
         )
 
 
-def motion_from_track(track: Track3D, joints: JointSet, timebase: Timebase, name: str) -> SkeletonMotion:
-    """Animate the skeleton of ``pipeline.skeleton.model`` by a track.
+def solve_pose(
+    landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"], frame_rate_hz: float
+) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames joints 4"]]:
+    """Pose the skeleton of ``pipeline.skeleton.model`` by where landmarks are.
 
     Parameters
     ----------
-    track
-        Positions with any gaps, at least one frame. Landmarks are looked up by COCO's names; the detector may know
-        others, and need not know all.
-    joints
-        The track's joint axis.
-    timebase
-        Gives the frame rate.
-    name
-        The motion's name.
+    landmarks
+        Positions with any gaps, at least one frame. They are looked up by COCO's names; the detector may know others,
+        and need not know all.
 
     Returns
     -------
-        A motion on the track's frames without any NaN. Joints that were not measured are filled in.
+        World positions of the root and rotations of all joints to their parents (x, y, z, w), without any NaN. Joints
+        that were not measured are filled in.
     """
-    landmarks = Landmarks(track, joints)
-    lengths_m = bone_lengths_m(landmarks)
-    offsets_m = rest_offsets_m(lengths_m)
-    torso = solve_torso(landmarks, lengths_m)
+    offsets_m = rest_offsets_m(bone_length_m)
+    torso = solve_torso(landmarks, bone_length_m)
     head = solve_head(landmarks, torso)
-    rest = Rotation.identity(track.num_frames)
+    rest = Rotation.identity(len(torso.hips_m))
 
-    pose = _Pose(lengths_m, torso.hips_m, torso.world_from_pelvis)
+    pose = _Pose(bone_length_m, torso.hips_m, torso.world_from_pelvis)
     # The spine takes half of the twist between pelvis and chest, and ends where the chest has to begin.
     half_twist = (torso.world_from_pelvis.inv() * torso.world_from_chest) ** 0.5
     chest_m = torso.shoulders_m - torso.world_from_chest.apply(offsets_m[INDEX["Neck"]])
@@ -145,30 +137,23 @@ def motion_from_track(track: Track3D, joints: JointSet, timebase: Timebase, name
     pose.turn("Chest", pose.world_from_parent("Chest").inv() * torso.world_from_chest)
     pose.aim("Neck", "Head", head.center_m, rest)
     pose.turn("Head", filled(pose.world_from_parent("Head").inv() * head.world_from_head, head.valid))
-    for side, arm_hinge in _ARM_HINGES.items():
+    for side, arm_hinge in ARM_HINGES.items():
         limb = side.lower()
         pose.turn(f"{side}Shoulder", rest)
         pose.aim_limb(
             (f"{side}Arm", f"{side}ForeArm", f"{side}Hand"),
             landmarks[f"{limb}_elbow"],
             landmarks[f"{limb}_wrist"],
-            arm_hinge,
-            timebase.frame_rate_hz,
+            np.array(arm_hinge),
+            frame_rate_hz,
         )
         pose.aim_limb(
             (f"{side}UpLeg", f"{side}Leg", f"{side}Foot"),
             landmarks[f"{limb}_knee"],
             landmarks[f"{limb}_ankle"],
-            _KNEE_HINGE,
-            timebase.frame_rate_hz,
+            np.array(KNEE_HINGE),
+            frame_rate_hz,
         )
-    return SkeletonMotion(
-        track_id=track.track_id,
-        name=name,
-        start_frame=track.start_frame,
-        frame_rate_hz=timebase.frame_rate_hz,
-        bone_length_m=read_only(lengths_m),
-        root_m=read_only(torso.hips_m),
-        parent_from_joint=read_only(pose.parent_from_joint_xyzw()),
-        contacts=read_only(np.zeros((track.num_frames, 2), dtype=bool)),
-    )
+        foot = solve_foot(landmarks, limb)
+        pose.turn(f"{side}Foot", filled(pose.world_from_parent(f"{side}Foot").inv() * foot.world_from_foot, foot.valid))
+    return torso.hips_m, pose.parent_from_joint_xyzw()

@@ -20,10 +20,14 @@ class JobSpec(BaseModel):
     )
 
     smoothing: Literal["none", "butterworth", "one-euro", "fit"] = Field(
-        default="fit", description="What becomes of the joints' positions before the skeleton is fitted."
+        default="fit", description="What becomes of the joints' positions."
     )
     cutoff_hz: float = Field(
         default=6.0, gt=0.0, le=1000.0, allow_inf_nan=False, description="Of `butterworth`, below half the frame rate."
+    )
+    feet: Literal["off", "auto", "always"] = Field(
+        default="auto",
+        description="Which feet that stand are held in place: none, where it is likely that they stand, or all.",
     )
 
     @property

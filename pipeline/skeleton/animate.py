@@ -1,0 +1,132 @@
+"""Everybody's motion: smoothed or fit, with feet that stand still where they stand."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Animation, Camera, FootContact, Observations, SkeletonMotion, Timebase, Track3D, read_only
+from pipeline.joints import JointSet
+from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, places_of_feet, slide_of, standing_share
+from pipeline.skeleton.fit import SkeletonFit, fit_to_rays, follow
+from pipeline.skeleton.model import INDEX, placed
+from pipeline.skeleton.rotations import continuous_quat_xyzw, from_axes
+from pipeline.skeleton.smooth import check_smoothing, smooth_track
+
+_LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
+# An ankle bends no further than this from the shin's right angle.
+_MAX_BEND_RAD = np.radians(45.0)
+
+
+def animate(
+    tracks: Sequence[Track3D],
+    observations: Sequence[Observations],
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_step: Callable[[], None] = lambda: None,
+) -> Animation:
+    """Give everybody a skeleton that moves as they did.
+
+    Parameters
+    ----------
+    tracks
+        As association located the joints.
+    observations
+        Behind the tracks, in their order.
+    joints
+        Of the tracks.
+    config
+        How to smooth, and what to do with feet. With ``fit`` a track's joints are where the skeleton has them; else
+        they are smoothed by themselves and the skeleton follows them.
+    on_step
+        Called twice a person.
+
+    Raises
+    ------
+    InputError
+        As ``check_smoothing``.
+    """
+    check_smoothing(timebase, config)
+    fits: list[SkeletonFit] = []
+    motions: list[SkeletonMotion] = []
+    for track, seen in zip(tracks, observations, strict=True):
+        fits.append(_prepare(track, seen, cameras, timebase, joints, config))
+        motions.append(fits[-1].motion())
+        on_step()
+    rate_hz = timebase.frame_rate_hz
+    ankles_m = [_ankles_m(motion) for motion in motions]
+    known = [_ankles_known(fitted.track, joints) for fitted in fits]
+    floor = estimate_floor(ankles_m, known, rate_hz)
+    finals: list[Track3D] = []
+    for number, (fitted, seen) in enumerate(zip(fits, observations, strict=True)):
+        contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
+        motions[number] = _stand(fitted, motions[number], ankles_m[number], contacts)
+        finals.append(follow(fitted, motions[number], seen, cameras) if config.smoothing == "fit" else fitted.track)
+        on_step()
+    return Animation(tuple(finals), tuple(motions), floor)
+
+
+def _prepare(
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
+) -> SkeletonFit:
+    name = f"person-{track.track_id}"
+    if config.smoothing == "fit":
+        return fit_to_rays(track, seen, cameras, timebase, joints, name)
+    return SkeletonFit(smooth_track(track, seen, cameras, timebase, config), joints, timebase, name)
+
+
+def _ankles_m(motion: SkeletonMotion) -> Float[np.ndarray, "frames 2 3"]:
+    return np.stack([placed(motion, f"{side.capitalize()}Foot")[0] for side in SIDES], axis=1)
+
+
+def _ankles_known(track: Track3D, joints: JointSet) -> Bool[np.ndarray, "frames 2"]:
+    names = [f"{side}_ankle" for side in SIDES]
+    if not set(names) <= set(joints.names):
+        return np.zeros((track.num_frames, 2), dtype=bool)
+    return np.asarray(np.isfinite(track.xyz_m[:, joints.indices(tuple(names))]).all(-1))
+
+
+def _stand(
+    fitted: SkeletonFit,
+    motion: SkeletonMotion,
+    ankles_m: Float[np.ndarray, "frames 2 3"],
+    contacts: tuple[FootContact, ...],
+) -> SkeletonMotion:
+    """Hold feet that stand, and level them where nothing says how they are turned."""
+    places_m = places_of_feet(ankles_m, contacts, motion.frame_rate_hz)
+    if np.isfinite(places_m).any():
+        motion = fitted.pinned(motion, {f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)})
+        ankles_m = _ankles_m(motion)
+    after = [slide_of(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
+    slid = (replace(contact, slide_after_m=slide_m) for contact, slide_m in zip(contacts, after, strict=True))
+    motion = replace(motion, contacts=tuple(slid))
+    return motion if fitted.sees_feet else _level_feet(motion)
+
+
+def _level_feet(motion: SkeletonMotion) -> SkeletonMotion:
+    """Turn feet of which only ankles are seen: at a right angle to the shin in the air, level on the floor.
+
+    A standing foot points where the shin faces; it comes to be level, and leaves that, as it comes to stand.
+    """
+    parent_from_joint = np.array(motion.parent_from_joint)
+    for side in SIDES:
+        joint = f"{side.capitalize()}Foot"
+        share = standing_share(motion.contacts, side, len(parent_from_joint), motion.frame_rate_hz)
+        _, world_from_shin = placed(motion, joint.replace("Foot", "Leg"))
+        left = world_from_shin.apply(_LEFT) * _HORIZONTAL
+        level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
+        bend = (world_from_shin.inv() * level).as_rotvec()
+        angle_rad = np.linalg.norm(bend, axis=-1)
+        share = share * is_known * np.minimum(1.0, _MAX_BEND_RAD / np.maximum(angle_rad, 1e-9))
+        parent_from_joint[:, INDEX[joint]] = continuous_quat_xyzw(Rotation.from_rotvec(bend * share[:, None]))
+    return replace(motion, parent_from_joint=read_only(parent_from_joint))

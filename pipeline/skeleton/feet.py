@@ -1,0 +1,228 @@
+"""Feet on the floor: where it is, when a foot stands on it, and what holds a standing foot in place.
+
+A foot stands while its ankle is about as high as ankles of standing feet are, and hardly moves. Both are judged softly;
+their product has to be above a half for a tenth of a second. A foot that creeps on the floor stands in several places
+one after the other.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import expit
+
+from pipeline.config import Feet
+from pipeline.data import Floor, FootContact, Side
+
+SIDES: tuple[Side, Side] = ("left", "right")
+ANKLE_HEIGHT_M = 0.065
+"""An ankle's height above the floor that its foot stands on, for adults (0.039 of stature)."""
+
+# Movements faster than this are no evidence of speed but noise.
+_SMOOTH_S = 0.03
+# A foot that rests: so slow, for so long. Where none does, there is no floor.
+_REST_M_S, _REST_S = 0.15, 0.2
+# How far ankles of resting feet are from the floor's plane, at first and in the end; others rest on something else.
+_FLOOR_SCALES_M = (0.20, 0.10, 0.05, 0.03, 0.03, 0.03)
+# The lowest resting feet are on the floor. And what holds the plane level: feet in a small area say nothing of a slope.
+_LOWEST_SHARE = 0.2
+_SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.005, 0.02
+# Where height and speed of an ankle are as likely those of a foot that stands as of one that does not, and how steep
+# that is.
+_HEIGHT_M, _HEIGHT_STEEP_M = 0.08, 0.015
+_SPEED_M_S, _SPEED_STEEP_M_S = 0.40, 0.07
+_LIKELY, _SHORTEST_S = 0.5, 0.1
+_SURE_AFTER_S = 0.15
+_CREEP_M, _ROOM_S = 0.04, 0.1
+# From here on ``auto`` holds a foot.
+_MIN_CONFIDENCE = 0.5
+# How long before and after it stands a foot is led to where it stands.
+_EASE_S = 0.2
+
+
+def estimate_floor(
+    ankles_m: Sequence[Float[np.ndarray, "frames 2 3"]],
+    known: Sequence[Bool[np.ndarray, "frames 2"]],
+    frame_rate_hz: float,
+) -> Floor | None:
+    """Fit a plane to the lowest resting feet of everybody; ``None`` if no foot ever rests.
+
+    Robust by iterated reweighting (Geman and McClure); a weak prior keeps the plane level.
+
+    Parameters
+    ----------
+    ankles_m
+        Left and right, of each person.
+    known
+        Frames in which an ankle was located.
+    """
+    resting = [_resting_m(ankles, seen, frame_rate_hz) for ankles, seen in zip(ankles_m, known, strict=True)]
+    points_m = np.concatenate([np.zeros((0, 3)), *resting])
+    if not len(points_m):
+        return None
+    center_m = points_m.mean(0)
+    design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - center_m[:2]])
+    plane = np.array([np.quantile(points_m[:, 2], _LOWEST_SHARE), 0.0, 0.0])
+    level = np.diag([0.0, 1.0, 1.0]) * (_HEIGHT_SIGMA_M / _SLOPE_SIGMA) ** 2
+    for scale_m in _FLOOR_SCALES_M:
+        off_m = points_m[:, 2] - design @ plane
+        weight = (scale_m**2 / (scale_m**2 + off_m**2)) ** 2
+        plane = np.linalg.solve(
+            (design * weight[:, None]).T @ design + level, design.T @ (weight * points_m[:, 2])
+        )
+    slope = plane[1:]
+    return Floor(float(plane[0] - slope @ center_m[:2]) - ANKLE_HEIGHT_M, float(slope[0]), float(slope[1]))
+
+
+def find_contacts(
+    ankles_m: Float[np.ndarray, "frames 2 3"],
+    known: Bool[np.ndarray, "frames 2"],
+    floor: Floor | None,
+    frame_rate_hz: float,
+    feet: Feet,
+) -> tuple[FootContact, ...]:
+    """Find when each foot stands, by start; nothing without a floor.
+
+    Parameters
+    ----------
+    feet
+        Which contacts are to be pinned: none, those that are likely, or all.
+    """
+    if floor is None:
+        return ()
+    found = []
+    for foot, side in enumerate(SIDES):
+        ankle_m = ankles_m[:, foot]
+        likely = _likelihood(ankle_m, floor, frame_rate_hz) * known[:, foot]
+        for start, stop in _runs(likely >= _LIKELY):
+            for rows in _places(ankle_m, start, stop, frame_rate_hz):
+                duration_s = (rows.stop - rows.start) / frame_rate_hz
+                if duration_s < _SHORTEST_S:
+                    continue
+                confidence = float(likely[rows].mean() * (1.0 - np.exp(-duration_s / _SURE_AFTER_S)))
+                pinned = feet == "always" or (feet == "auto" and confidence >= _MIN_CONFIDENCE)
+                slide_m = slide_of(ankle_m[rows])
+                found.append(
+                    FootContact(side, rows.start, rows.stop - rows.start, confidence, pinned, slide_m, slide_m)
+                )
+    return tuple(sorted(found, key=lambda contact: (contact.start_frame, contact.side)))
+
+
+def slide_of(ankle_m: Float[np.ndarray, "frames 3"]) -> float:
+    """Mean horizontal distance of an ankle from its median place, in metres."""
+    return float(np.linalg.norm(ankle_m[:, :2] - np.median(ankle_m[:, :2], axis=0), axis=-1).mean())
+
+
+def places_of_feet(
+    ankles_m: Float[np.ndarray, "frames 2 3"], contacts: Sequence[FootContact], frame_rate_hz: float
+) -> Float[np.ndarray, "frames 2 3"]:
+    """Where ankles shall be for feet to stand still: horizontally, for a foot that stands may lift its heel.
+
+    A foot comes to and leaves the place where it stands over a fifth of a second, so that it does not jump there.
+
+    Returns
+    -------
+        NaN where and along which axes an ankle is free.
+    """
+    moved_m, is_led = np.zeros_like(ankles_m), np.zeros(ankles_m.shape[:2], dtype=bool)
+    longest = round(_EASE_S * frame_rate_hz)
+    for foot, side in enumerate(SIDES):
+        standing = [
+            contact.rows for contact in contacts if contact.side == side and contact.pinned
+        ]
+        ankle_m = ankles_m[:, foot]
+        for rows in standing:
+            moved_m[rows, foot] = np.median(ankle_m[rows], axis=0) - ankle_m[rows]
+            is_led[rows, foot] = True
+        # Between two stances a foot is led by both.
+        for before, after in pairwise([None, *standing, None]):
+            start = before.stop if before else 0
+            stop = after.start if after else len(ankle_m)
+            rising = _rising(min(longest, stop - start))[:, None]
+            if before:
+                led = slice(start, start + len(rising))
+                moved_m[led, foot] += rising[::-1] * moved_m[start - 1, foot]
+                is_led[led, foot] = True
+            if after:
+                led = slice(stop - len(rising), stop)
+                moved_m[led, foot] += rising * moved_m[stop, foot]
+                is_led[led, foot] = True
+    places_m = np.where(is_led[..., None], ankles_m + moved_m, np.nan)
+    places_m[..., 2] = np.nan
+    return places_m
+
+
+def standing_share(
+    contacts: Sequence[FootContact], side: Side, num_frames: int, frame_rate_hz: float
+) -> Float[np.ndarray, " frames"]:
+    """How much a foot stands: 1 while it does, and easing off to 0 before and after."""
+    share = np.zeros(num_frames)
+    rising = _rising(round(_EASE_S * frame_rate_hz))
+    for contact in contacts:
+        if contact.side == side:
+            start, stop = contact.rows.start, contact.rows.stop
+            share[start:stop] = 1.0
+            before, after = share[max(start - len(rising), 0) : start], share[stop : stop + len(rising)]
+            np.maximum(before, rising[len(rising) - len(before) :], out=before)
+            np.maximum(after, rising[::-1][: len(after)], out=after)
+    return share
+
+
+def _rising(num_frames: int) -> Float[np.ndarray, " frames"]:
+    """From nearly 0 to nearly 1, smoothly."""
+    share = np.arange(1, num_frames + 1) / (num_frames + 1)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
+
+
+def _resting_m(
+    ankles_m: Float[np.ndarray, "frames 2 3"], known: Bool[np.ndarray, "frames 2"], frame_rate_hz: float
+) -> Float[np.ndarray, "_ 3"]:
+    """Ankles of feet at rest: one point a rest and fifth of a second."""
+    points = [np.zeros((0, 3))]
+    step = max(1, round(_REST_S * frame_rate_hz))
+    for foot in range(2):
+        slow = (_speed_m_s(ankles_m[:, foot], frame_rate_hz) < _REST_M_S) & known[:, foot]
+        for start, stop in _runs(slow):
+            count = (stop - start) // step
+            points.append(ankles_m[start : start + count * step, foot].reshape(count, step, 3).mean(1))
+    return np.concatenate(points)
+
+
+def _speed_m_s(ankle_m: Float[np.ndarray, "frames 3"], frame_rate_hz: float) -> Float[np.ndarray, " frames"]:
+    if len(ankle_m) < 2:
+        return np.zeros(len(ankle_m))
+    smooth_m = gaussian_filter1d(ankle_m, _SMOOTH_S * frame_rate_hz, axis=0, mode="nearest")
+    return np.asarray(np.linalg.norm(np.gradient(smooth_m, axis=0), axis=-1) * frame_rate_hz)
+
+
+def _likelihood(
+    ankle_m: Float[np.ndarray, "frames 3"], floor: Floor, frame_rate_hz: float
+) -> Float[np.ndarray, " frames"]:
+    """How likely it is by height and speed that a foot stands."""
+    height_m = floor.height_m(ankle_m) - ANKLE_HEIGHT_M
+    speed_m_s = _speed_m_s(ankle_m, frame_rate_hz)
+    by_height = expit((_HEIGHT_M - np.abs(height_m)) / _HEIGHT_STEEP_M)
+    return np.asarray(by_height * expit((_SPEED_M_S - speed_m_s) / _SPEED_STEEP_M_S))
+
+
+def _runs(mask: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
+    borders = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return [(int(start), int(stop)) for start, stop in borders.reshape(-1, 2)]
+
+
+def _places(
+    ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float
+) -> Iterator[slice]:
+    """Cut a stance wherever the foot has left the mean of where it has stood so far, with room to get to the next."""
+    margin = round(_ROOM_S / 2 * frame_rate_hz)
+    begun, total = start, np.zeros(2)
+    for frame in range(start, stop):
+        here = ankle_m[frame, :2]
+        if frame > begun and np.linalg.norm(here - total / (frame - begun)) > _CREEP_M:
+            yield slice(begun, frame - margin)
+            begun, total = frame + margin, np.zeros(2)
+        if frame >= begun:
+            total += here
+    yield slice(begun, stop)

@@ -1,0 +1,99 @@
+"""What all views of a window of frames say of where a person's joints are: a ray a view and joint."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.data import Camera
+from pipeline.geometry.camera import center_in_world, rays_in_world
+from pipeline.geometry.undistortion import undistort_px
+from pipeline.joints import JointSet
+
+# A detector's noise across a ray.
+_SIGMA_M = 0.015
+_MIN_SCORE = 0.1
+# What detectors take for the other side's, and how much better it must fit there (in observations of full score).
+_EXCHANGEABLE = (
+    ("shoulder", "elbow", "wrist"), ("elbow", "wrist"), ("wrist",), ("hip", "knee", "ankle"), ("knee", "ankle"),
+    ("ankle",),
+)  # fmt: skip
+_CLEARLY = 0.5
+
+
+class Rays:
+    """The energy of joints' places: for a view with score s, ``s^3 / sigma^2 GM(d; c)``.
+
+    d is the distance of the joint to the ray, and GM the function of Geman and McClure, which no single wrong view can
+    pull: beyond c it hardly grows.
+
+    Parameters
+    ----------
+    points_px, score
+        Observations in full-image pixels (distorted), NaN and 0 where there are none.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        points_px: Float[np.ndarray, "frames cameras joints 2"],
+        score: Float[np.ndarray, "frames cameras joints"],
+        joints: JointSet,
+    ) -> None:
+        rays = np.stack(
+            [rays_in_world(camera, undistort_px(camera, points_px[:, k])) for k, camera in enumerate(cameras)], axis=1
+        )
+        is_seen = (score > _MIN_SCORE) & np.isfinite(rays).all(-1)
+        rays = np.where(is_seen[..., None], rays, 0.0)
+        self._centers_m = np.array([center_in_world(camera) for camera in cameras])
+        self._weight = np.where(is_seen, score**3, 0.0) / _SIGMA_M**2
+        # Projections onto the planes across the rays.
+        self._across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+        self._pairs = tuple(_pairs(joints))
+
+    def normal_equations(
+        self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
+    ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
+        """Curvature and right side for a joint, reweighted by how far its rays pass where it is now.
+
+        Parameters
+        ----------
+        scale_m
+            The function's c.
+        """
+        across = self._across[:, :, joint]
+        off_m = np.einsum("fcab,fcb->fca", across, xyz_m[:, None] - self._centers_m)
+        scale_m2 = scale_m**2
+        robust = self._weight[:, :, joint] * (scale_m2 / ((off_m**2).sum(-1) + scale_m2)) ** 2
+        return (
+            np.einsum("fc,fcab->fab", robust, across),
+            np.einsum("fc,fcab,cb->fa", robust, across, self._centers_m),
+        )
+
+    def exchange_sides(self, xyz_m: Float[np.ndarray, "frames joints 3"], scale_m: float) -> None:
+        """Exchange a view's left limb for its right one wherever they clearly fit better so."""
+        for left, right in self._pairs:
+            exchanged = self._fit_exchanged(xyz_m, left, right, scale_m**2)
+            for seen in (self._across, self._weight):
+                swapped = seen[:, :, [*right, *left]]
+                here = exchanged.reshape(*exchanged.shape, *(1,) * (seen.ndim - 2))
+                seen[:, :, [*left, *right]] = np.where(here, swapped, seen[:, :, [*left, *right]])
+
+    def _fit_exchanged(
+        self, xyz_m: Float[np.ndarray, "frames joints 3"], left: list[int], right: list[int], scale_m2: float
+    ) -> Bool[np.ndarray, "frames cameras"]:
+        def cost(of: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
+            from_center_m = xyz_m[:, None, of] - self._centers_m[:, None]
+            off_m2 = (np.einsum("fcjab,fcjb->fcja", self._across[:, :, seen_as], from_center_m) ** 2).sum(-1)
+            lost = self._weight[:, :, seen_as] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m2)
+            return np.asarray(np.nan_to_num(lost).sum(-1))
+
+        both, other_way = [*left, *right], [*right, *left]
+        return cost(both, both) - cost(both, other_way) > _CLEARLY
+
+
+def _pairs(joints: JointSet) -> Iterator[tuple[list[int], list[int]]]:
+    for limb in _EXCHANGEABLE:
+        left, right = (tuple(f"{side}_{name}" for name in limb) for side in ("left", "right"))
+        if {*left, *right} <= set(joints.names):
+            yield joints.indices(left), joints.indices(right)

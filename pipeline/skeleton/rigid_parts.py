@@ -1,0 +1,119 @@
+"""Heads and feet: landmarks on a rigid part of the body, and how it is turned in every frame."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.data import Track3D
+from pipeline.joints import JointSet
+from pipeline.skeleton.landmarks import Landmarks
+from pipeline.skeleton.rotations import align, unit
+from pipeline.skeleton.trunk import Torso, solve_torso
+
+# Where a face's landmarks lie in an upright head that faces -Y, from the centre between the ears (adult means, metres).
+_FACE_M = {
+    "nose": (0.0, -0.110, -0.010),
+    "left_eye": (0.032, -0.080, 0.020),
+    "right_eye": (-0.032, -0.080, 0.020),
+    "left_ear": (0.075, 0.0, 0.0),
+    "right_ear": (-0.075, 0.0, 0.0),
+}
+# The direction from the base of the neck to the face counts like a landmark so far away: it steadies nods and tilts.
+_NECK_LEVER_M = 0.05
+# A face that misses its landmarks by more than this (root mean square, metres), or that is turned farther away from the
+# chest than a neck can turn it, was not measured well enough to believe.
+_MAX_FACE_MISFIT_M = 0.04
+_MAX_NECK_TURN = np.radians(90.0)
+# The centre between the ears as seen from the base of the neck, upright.
+_EARS_FROM_NECK_M = np.array([0.0, 0.0, 0.2])
+# Where a left foot's landmarks lie, seen from the ankle, in a foot that points to -Y (adult means, metres).
+_FOOT_M = {"heel": (0.0, 0.050, -0.060), "big_toe": (-0.030, -0.170, -0.066), "small_toe": (0.045, -0.140, -0.066)}
+_MIRRORED = np.array([-1.0, 1.0, 1.0])
+# A person's own proportions are medians over so many frames, spread evenly over the track.
+_NUM_SAMPLES = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Head:
+    """Centre between the ears, orientation of the head, and the frames in which they are known."""
+
+    center_m: Float[np.ndarray, "frames 3"]
+    world_from_head: Rotation
+    valid: Bool[np.ndarray, " frames"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foot:
+    """Orientation of a foot, and the frames in which it is known; arbitrary elsewhere."""
+
+    world_from_foot: Rotation
+    valid: Bool[np.ndarray, " frames"]
+
+
+def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
+    """Lay a face of adult size onto whatever landmarks are known, at least two of nose, eyes and ears.
+
+    So a landmark that comes or goes doesn't make the head jump. The head is unknown, its centre NaN and its orientation
+    arbitrary, where fewer are known or where they don't make a face that looks where this chest allows.
+    """
+    template = np.array(list(_FACE_M.values()))
+    face = np.stack([landmarks[name] for name in _FACE_M], axis=1)
+    known = np.isfinite(face).all(-1)
+    enough = known.sum(-1) >= 2
+
+    share = np.where(enough[:, None], known, np.nan) / np.where(enough, known.sum(-1), 1)[:, None]
+    center = np.einsum("fp,fpi->fi", share, np.where(known[..., None], face, 0.0))
+    template_center = share @ template
+    # Vectors from the centre of the known landmarks, and the one from the neck: rotation alone is left to find.
+    neck = _NECK_LEVER_M * unit(center - torso.shoulders_m)
+    upright_neck = _NECK_LEVER_M * unit(template_center + _EARS_FROM_NECK_M)
+    measured = np.concatenate([face - center[:, None], neck[:, None]], axis=1)
+    upright = np.concatenate([template - template_center[:, None], upright_neck[:, None]], axis=1)
+    world_from_head = align(upright, measured)
+
+    laid = np.einsum("fij,fpj->fpi", world_from_head.as_matrix(), upright)
+    misfit_m = np.sqrt((share * np.nan_to_num((laid - measured)[:, :-1] ** 2).sum(-1)).sum(-1))
+    turn = (torso.world_from_chest.inv() * world_from_head).magnitude()
+    valid = enough & (misfit_m < _MAX_FACE_MISFIT_M) & (turn < _MAX_NECK_TURN)
+    ears_m = center - world_from_head.apply(np.where(enough[:, None], template_center, 0.0))
+    return Head(np.where(valid[:, None], ears_m, np.nan), world_from_head, valid)
+
+
+def solve_foot(landmarks: Landmarks, side: str) -> Foot:
+    """Lay a foot of adult shape onto at least two of heel, big toe and small toe, as seen from the ankle."""
+    template = np.array(list(_FOOT_M.values())) * (1.0 if side == "left" else _MIRRORED)
+    from_ankle_m = np.stack([landmarks[f"{side}_{name}"] - landmarks[f"{side}_ankle"] for name in _FOOT_M], axis=1)
+    valid = np.isfinite(from_ankle_m).all(-1).sum(-1) >= 2
+    return Foot(align(np.broadcast_to(template, from_ankle_m.shape), from_ankle_m), valid)
+
+
+def landmark_offsets_m(
+    track: Track3D, joints: JointSet, bone_length_m: Float[np.ndarray, " joints"]
+) -> Mapping[str, Float[np.ndarray, " 3"]]:
+    """Where a person's landmarks of head and feet lie in these, by name; only what was seen together with others."""
+    sampled = np.unique(np.linspace(0, track.num_frames - 1, _NUM_SAMPLES).round().astype(int))
+    landmarks = Landmarks(replace(track, xyz_m=track.xyz_m[sampled], source=track.source[sampled]), joints)
+    head = solve_head(landmarks, solve_torso(landmarks, bone_length_m))
+    found = dict(_offsets_m(landmarks, tuple(_FACE_M), head.center_m, head.world_from_head, head.valid))
+    for side in ("left", "right"):
+        foot = solve_foot(landmarks, side)
+        names = tuple(f"{side}_{name}" for name in _FOOT_M)
+        found |= _offsets_m(landmarks, names, landmarks[f"{side}_ankle"], foot.world_from_foot, foot.valid)
+    return found
+
+
+def _offsets_m(
+    landmarks: Landmarks,
+    names: tuple[str, ...],
+    origin_m: Float[np.ndarray, "frames 3"],
+    world_from_part: Rotation,
+    valid: Bool[np.ndarray, " frames"],
+) -> Iterator[tuple[str, Float[np.ndarray, " 3"]]]:
+    for name in names:
+        inside_m = world_from_part.inv().apply(landmarks[name] - origin_m)
+        known = valid & np.isfinite(inside_m).all(-1)
+        if known.any():
+            yield name, np.median(inside_m[known], axis=0)

@@ -1,0 +1,42 @@
+"""Long tracks are worked on in windows that overlap, so that what it takes does not grow with them."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+_WINDOW_FRAMES, _OVERLAP_FRAMES = 600, 60
+
+
+def windows(num_frames: int, overlap: int = _OVERLAP_FRAMES) -> Iterator[slice]:
+    """Frames to work on at once."""
+    step = _WINDOW_FRAMES - overlap
+    for start in range(0, max(num_frames - overlap, 1), step):
+        yield slice(start, min(start + _WINDOW_FRAMES, num_frames))
+
+
+class Blend:
+    """Values of all frames, put together out of windows: where two overlap, one passes evenly into the other.
+
+    Parameters
+    ----------
+    num_frames
+        Of the whole.
+    """
+
+    def __init__(self, num_frames: int) -> None:
+        self._num_frames = num_frames
+        self._done = 0
+        self.result: Float[np.ndarray, "frames *values"]
+
+    def add(self, rows: slice, values: Float[np.ndarray, "rows *values"]) -> None:
+        """Put a window in, in the order of ``windows``."""
+        if rows.start == 0:
+            self.result = np.empty((self._num_frames, *values.shape[1:]))
+        overlap = self._done - rows.start
+        before, after = self.result[rows.start : self._done], values[:overlap]
+        share = (np.arange(1, overlap + 1) / (overlap + 1)).reshape(-1, *(1,) * (values.ndim - 1))
+        known = np.where(np.isnan(after), before, np.where(np.isnan(before), after, before + share * (after - before)))
+        self.result[rows.start : self._done] = known
+        self.result[self._done : rows.stop] = values[overlap:]
+        self._done = rows.stop
