@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet

@@ -1,8 +1,8 @@
 """The whole way on one machine: a capture session to people in motion.
 
 The same functions that workers of a service call: ``detect_chunk`` is the map over frame ranges, the steps of
-``pipeline.association`` and ``skeleton.animate`` follow. The result does not depend on how the frames are cut or how many processes
-work on them.
+``pipeline.association`` and ``skeleton.animate`` follow. The result does not depend on how the frames are cut or how
+many processes work on them.
 """
 
 import multiprocessing

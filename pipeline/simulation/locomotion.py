@@ -18,16 +18,21 @@ from pipeline.simulation.script import Away, Cue, Role, Stay, Turn, Walk
 GRID_HZ = 200.0
 """Rate at which motion is laid out; in between it is linear."""
 
-# Share of a stride (two steps) that a foot stands, and in it the instant at which the body is above the foot.
-_STANCE = 0.6
-_MID_STANCE = 0.3
+# Share of a stride (two steps) that a foot stands, in walking and in running; half-way the body is above the foot.
+# In running it is less than half: neither foot is on the floor in between.
+_STANCE_WALKING, _STANCE_RUNNING = 0.6, 0.35
+# Who is faster begins to run, and runs altogether.
+_RUN_FROM_M_S, _RUN_M_S = 2.2, 2.7
 # The body leaves once the first foot swings, and arrives before the trailing foot is drawn up.
 _OPENING_STEPS = 0.6
 _CLOSING_STEPS = 0.4
 _RAMP_S = 0.6
 _TURN_RAD_S = 2.2
 _LARGEST_CURVE_RAD = 1.0
-_LIFT_M = 0.09
+_LIFT_WALKING_M, _LIFT_RUNNING_M = 0.09, 0.22
+# The heel rises before the foot swings.
+_HEEL_SHARE = 0.1
+_CHANGE_OF_GAIT_S = 0.1
 _SMOOTH_S = 0.1
 
 
@@ -138,14 +143,25 @@ def _ankle(
     numbers = np.arange(number.min(), number.max() + 2)
     landing_steps = 2 * (numbers - side / 2)
     rest = rests[np.minimum(np.searchsorted(rests, landing_steps - 1e-6), len(rests) - 1)]
-    middle_steps = np.minimum(landing_steps + 2 * _MID_STANCE, rest)
+    run = _running(route)
+    stance = _STANCE_WALKING + run * (_STANCE_RUNNING - _STANCE_WALKING)
+    # The body is above the foot half-way through the stance that it lands for.
+    landing_stance = np.interp(landing_steps, route.steps, stance)
+    middle_steps = np.minimum(landing_steps + landing_stance, rest)
     row = np.interp(middle_steps, route.steps, np.arange(len(route.steps)))
     footprint_m = _beside(route, row, body.hip_width_m * (0.5 - side))
     here_m, next_m = footprint_m[number - numbers[0]], footprint_m[number - numbers[0] + 1]
-    moved = smoothstep((share - _STANCE) / (1 - _STANCE))[:, None]
-    # The heel rises before the foot swings: from half of the stride on.
-    lift_m = _LIFT_M * np.where(share > 0.5, np.sin(2 * np.pi * (share - 0.5)) ** 2, 0.0)
+    moved = smoothstep((share - stance) / (1 - stance))[:, None]
+    rising = np.clip((share - stance + _HEEL_SHARE) / (1 - stance + _HEEL_SHARE), 0.0, 1.0)
+    lift_m = (_LIFT_WALKING_M + run * (_LIFT_RUNNING_M - _LIFT_WALKING_M)) * np.sin(np.pi * rising) ** 2
     return np.column_stack([here_m + moved * (next_m - here_m), body.ankle_height_m + lift_m])
+
+
+def _running(route: Route) -> Float[np.ndarray, " times"]:
+    """How much of a run the way is, from 0 to 1."""
+    speed_m_s = np.linalg.norm(np.gradient(route.xy_m, axis=0), axis=-1) * GRID_HZ
+    run = smoothstep((speed_m_s - _RUN_FROM_M_S) / (_RUN_M_S - _RUN_FROM_M_S))
+    return np.asarray(gaussian_filter1d(run, _CHANGE_OF_GAIT_S * GRID_HZ, mode="nearest"))
 
 
 def _beside(route: Route, row: Float[np.ndarray, " rows"], left_m: float) -> Float[np.ndarray, "rows 2"]:

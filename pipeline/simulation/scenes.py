@@ -106,6 +106,14 @@ def _touching(x: float, y: float, gap_m: float, gesture: Gesture, hand_height_m:
     )
 
 
+def _to_and_fro(y: float, far_m: float, speed_m_s: float, num_ways: int) -> Role:
+    """Somebody who walks or runs from side to side."""
+    ways = (
+        cue for k in range(num_ways) for cue in (Walk(((-1) ** k * far_m, y), speed_m_s), Turn(np.pi * ((k + 1) % 2)))
+    )
+    return Role((-far_m, y), 0.0, tuple(ways))
+
+
 _ACTIVE = (
     Gesture.IDLE, Gesture.TALK, Gesture.WAVE, Gesture.POINT, Gesture.CROUCH, Gesture.JUMP, Gesture.PUNCH,
     Gesture.SWING,
@@ -167,6 +175,21 @@ SCENES: Mapping[str, Scene] = {
     "handshake": Scene(
         Rig(Layout.RING, 6, (5.0, 5.0), 2.4),
         (*_greeting(0.0, -1.2, 3.0), *_greeting(0.3, 1.2, 4.0)),
+        duration_s=20.0,
+    ),
+    "walk": Scene(
+        Rig(Layout.RING, 6, (5.5, 4.5), 2.4, focal_px=800.0),
+        (_to_and_fro(-0.8, 2.5, 1.2, 8), _to_and_fro(0.8, 2.5, 0.9, 8)),
+        duration_s=20.0,
+    ),
+    "sports": Scene(
+        Rig(Layout.RING, 8, (8.5, 6.5), 2.6, (1920, 1080), 1100.0),
+        (
+            _to_and_fro(-1.5, 5.0, 3.2, 8),
+            Role((-1.5, 1.5), -1.6, (Stay(20.0, Gesture.JUMP),)),
+            Role((1.5, 1.5), -1.6, (Stay(8.0, Gesture.JUMP), Stay(4.0, Gesture.PUNCH), Stay(8.0, Gesture.JUMP))),
+        ),
+        Clock(50.0),
         duration_s=20.0,
     ),
     "noisy": Scene(

@@ -22,7 +22,7 @@ class Gesture(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """Walk to a place on the floor, in a curve that begins where the person faces."""
+    """Walk to a place on the floor, or run there from 2.7 m/s on, in a curve that begins where the person faces."""
 
     to_m: tuple[float, float]
     speed_m_s: float = 1.2

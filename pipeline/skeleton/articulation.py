@@ -99,11 +99,10 @@ _FOOT = ("heel", "big_toe", "small_toe")
 
 def joint_of_landmark(name: str) -> str | None:
     """The skeleton's joint that carries a detector's joint; ``None`` for one that it doesn't know."""
-    side, _, kind = name.rpartition("_")
     if name in _FACE:
         return "Head"
-    if kind == "heel" or name.endswith("_toe"):
-        return f"{name.split('_', maxsplit=1)[0].capitalize()}Foot"
+    if name.endswith(_FOOT):
+        return f"{name.partition('_')[0].capitalize()}Foot"
     middles = {"neck": "Neck", "mid_hip": "Hips"}
     return middles.get(name, _BY_LANDMARK.get(name))
 

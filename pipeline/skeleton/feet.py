@@ -69,9 +69,7 @@ def estimate_floor(
     for scale_m in _FLOOR_SCALES_M:
         off_m = points_m[:, 2] - design @ plane
         weight = (scale_m**2 / (scale_m**2 + off_m**2)) ** 2
-        plane = np.linalg.solve(
-            (design * weight[:, None]).T @ design + level, design.T @ (weight * points_m[:, 2])
-        )
+        plane = np.linalg.solve((design * weight[:, None]).T @ design + level, design.T @ (weight * points_m[:, 2]))
     slope = plane[1:]
     return Floor(float(plane[0] - slope @ center_m[:2]) - ANKLE_HEIGHT_M, float(slope[0]), float(slope[1]))
 
@@ -129,9 +127,7 @@ def places_of_feet(
     moved_m, is_led = np.zeros_like(ankles_m), np.zeros(ankles_m.shape[:2], dtype=bool)
     longest = round(_EASE_S * frame_rate_hz)
     for foot, side in enumerate(SIDES):
-        standing = [
-            contact.rows for contact in contacts if contact.side == side and contact.pinned
-        ]
+        standing = [contact.rows for contact in contacts if contact.side == side and contact.pinned]
         ankle_m = ankles_m[:, foot]
         for rows in standing:
             moved_m[rows, foot] = np.median(ankle_m[rows], axis=0) - ankle_m[rows]
@@ -212,9 +208,7 @@ def _runs(mask: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in borders.reshape(-1, 2)]
 
 
-def _places(
-    ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float
-) -> Iterator[slice]:
+def _places(ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float) -> Iterator[slice]:
     """Cut a stance wherever the foot has left the mean of where it has stood so far, with room to get to the next."""
     margin = round(_ROOM_S / 2 * frame_rate_hz)
     begun, total = start, np.zeros(2)
