@@ -9,7 +9,13 @@ _SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 DOCUMENTS: dict[str, Any] = {
     "manifest": {"name": "Handshake, take 3"},
-    "spec": {"method": "tracking", "detector": "movenet-multipose", "smoothing": "fit", "cutoff_hz": 6.0, "feet": "auto"},
+    "spec": {
+        "method": "tracking",
+        "detector": "movenet-multipose",
+        "smoothing": "fit",
+        "cutoff_hz": 6.0,
+        "feet": "auto",
+    },
 }
 
 _PREFLIGHT: dict[str, Any] = {

@@ -346,7 +346,7 @@ class Animation:
     motions
         A skeleton each, in their order.
     floor
-        ``None`` if no foot ever rested.
+        ``None`` if no foot was ever seen.
     """
 
     tracks: tuple[Track3D, ...]

@@ -8,13 +8,14 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from api.commands.options import MethodOption, SmoothingOption, known_method, known_smoothing
+from api.commands.options import FeetOption, MethodOption, SmoothingOption, known_feet, known_method, known_smoothing
 from api.console import StageBars, console, emit, reporting
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import Method, ReconstructionConfig
+from pipeline.data import Animation
 from pipeline.errors import InputError, Problem
-from pipeline.joints import COCO_17, COCO_18
+from pipeline.joints import COCO_17, COCO_18, JointSet
 from pipeline.metrics.datasets.rendered import load_rendered, score_rendered
 from pipeline.metrics.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.metrics.datasets.shelf_ablation import ablate
@@ -22,6 +23,7 @@ from pipeline.metrics.datasets.shelf_tracking import association_accuracy, score
 from pipeline.metrics.quality import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.metrics.simulated import score_simulated
 from pipeline.metrics.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
+from pipeline.metrics.simulated_feet import score_feet
 from pipeline.run import reconstruct
 from pipeline.session import open_session
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, simulate
@@ -164,6 +166,7 @@ def simulated(
     seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
     method: MethodOption = "tracking",
     smoothing: SmoothingOption = "fit",
+    feet: FeetOption = "auto",
     evidence: Annotated[
         str | None,
         typer.Option(
@@ -185,7 +188,7 @@ def simulated(
     with reporting(as_json):
         checked_method = known_method(method)
         checked_evidence = _known_evidence(evidence, checked_method, ablation)
-        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing))
+        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing), feet=known_feet(feet))
         if ablation and views is None:
             views = str(min(_ABLATION_VIEWS, find_scene(scene).rig.num_cameras))
         for num_views in _numbers(views):
@@ -233,6 +236,12 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
     return chosen
 
 
+def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> dict[str, Any]:
+    return score_simulated(animation.tracks, simulation, joints) | score_feet(
+        animation.tracks, animation.motions, simulation, joints
+    )
+
+
 def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[str, Any]:
     views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
     started_s = time.perf_counter()
@@ -244,7 +253,7 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
         found = reconstruct_tracks(*views, limits)
     animation = animate(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-    return score_simulated(animation.tracks, simulation, simulation.joints) | {"fps": fps}
+    return _score(animation, simulation, simulation.joints) | {"fps": fps}
 
 
 def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
@@ -253,7 +262,7 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
         found = cluster_fields(simulation, files)
         animation = animate(*found, simulation.cameras, simulation.timebase, COCO_18, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-        scores = score_simulated(animation.tracks, simulation, COCO_18)
+        scores = _score(animation, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}
     return scores | {"fps": fps} | parts
 

@@ -64,9 +64,16 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
     console.print(table)
     console.print(
         f"{metrics['num_frames']} frames at {metrics['frame_rate_hz']:g} Hz; "
-        f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}, "
-        f"bone length deviation {shown(metrics['bone_length_std_cm'], 'cm', 1)}"
+        f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}"
     )
+    before_and_after = Table("", "as located", "final")
+    for name, unit, before, after in (
+        ("bone length deviation", "cm", metrics["bone_length_std_before_cm"], metrics["bone_length_std_cm"]),
+        ("jitter", "m/s\u00b2", metrics["jitter_before_m_s2"], metrics["jitter_m_s2"]),
+        ("slide of standing feet", "cm", metrics["feet"]["slide_before_cm"], metrics["feet"]["slide_after_cm"]),
+    ):
+        before_and_after.add_row(name, shown(before, unit, 2), shown(after, unit, 2))
+    console.print(before_and_after)
     for check in metrics["world_checks"]:
         console.print(Text.assemble(("warning ", "yellow"), check["message"]))
 

@@ -8,6 +8,13 @@
 - *Bone length deviation*: standard deviation over time of a limb's length in one track, mean over limbs and tracks,
   weighted by frames.
 - *Jitter*: mean length of the second difference of a joint's position times the squared frame rate.
+- *Before*: the same of joints as association located them, before they were smoothed or fit.
+- *Sources*: shares of all joints and frames that were measured, interpolated, predicted, and that are absent.
+- *Cameras used*: share of all people's frames in which a camera saw anything of them.
+- *Track fragments*: tracks that begin within two seconds after another one ended within 1.5 m: probably somebody who
+  was lost.
+- *Slide*: mean horizontal distance of a standing foot's ankle from its median place, over all contacts, as the
+  skeleton was without holding feet and as it is.
 - *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of it (Drillis and Contini 1966).
 
 A figure without any data is null (``None``).
@@ -20,15 +27,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Observations, Reconstruction, Source, Track3D
+from pipeline.data import Camera, Floor, FootContact, Observations, Reconstruction, Source, Track3D
 from pipeline.geometry.camera import project
 from pipeline.joints import LIMBS, JointSet
 from pipeline.metrics.world_checks import world_checks
+from pipeline.skeleton.fit import MAX_GAP_S
 
 SCHEMA_VERSION = 1
 MIN_SCORE = 0.2
 """Observations below this score don't count."""
 
+_FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 
@@ -41,6 +50,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
     observed = {observations.track_id: observations for observations in reconstruction.observations}
     errors_px = [reprojection_error_px(track, observed[track.track_id], cameras) for track in tracks]
+    contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
     return {
         "schema_version": SCHEMA_VERSION,
@@ -48,8 +58,19 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
         "frame_rate_hz": frame_rate_hz,
         "reprojection_error_px": _summarise_error(errors_px, cameras, joints),
         "coverage": _rounded(np.mean(_known(track.source == Source.MEASURED for track in tracks)), 4),
+        "sources": {
+            source.name.lower(): _rounded(np.mean(_known(track.source == source for track in tracks)), 4)
+            for source in Source
+        },
+        "max_gap_s": MAX_GAP_S,
         "bone_length_std_cm": _rounded(bone_length_std_cm(tracks, joints), 3),
+        "bone_length_std_before_cm": _rounded(bone_length_std_cm(reconstruction.located, joints), 3),
         "jitter_m_s2": _rounded(mean_jitter_m_s2(tracks, frame_rate_hz), 3),
+        "jitter_before_m_s2": _rounded(mean_jitter_m_s2(reconstruction.located, frame_rate_hz), 3),
+        "cameras_used": _cameras_used(reconstruction),
+        "track_fragments": count_fragments(tracks, frame_rate_hz),
+        "floor": _describe_floor(reconstruction.animation.floor),
+        "feet": _summarise_feet([contact for motion in reconstruction.motions for contact in motion.contacts]),
         "people": [
             {
                 "id": track.track_id,
@@ -60,6 +81,10 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                 "reprojection_error_px": _rounded(np.median(_known([error_px])), 3),
                 "views_per_joint": _rounded(views_per_joint(track, observed[track.track_id]), 2),
                 "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
+                "feet": {
+                    "toes": "measured" if _sees_toes(track, joints) else "predicted",
+                    **_summarise_feet(contacts.get(track.track_id, ())),
+                },
             }
             for track, error_px in zip(tracks, errors_px, strict=True)
         ],
@@ -85,20 +110,85 @@ def _rounded(value: float, decimals: int) -> float | None:
 def _summarise_error(
     errors_px: list[Float[np.ndarray, "_ cameras joints"]], cameras: tuple[Camera, ...], joints: JointSet
 ) -> dict[str, Any]:
-    def median_px(arrays: Iterable[np.ndarray]) -> float | None:
-        return _rounded(np.median(_known(arrays)), 3)
+    def percentile_px(arrays: Iterable[np.ndarray], percent: float) -> float | None:
+        return _rounded(np.percentile(_known(arrays), percent), 3)
+
+    def by_camera(percent: float) -> dict[str, float | None]:
+        return {
+            camera.name: percentile_px((error_px[:, index] for error_px in errors_px), percent)
+            for index, camera in enumerate(cameras)
+        }
+
+    def by_joint(percent: float) -> dict[str, float | None]:
+        return {
+            name: percentile_px((error_px[:, :, index] for error_px in errors_px), percent)
+            for index, name in enumerate(joints.names)
+        }
 
     return {
-        "median": median_px(errors_px),
-        "p95": _rounded(np.percentile(_known(errors_px), 95), 3),
-        "by_camera": {
-            camera.name: median_px(error_px[:, index] for error_px in errors_px) for index, camera in enumerate(cameras)
-        },
-        "by_joint": {
-            name: median_px(error_px[:, :, index] for error_px in errors_px) for index, name in enumerate(joints.names)
-        },
+        "median": percentile_px(errors_px, 50),
+        "p95": percentile_px(errors_px, 95),
+        "by_camera": by_camera(50),
+        "p95_by_camera": by_camera(95),
+        "by_joint": by_joint(50),
+        "p95_by_joint": by_joint(95),
         "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
     }
+
+
+def _cameras_used(reconstruction: Reconstruction) -> dict[str, float | None]:
+    sees = [np.asarray(_counts(observations).any(-1)) for observations in reconstruction.observations]
+    return {
+        camera.name: _rounded(float(np.mean(_known(mine[:, index] for mine in sees))), 4)
+        for index, camera in enumerate(reconstruction.cameras)
+    }
+
+
+def count_fragments(tracks: Sequence[Track3D], frame_rate_hz: float) -> int:
+    """Tracks that begin soon after another one ended, close by."""
+    return sum(
+        any(_continues(earlier, later, frame_rate_hz) for earlier in tracks if earlier is not later) for later in tracks
+    )
+
+
+def _continues(earlier: Track3D, later: Track3D, frame_rate_hz: float) -> bool:
+    pause = later.start_frame - (earlier.start_frame + earlier.num_frames)
+    if not 0 <= pause <= _FRAGMENT_S * frame_rate_hz:
+        return False
+    end_m, start_m = _known_joints_m(earlier.xyz_m[::-1]), _known_joints_m(later.xyz_m)
+    return bool(np.linalg.norm(end_m - start_m) <= _FRAGMENT_M)
+
+
+def _known_joints_m(xyz_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, " 3"]:
+    """Centre of the joints of the first frame that has any; NaN if none has."""
+    known = np.isfinite(xyz_m).all(-1)
+    frames = np.flatnonzero(known.any(1))
+    return xyz_m[frames[0]][known[frames[0]]].mean(0) if len(frames) else np.full(3, np.nan)
+
+
+def _describe_floor(floor: Floor | None) -> dict[str, float | None] | None:
+    if floor is None:
+        return None
+    return {"height_m": _rounded(floor.z_m, 3), "tilt_deg": _rounded(floor.tilt_deg, 2)}
+
+
+def _summarise_feet(contacts: Sequence[FootContact]) -> dict[str, Any]:
+    frames = np.array([contact.num_frames for contact in contacts])
+
+    def mean_cm(slides_m: list[float]) -> float | None:
+        return _rounded(100 * np.average(slides_m, weights=frames), 2) if contacts else None
+
+    return {
+        "contacts": len(contacts),
+        "pinned": sum(contact.pinned for contact in contacts),
+        "slide_before_cm": mean_cm([contact.slide_before_m for contact in contacts]),
+        "slide_after_cm": mean_cm([contact.slide_after_m for contact in contacts]),
+    }
+
+
+def _sees_toes(track: Track3D, joints: JointSet) -> bool:
+    toes = [index for index, name in enumerate(joints.names) if name.endswith("_toe")]
+    return bool((track.source[:, toes] == Source.MEASURED).any())
 
 
 def _has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:

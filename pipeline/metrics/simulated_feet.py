@@ -27,7 +27,7 @@ def score_feet(
 
     Returns
     -------
-        ``slide_cm``: over all true stances of at least 0.1 s, the ankle's mean horizontal distance from its median
+        ``foot_slide_cm``: over all true stances of at least 0.1 s, the ankle's mean horizontal distance from its median
         place in that stance. ``ankle_mm``: the ankles' mean error in all frames. ``contacts_found``: share of the true
         stances' frames in which a contact was found; ``contacts_invented``: share of the found contacts' frames in
         which the true foot does not stand, nor within 0.08 s. ``None`` without any.
@@ -47,7 +47,7 @@ def score_feet(
     mine_m = np.where(there[..., None, None], found_m[matched, frames], np.nan)
     touches = contact[matched, frames] & there[..., None]
     return {
-        "slide_cm": _slide_cm(mine_m, stands, max(2, round(_SHORTEST_S * rate_hz))),
+        "foot_slide_cm": _slide_cm(mine_m, stands, max(2, round(_SHORTEST_S * rate_hz))),
         "ankle_mm": _mean(1000 * np.linalg.norm(mine_m - truth_m, axis=-1)),
         "contacts_found": _mean(touches[stands & there[..., None]]),
         "contacts_invented": _mean(~near[touches]),

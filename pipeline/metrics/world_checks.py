@@ -8,17 +8,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, Reconstruction, Track3D
+from pipeline.data import Camera, Floor, Reconstruction, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
+from pipeline.skeleton.feet import ANKLE_HEIGHT_M
 
 # People stand, walk and sit most of the time: more than half of all frames at less than this angle from upright.
 _MAX_LEAN_DEG = 45.0
-_STATURE_RANGE_M = (0.9, 2.2)
+_STATURE_RANGE_M = (1.0, 2.3)
 # How far the floor, as the feet find it, may be from z = 0.
 _MAX_FLOOR_M = 0.15
-# The ankle's height above the floor that the foot stands on, for adults (0.039 of stature).
-_ANKLE_HEIGHT_M = 0.065
+_MAX_TILT_DEG = 3.0
 
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _ANKLES = ("left_ankle", "right_ankle")
@@ -43,7 +43,7 @@ def _floor_m(tracks: Sequence[Track3D], joints: JointSet) -> float:
     """Height of the floor: a low percentile of the ankles' heights, less what an ankle is above it; NaN if unknown."""
     heights_m = np.concatenate([np.zeros(0), *(_points_m(track, joints, _ANKLES)[..., 2].ravel() for track in tracks)])
     heights_m = heights_m[np.isfinite(heights_m)]
-    return float(np.percentile(heights_m, 10)) - _ANKLE_HEIGHT_M if len(heights_m) else np.nan
+    return float(np.percentile(heights_m, 10)) - ANKLE_HEIGHT_M if len(heights_m) else np.nan
 
 
 def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, str]]:
@@ -57,7 +57,7 @@ def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]
     tracks, joints = reconstruction.tracks, reconstruction.joints
     checks = (
         _check_upright(tracks, joints),
-        _check_floor(tracks, joints),
+        _check_floor(tracks, joints, reconstruction.animation.floor),
         _check_statures(statures_m),
         _check_cameras(reconstruction.cameras, _floor_m(tracks, joints)),
     )
@@ -79,10 +79,12 @@ def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[tupl
         )
 
 
-def _check_floor(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[tuple[str, str]]:
+def _check_floor(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -> Iterator[tuple[str, str]]:
     floor_m = _floor_m(tracks, joints)
     if abs(floor_m) > _MAX_FLOOR_M:
         yield "floor_not_at_zero", f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
+    if floor is not None and floor.tilt_deg > _MAX_TILT_DEG:
+        yield "floor_tilted", f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
 
 
 def _check_statures(statures_m: Mapping[int, float]) -> Iterator[tuple[str, str]]:

@@ -22,7 +22,7 @@ ANKLE_HEIGHT_M = 0.065
 
 # Movements faster than this are no evidence of speed but noise.
 _SMOOTH_S = 0.03
-# A foot that rests: so slow, for so long. Where none does, there is no floor.
+# A foot that rests: so slow, for so long.
 _REST_M_S, _REST_S = 0.15, 0.2
 # How far ankles of resting feet are from the floor's plane, at first and in the end; others rest on something else.
 _FLOOR_SCALES_M = (0.20, 0.10, 0.05, 0.03, 0.03, 0.03)
@@ -47,7 +47,9 @@ def estimate_floor(
     known: Sequence[Bool[np.ndarray, "frames 2"]],
     frame_rate_hz: float,
 ) -> Floor | None:
-    """Fit a plane to the lowest resting feet of everybody; ``None`` if no foot ever rests.
+    """Fit a plane to the lowest resting feet of everybody; ``None`` if no foot was ever seen.
+
+    Of people who never rest it is the lowest that their feet ever are.
 
     Robust by iterated reweighting (Geman and McClure); a weak prior keeps the plane level.
 
@@ -61,7 +63,13 @@ def estimate_floor(
     resting = [_resting_m(ankles, seen, frame_rate_hz) for ankles, seen in zip(ankles_m, known, strict=True)]
     points_m = np.concatenate([np.zeros((0, 3)), *resting])
     if not len(points_m):
-        return None
+        points_m = np.concatenate(
+            [np.zeros((0, 3)), *(ankles[seen] for ankles, seen in zip(ankles_m, known, strict=True))]
+        )
+        if not len(points_m):
+            return None
+        lowest = points_m[:, 2] <= np.quantile(points_m[:, 2], _LOWEST_SHARE)
+        points_m = points_m[lowest]
     center_m = points_m.mean(0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - center_m[:2]])
     plane = np.array([np.quantile(points_m[:, 2], _LOWEST_SHARE), 0.0, 0.0])
