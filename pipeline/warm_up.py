@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
 from pipeline.geometry.rigid import Rigid3
-from pipeline.joints import BODY_25, COCO_17
+from pipeline.joints import BODY_25, COCO_17, JointSet
+from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
@@ -15,14 +17,15 @@ _RATE_HZ = 25.0
 
 
 def warm_up() -> None:
-    """Track somebody who stands before three cameras, for every number of lanes that a joint set needs; ask a field."""
-    for num_joints in (len(COCO_17.names), len(BODY_25.names)):
-        _track_somebody(num_joints)
+    """Track and fit somebody who stands before three cameras, with every joint set of a size; ask a field."""
+    for joints in (COCO_17, BODY_25):
+        _reconstruct_somebody(joints)
     ends = np.array([[0.0, 0.0], [1.0, 1.0]])
     connectivity(read_only(np.full((1, 2, 2, 2), 255, np.uint8)), np.zeros(1, int), ends[:1], ends[1:])
 
 
-def _track_somebody(num_joints: int) -> None:
+def _reconstruct_somebody(joints: JointSet) -> None:
+    num_joints = len(joints.names)
     body_m = np.random.default_rng(0).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
     cameras = [_camera(number) for number in range(3)]
     points_px = {camera.name: np.repeat(project(camera, body_m)[None], _NUM_FRAMES, axis=0) for camera in cameras}
@@ -38,7 +41,8 @@ def _track_somebody(num_joints: int) -> None:
     }
     times = {camera.name: FrameTimes(np.arange(_NUM_FRAMES) / _RATE_HZ) for camera in cameras}
     timebase = Timebase(0.0, _RATE_HZ, _NUM_FRAMES)
-    reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
+    found = reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
+    animate(*found, cameras, timebase, joints, ReconstructionConfig())
 
 
 def _camera(number: int) -> Camera:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Reconstruction, SkeletonMotion, Source, Track3D
+from pipeline.data import Reconstruction, Source, Track3D
 
 SCHEMA_VERSION = 1
 
@@ -29,7 +29,7 @@ def _joints_or_null(frame: Float[np.ndarray, "joints *values"], decimals: int) -
     return [value if is_known else None for value, is_known in zip(rounded, known.tolist(), strict=True)]
 
 
-def _track_parts(track: Track3D, contacts: object) -> Iterator[str]:
+def _track_parts(track: Track3D) -> Iterator[str]:
     """One track's object, in pieces of one frame: a long capture's numbers never stand in memory as Python objects."""
     head = {"id": track.track_id, "name": f"person-{track.track_id}", "start_frame": track.start_frame}
     yield _dumps(head).removesuffix("}")
@@ -44,20 +44,7 @@ def _track_parts(track: Track3D, contacts: object) -> Iterator[str]:
         for number, frame in enumerate(frames):
             yield f",{_dumps(frame)}" if number else _dumps(frame)
         yield "]"
-    yield f',"foot_contacts":{_dumps(contacts)}}}'
-
-
-def _contacts(motion: SkeletonMotion) -> list[dict[str, object]]:
-    return [
-        {
-            "foot": contact.side,
-            "start_frame": contact.start_frame,
-            "num_frames": contact.num_frames,
-            "confidence": round(contact.confidence, 3),
-            "pinned": contact.pinned,
-        }
-        for contact in motion.contacts
-    ]
+    yield "}"
 
 
 def encode(reconstruction: Reconstruction) -> bytes:
@@ -74,9 +61,8 @@ def encode(reconstruction: Reconstruction) -> bytes:
     out = io.BytesIO()
     out.write(_dumps(head).removesuffix("}").encode("ascii"))
     out.write(b',"tracks":[')
-    contacts = {motion.track_id: _contacts(motion) for motion in reconstruction.motions}
     for number, track in enumerate(reconstruction.tracks):
         out.write(b"," if number else b"")
-        out.writelines(part.encode("ascii") for part in _track_parts(track, contacts.get(track.track_id, [])))
+        out.writelines(part.encode("ascii") for part in _track_parts(track))
     out.write(b"]}\n")
     return out.getvalue()

@@ -84,6 +84,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                 "feet": {
                     "toes": "measured" if _sees_toes(track, joints) else "predicted",
                     **_summarise_feet(contacts.get(track.track_id, ())),
+                    "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
                 },
             }
             for track, error_px in zip(tracks, errors_px, strict=True)
@@ -126,12 +127,12 @@ def _summarise_error(
         }
 
     return {
-        "median": percentile_px(errors_px, 50),
-        "p95": percentile_px(errors_px, 95),
-        "by_camera": by_camera(50),
-        "p95_by_camera": by_camera(95),
-        "by_joint": by_joint(50),
-        "p95_by_joint": by_joint(95),
+        "median": percentile_px(errors_px, 50.0),
+        "p95": percentile_px(errors_px, 95.0),
+        "by_camera": by_camera(50.0),
+        "p95_by_camera": by_camera(95.0),
+        "by_joint": by_joint(50.0),
+        "p95_by_joint": by_joint(95.0),
         "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
     }
 
@@ -179,10 +180,20 @@ def _summarise_feet(contacts: Sequence[FootContact]) -> dict[str, Any]:
         return _rounded(100 * np.average(slides_m, weights=frames), 2) if contacts else None
 
     return {
-        "contacts": len(contacts),
-        "pinned": sum(contact.pinned for contact in contacts),
+        "num_contacts": len(contacts),
+        "num_pinned": sum(contact.pinned for contact in contacts),
         "slide_before_cm": mean_cm([contact.slide_before_m for contact in contacts]),
         "slide_after_cm": mean_cm([contact.slide_after_m for contact in contacts]),
+    }
+
+
+def _describe_contact(contact: FootContact) -> dict[str, Any]:
+    return {
+        "foot": contact.side,
+        "start_frame": contact.start_frame,
+        "num_frames": contact.num_frames,
+        "confidence": _rounded(contact.confidence, 3),
+        "pinned": contact.pinned,
     }
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Animation, Camera, FootContact, Observations, SkeletonMotion, Timebase, Track3D, read_only
@@ -53,20 +52,6 @@ def animate(
         As ``check_smoothing``.
     """
     check_smoothing(timebase, config)
-    # Several threads would only wait for each other in bands so narrow, and could round differently.
-    with threadpool_limits(1, "blas"):
-        return _animate(tracks, observations, cameras, timebase, joints, config, on_step)
-
-
-def _animate(
-    tracks: Sequence[Track3D],
-    observations: Sequence[Observations],
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    on_step: Callable[[], None],
-) -> Animation:
     fits: list[SkeletonFit] = []
     motions: list[SkeletonMotion] = []
     for track, seen in zip(tracks, observations, strict=True):

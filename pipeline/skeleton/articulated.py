@@ -12,12 +12,13 @@ there while the energy would push it on.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
+from threadpoolctl import ThreadpoolController
 
 from pipeline.skeleton.articulation import NUM_ROOT, TWISTS, Articulation
 from pipeline.skeleton.articulation_kernels import assemble, differentiate, pose, turn
@@ -33,8 +34,10 @@ _LONGEST_STEP_RAD = 0.3
 _INERTIA = 1.0
 _AT_END_RAD = 1e-9
 _HELD = 1e12
+_LIBRARIES = ThreadpoolController()
 
 
+@runtime_checkable
 class Evidence(Protocol):
     """What says where landmarks are."""
 
@@ -131,7 +134,9 @@ def refine(
         Of Gauss and Newton.
     """
     for _ in range(num_steps):
-        step = _step(bodies, skeleton, evidence, usual_m, frame_rate_hz)
+        # Several threads would only wait for each other in a band so narrow, and could round differently.
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            step = _step(bodies, skeleton, evidence, usual_m, frame_rate_hz)
         turn(
             step,
             skeleton.freedom_joint,

@@ -28,14 +28,14 @@ _REST_M_S, _REST_S = 0.15, 0.2
 _FLOOR_SCALES_M = (0.20, 0.10, 0.05, 0.03, 0.03, 0.03)
 # The lowest resting feet are on the floor. And what holds the plane level: feet in a small area say nothing of a slope.
 _LOWEST_SHARE = 0.2
-_SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.005, 0.02
+_SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.02, 0.02
 # Where height and speed of an ankle are as likely those of a foot that stands as of one that does not, and how steep
 # that is.
 _HEIGHT_M, _HEIGHT_STEEP_M = 0.08, 0.015
 _SPEED_M_S, _SPEED_STEEP_M_S = 0.40, 0.07
 _LIKELY, _SHORTEST_S = 0.5, 0.1
 _SURE_AFTER_S = 0.15
-_CREEP_M, _ROOM_S = 0.04, 0.1
+_CREEP_M, _ROOM_S = 0.04, 0.2
 # From here on ``auto`` holds a foot.
 _MIN_CONFIDENCE = 0.5
 # How long before and after it stands a foot is led to where it stands.

@@ -26,6 +26,8 @@ _NUM_STEPS = 6
 _NUM_STEPS_PINNED = 3
 # Standard deviations of what draws landmarks: smoothed positions, the way across a gap, and places where feet stand.
 _PLACED_M, _BRIDGE_M, _PIN_M = 0.01, 0.10, 0.001
+# Smoothed positions farther than this from where the fit starts are wild, and not followed.
+_REACH_M = 0.15
 
 _RaysOf = Callable[[slice], Rays]
 
@@ -70,7 +72,7 @@ class SkeletonFit:
         self, track: Track3D, joints: JointSet, timebase: Timebase, name: str, rays_of: _RaysOf | None = None
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
-        self._bone_length_m = bone_lengths_m(Landmarks(track, joints))
+        self._bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
         offsets_m = landmark_offsets_m(track, joints, self._bone_length_m)
         self._skeleton = articulate(self._bone_length_m, joints, offsets_m)
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
@@ -87,6 +89,12 @@ class SkeletonFit:
         return len(self._skeleton.freedoms) > len(FREEDOMS)
 
     @property
+    def has_torso(self) -> bool:
+        """Whether a hip or a shoulder was ever located; else the skeleton hangs in the air."""
+        girdles = [index for index, name in enumerate(self._joints.names) if name.endswith(("_hip", "_shoulder"))]
+        return bool(np.isfinite(self._track.xyz_m[:, girdles]).any())
+
+    @property
     def landmark(self) -> Int[np.ndarray, " landmarks"]:
         """Numbers on the track's joint axis of what the skeleton carries."""
         return self._skeleton.landmark
@@ -95,9 +103,10 @@ class SkeletonFit:
         """Fit the skeleton, from the rotations that the positions suggest."""
 
         def start(rows: slice) -> Bodies:
-            part = replace(self._track, xyz_m=self._track.xyz_m[rows], source=self._track.source[rows])
-            pose = solve_pose(Landmarks(part, self._joints), self._bone_length_m, self._timebase.frame_rate_hz)
-            return start_from(*pose, self._skeleton)
+            landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
+            return start_from(
+                *solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton
+            )
 
         return self._fit(start, {}, _NUM_STEPS)
 
@@ -147,8 +156,12 @@ class SkeletonFit:
         """What the fit of a window follows. In gaps it stays near the way that it starts with."""
         position_m = self._track.xyz_m[rows]
         xyz_m = position_m[:, self.landmark]
+        start_m = landmarks_of(start, self._skeleton)
         known = np.isfinite(xyz_m)
-        place_m = np.where(known, xyz_m, landmarks_of(start, self._skeleton))
+        if self._rays_of is None:
+            # Nothing but the start can tell a wild position from a true one.
+            known &= np.linalg.norm(xyz_m - start_m, axis=-1, keepdims=True) <= _REACH_M
+        place_m = np.where(known, xyz_m, start_m)
         strength = np.where(known, 0.0 if self._rays_of else 1.0 / _PLACED_M**2, 1.0 / _BRIDGE_M**2)
         for name, pin_m in places_m.items():
             number = self.landmark.tolist().index(self._joints.index(name))
@@ -187,11 +200,14 @@ def fit_to_rays(
 
 
 def follow(fitted: SkeletonFit, motion: SkeletonMotion, seen: Observations, cameras: Sequence[Camera]) -> Track3D:
-    """The track whose joints are where a motion has them, as far as they are known."""
+    """The track whose joints are where a motion has them, as far as they are known.
+
+    Without hips and shoulders nothing says where the motion is: positions stay as they are then.
+    """
     xyz_m = np.array(fitted.track.xyz_m)
-    found_m = fitted.landmarks_m(motion)
-    on_skeleton = xyz_m[:, fitted.landmark]
-    xyz_m[:, fitted.landmark] = np.where(np.isfinite(on_skeleton), found_m, np.nan)
+    if fitted.has_torso:
+        on_skeleton = np.isfinite(xyz_m[:, fitted.landmark])
+        xyz_m[:, fitted.landmark] = np.where(on_skeleton, fitted.landmarks_m(motion), np.nan)
     error_px, _, _ = reproject(cameras, xyz_m, seen.points_px, seen.score)
     return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
 

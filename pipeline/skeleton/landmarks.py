@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from pipeline.data import Source, Track3D
+from pipeline.data import Source
 from pipeline.joints import JointSet
 from pipeline.skeleton.model import SKELETON, TRUNK
 
@@ -15,15 +15,16 @@ _ADULT_STATURE_M = 1.70
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """Positions of a track's joints by name; NaN throughout for joints that the detector doesn't know."""
+    """Positions of a person's joints by name; NaN throughout for joints that the detector doesn't know."""
 
-    track: Track3D
+    xyz_m: Float[np.ndarray, "frames joints 3"]
+    source: Int[np.ndarray, "frames joints"]
     joints: JointSet
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "frames 3"]:
         if name not in self.joints.names:
-            return np.full((self.track.num_frames, 3), np.nan)
-        return self.track.xyz_m[:, self.joints.index(name)]
+            return np.full((len(self.xyz_m), 3), np.nan)
+        return self.xyz_m[:, self.joints.index(name)]
 
     def middle(self, kind: str) -> Float[np.ndarray, "frames 3"]:
         """Centre between the left and the right joint of a kind; NaN unless both are known."""
@@ -32,8 +33,8 @@ class Landmarks:
     def is_measured(self, name: str) -> np.ndarray:
         """Frames in which a joint was measured: not absent, not interpolated, not predicted."""
         if name not in self.joints.names:
-            return np.zeros(self.track.num_frames, dtype=bool)
-        return self.track.source[:, self.joints.index(name)] == Source.MEASURED
+            return np.zeros(len(self.xyz_m), dtype=bool)
+        return self.source[:, self.joints.index(name)] == Source.MEASURED
 
 
 def _median_m(*distances_m: Float[np.ndarray, " frames"]) -> float:

@@ -1,7 +1,7 @@
 """Heads and feet: landmarks on a rigid part of the body, and how it is turned in every frame."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -95,7 +95,7 @@ def landmark_offsets_m(
 ) -> Mapping[str, Float[np.ndarray, " 3"]]:
     """Where a person's landmarks of head and feet lie in these, by name; only what was seen together with others."""
     sampled = np.unique(np.linspace(0, track.num_frames - 1, _NUM_SAMPLES).round().astype(int))
-    landmarks = Landmarks(replace(track, xyz_m=track.xyz_m[sampled], source=track.source[sampled]), joints)
+    landmarks = Landmarks(track.xyz_m[sampled], track.source[sampled], joints)
     head = solve_head(landmarks, solve_torso(landmarks, bone_length_m))
     found = dict(_offsets_m(landmarks, tuple(_FACE_M), head.center_m, head.world_from_head, head.valid))
     for side in ("left", "right"):

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from api.cli import app
 from api.commands.reconstruct import write_results
-from pipeline.data import Reconstruction, Timebase
+from pipeline.data import Animation, Reconstruction, Timebase
 from pipeline.detect import models
 from pipeline.errors import PipelineError
 from pipeline.joints import COCO_17
@@ -143,13 +143,13 @@ def test_every_command_says_what_it_does(command: str) -> None:
 
 def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 1), (), (), ())
+    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 1), (), (), Animation((), (), None))
     with pytest.raises(PipelineError, match="can't be written"):
         write_results(nobody, tmp_path / "file" / "results")
 
 
 def test_a_take_without_people_leaves_valid_files(tmp_path: Path) -> None:
-    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), ())
+    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), Animation((), (), None))
     paths = write_results(nobody, tmp_path / "new" / "results")
     assert sorted(path.name for path in paths) == ["metrics.json", "skeletons.json"]
     assert sorted(path.name for path in paths[0].parent.iterdir()) == ["metrics.json", "skeletons.json"]

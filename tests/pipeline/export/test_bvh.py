@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.data import SkeletonMotion
 from pipeline.export import bvh
 from pipeline.joints import COCO_17
+from pipeline.skeleton.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
-from pipeline.skeleton.solve import motion_from_track
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.skeleton.people import timebase, track_of, walker
 
@@ -23,7 +23,7 @@ NTSC_HZ = 30000 / 1001
 def walk(num_frames: int = 50, frame_rate_hz: float = NTSC_HZ) -> SkeletonMotion:
     xyz_m = walker(num_frames, frame_rate_hz, turn_rad=2 * np.pi)
     xyz_m += np.random.default_rng(0).normal(scale=0.02, size=xyz_m.shape)
-    return motion_from_track(track_of(xyz_m), COCO_17, timebase(num_frames, frame_rate_hz), "person-1")
+    return SkeletonFit(track_of(xyz_m), COCO_17, timebase(num_frames, frame_rate_hz), "person-1").motion()
 
 
 def positions_cm(motion: SkeletonMotion) -> np.ndarray:
@@ -119,7 +119,7 @@ def test_rotations_survive_the_file(data: st.DataObject, num_frames: int) -> Non
         bone_length_m=np.array([1.8 * joint.stature_share for joint in SKELETON]),
         root_m=np.resize(drawn, num_frames * 3).reshape(-1, 3) / 50.0,
         parent_from_joint=Rotation.from_euler("YXZ", euler, degrees=True).as_quat().reshape(num_frames, -1, 4),
-        contacts=np.zeros((num_frames, 2), dtype=bool),
+        contacts=(),
     )
     frame_time_s, read_cm, rest_cm = parse(bvh.encode(motion))
     assert frame_time_s == 0.04

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.data import Reconstruction, Source, Timebase, Track3D
+from pipeline.data import Animation, Reconstruction, Source, Timebase, Track3D
 from pipeline.export import skeletons_json
 from pipeline.joints import JointSet
 
@@ -24,7 +24,7 @@ def track() -> Track3D:
 
 
 def reconstruction(*tracks: Track3D) -> Reconstruction:
-    return Reconstruction((), JOINTS, Timebase(0.5, 29.97, 300), tracks, (), ())
+    return Reconstruction((), JOINTS, Timebase(0.5, 29.97, 300), tracks, (), Animation(tracks, (), None))
 
 
 def test_everything_stands_where_the_contract_says() -> None:
@@ -63,6 +63,6 @@ def test_nobody_is_an_empty_list() -> None:
 
 
 def test_numbers_that_json_does_not_know_are_refused() -> None:
-    broken = Reconstruction((), JOINTS, Timebase(0.0, np.nan, 1), (), (), ())
+    broken = Reconstruction((), JOINTS, Timebase(0.0, np.nan, 1), (), (), Animation((), (), None))
     with pytest.raises(ValueError, match="not JSON compliant"):
         skeletons_json.encode(broken)

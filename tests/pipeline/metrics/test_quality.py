@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.data import Camera, Observations, Reconstruction, Source, Timebase, Track3D
+from pipeline.data import Animation, Camera, Observations, Reconstruction, Source, Timebase, Track3D
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
@@ -37,7 +37,7 @@ def reconstruction(
     *tracks: Track3D, observations: tuple[Observations, ...] | None = None, cameras: tuple[Camera, ...] = CAMERAS
 ) -> Reconstruction:
     seen = tuple(observe(track, cameras) for track in tracks) if observations is None else observations
-    return Reconstruction(cameras, COCO_17, Timebase(0.0, RATE_HZ, 100), tracks, seen, ())
+    return Reconstruction(cameras, COCO_17, Timebase(0.0, RATE_HZ, 100), tracks, seen, Animation(tracks, (), None))
 
 
 def shifted(observations: Observations, camera_index: int, shift_px: tuple[float, float]) -> Observations:
@@ -68,6 +68,14 @@ def test_a_perfect_walk_has_perfect_figures() -> None:
         "reprojection_error_px": 0.0,
         "views_per_joint": 3.0,
         "joints_per_frame": 17.0,
+        "feet": {
+            "toes": "predicted",
+            "num_contacts": 0,
+            "num_pinned": 0,
+            "slide_before_cm": None,
+            "slide_after_cm": None,
+            "contacts": [],
+        },
     }
 
 

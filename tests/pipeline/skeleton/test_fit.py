@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, Observations, Source, Timebase, Track3D
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17
@@ -13,8 +14,8 @@ from pipeline.metrics.simulated import score_simulated
 from pipeline.simulation.detector import PERFECT, Detector
 from pipeline.simulation.faults import Faults
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from pipeline.skeleton import fit
-from pipeline.skeleton.fit import fit_tracks
+from pipeline.skeleton import rays, windows
+from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
@@ -31,7 +32,13 @@ def track_people(simulation: Simulation) -> _Found:
 
 
 def fitted(simulation: Simulation, found: _Found) -> tuple[Track3D, ...]:
-    return fit_tracks(*found, simulation.cameras, simulation.timebase, simulation.joints)
+    return animate(*found, simulation.cameras, simulation.timebase, simulation.joints, ReconstructionConfig()).tracks
+
+
+def fit_one(track: Track3D, seen: Observations, cameras: tuple[Camera, ...]) -> Track3D:
+    timebase = Timebase(0.0, 25.0, track.num_frames)
+    (found,) = animate([track], [seen], cameras, timebase, COCO_17, ReconstructionConfig()).tracks
+    return found
 
 
 def errors_m(tracks: tuple[Track3D, ...], simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +102,7 @@ def test_a_wrong_view_does_not_pull(ring: tuple[Camera, ...]) -> None:
     track, seen, true_m = one_knee(ring, 50)
     points_px = np.array(seen.points_px)
     points_px[:, 2, KNEE] += 60.0
-    (found,) = fit_tracks([track], [replace(seen, points_px=points_px)], ring, Timebase(0.0, 25.0, 50), COCO_17)
+    found = fit_one(track, replace(seen, points_px=points_px), ring)
     assert np.linalg.norm(found.xyz_m[:, KNEE] - true_m, axis=-1).max() < 0.01
     assert np.isnan(np.delete(found.xyz_m, KNEE, axis=1)).all()  # what was never located stays unknown
 
@@ -108,11 +115,11 @@ def test_a_gap_is_predicted_and_marked_and_a_long_one_stays_open(ring: tuple[Cam
     points_px[40:50, 1:], score[40:50, 1:] = np.nan, 0.0  # one view is left
     xyz_m[40:50], source[40:50] = np.nan, Source.ABSENT
     track, seen = replace(track, xyz_m=xyz_m, source=source), Observations(1, points_px, score)
-    (found,) = fit_tracks([track], [seen], ring, Timebase(0.0, 25.0, 120), COCO_17)
+    found = fit_one(track, seen, ring)
     knee = found.source[:, KNEE]
     assert (knee[20:30] == Source.PREDICTED).all()
     assert (knee[40:50] == Source.PREDICTED).all()
-    assert (knee[73:87] == Source.ABSENT).all()
+    assert (knee[60:100] == Source.ABSENT).all()
     assert (knee[30:40] == Source.MEASURED).all()
     np.testing.assert_array_equal(np.isnan(found.xyz_m[:, KNEE, 0]), knee == Source.ABSENT)
     assert np.linalg.norm(found.xyz_m[20:50, KNEE] - true_m[20:50], axis=-1).max() < 0.03
@@ -122,17 +129,16 @@ def test_windows_leave_no_trace(ring: tuple[Camera, ...], monkeypatch: pytest.Mo
     rng = np.random.default_rng(3)
     track, seen, _ = one_knee(ring, 500)
     seen = replace(seen, points_px=seen.points_px + rng.normal(0.0, 2.0, seen.points_px.shape))
-    timebase = Timebase(0.0, 25.0, 500)
-    (whole,) = fit_tracks([track], [seen], ring, timebase, COCO_17)
-    monkeypatch.setattr(fit, "_WINDOW_FRAMES", 160)
-    (cut,) = fit_tracks([track], [seen], ring, timebase, COCO_17)
+    whole = fit_one(track, seen, ring)
+    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 160)
+    cut = fit_one(track, seen, ring)
     assert np.nanmax(np.linalg.norm(cut.xyz_m - whole.xyz_m, axis=-1)) < 1e-3
 
 
 @pytest.mark.parametrize("num_frames", [1, 2, 3, 61])
 def test_short_tracks(ring: tuple[Camera, ...], num_frames: int) -> None:
     track, seen, true_m = one_knee(ring, num_frames)
-    (found,) = fit_tracks([track], [seen], ring, Timebase(0.0, 25.0, num_frames), COCO_17)
+    found = fit_one(track, seen, ring)
     np.testing.assert_allclose(found.xyz_m[:, KNEE], true_m, atol=2e-3)
     np.testing.assert_allclose(found.error_px[:, KNEE], 0.0, atol=1.0)
 
@@ -142,7 +148,7 @@ def test_a_view_that_takes_left_for_right_is_put_right(
 ) -> None:
     """Two cameras, so that nobody outvotes the wrong one."""
     simulation = record(replace(find_scene("room"), duration_s=2.0, detector=PERFECT), seed=6)
-    true_m, timebase, cameras = simulation.truth_m[0], simulation.timebase, ring[:2]
+    true_m, cameras = simulation.truth_m[0], ring[:2]
     points_px = np.stack([project(camera, true_m) for camera in cameras], axis=1)
     seen_px = points_px.copy()
     names = ("hip", "knee", "ankle")
@@ -156,10 +162,10 @@ def test_a_view_that_takes_left_for_right_is_put_right(
     seen = Observations(1, seen_px, np.full(seen_px.shape[:3], 0.9))
 
     def leg_error_m() -> float:
-        (found,) = fit_tracks([track], [seen], cameras, timebase, COCO_17)
+        found = fit_one(track, seen, cameras)
         legs = [*left, *right]
         return float(np.linalg.norm(found.xyz_m[wrong][:, legs] - true_m[wrong][:, legs], axis=-1).mean())
 
     assert leg_error_m() < 0.005
-    monkeypatch.setattr(fit, "_STEPS_OF_EXCHANGE", ())
+    monkeypatch.setattr(rays.Rays, "exchange_sides", lambda *_: None)
     assert leg_error_m() > 0.01

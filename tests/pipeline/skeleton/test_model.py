@@ -20,7 +20,7 @@ def motion(**turned: Rotation) -> SkeletonMotion:
         bone_length_m=np.array([STATURE_M * joint.stature_share for joint in SKELETON]),
         root_m=np.zeros((1, 3)),
         parent_from_joint=quat,
-        contacts=np.zeros((1, 2), dtype=bool),
+        contacts=(),
     )
 
 

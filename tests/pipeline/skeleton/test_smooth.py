@@ -12,7 +12,7 @@ from pipeline.geometry.camera import project
 from pipeline.joints import JointSet
 from pipeline.metrics.simulated import score_simulated
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.skeleton.smooth import butterworth, one_euro, smooth_tracks
+from pipeline.skeleton.smooth import butterworth, check_smoothing, one_euro, smooth_track
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
@@ -54,7 +54,7 @@ def test_gaps_part_and_stay(ring: tuple[Camera, ...], config: ReconstructionConf
     xyz_m[20:30, 0] = np.nan
     xyz_m[50, 0] = np.nan
     xyz_m[52, 0] = np.nan  # a single known frame between two gaps
-    (smoothed,) = smooth_tracks([track_of(xyz_m)], [unseen(60, 2)], ring, Timebase(0.0, 25.0, 60), TWO_JOINTS, config)
+    smoothed = smooth_track(track_of(xyz_m), unseen(60, 2), ring, Timebase(0.0, 25.0, 60), config)
     np.testing.assert_array_equal(np.isnan(smoothed.xyz_m), np.isnan(xyz_m))
     assert np.abs(smoothed.xyz_m[:20, 0]).max() < 0.05
     assert np.abs(smoothed.xyz_m[30:, 0] - 5.0)[np.isfinite(xyz_m[30:, 0])].max() < 0.05
@@ -69,7 +69,7 @@ def test_short_tracks_and_what_stands_still(
 ) -> None:
     still = np.tile([[1.0, 2.0, 3.0]], (num_frames, 2, 1))
     timebase = Timebase(0.0, 25.0, num_frames)
-    (smoothed,) = smooth_tracks([track_of(still)], [unseen(num_frames, 2)], ring, timebase, TWO_JOINTS, config)
+    smoothed = smooth_track(track_of(still), unseen(num_frames, 2), ring, timebase, config)
     np.testing.assert_allclose(smoothed.xyz_m, still, atol=1e-9)
 
 
@@ -90,7 +90,10 @@ def test_simulated_people_tremble_less_and_are_where_they_were(config: Reconstru
         simulation.timebase,
         derive_parameters(simulation.cameras, rate_hz),
     )
-    smoothed = smooth_tracks(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
+    smoothed = tuple(
+        smooth_track(track, seen, simulation.cameras, simulation.timebase, config)
+        for track, seen in zip(*found, strict=True)
+    )
     before, after = (score_simulated(tracks, simulation, simulation.joints) for tracks in (found[0], smoothed))
     assert after["jitter_m_s2"] < 0.7 * before["jitter_m_s2"]
     assert after["mpjpe_mm"] < 1.1 * before["mpjpe_mm"]
@@ -103,9 +106,7 @@ def test_the_reprojection_error_is_that_of_the_final_positions(ring: tuple[Camer
     seen_px = np.stack([project(camera, true_m) for camera in ring], axis=1)
     seen = Observations(1, seen_px, np.ones(seen_px.shape[:3]))
     noisy = track_of(true_m + 0.02 * rng.normal(size=true_m.shape))
-    (smoothed,) = smooth_tracks(
-        [noisy], [seen], ring, Timebase(0.0, 25.0, 40), TWO_JOINTS, replace(BUTTERWORTH, cutoff_hz=1.0)
-    )
+    smoothed = smooth_track(noisy, seen, ring, Timebase(0.0, 25.0, 40), replace(BUTTERWORTH, cutoff_hz=1.0))
     errors_px = np.linalg.norm(np.stack([project(c, smoothed.xyz_m) for c in ring], axis=1) - seen_px, axis=-1).mean(1)
     np.testing.assert_allclose(smoothed.error_px, errors_px, rtol=1e-6)
 
@@ -114,14 +115,14 @@ def test_the_reprojection_error_is_that_of_the_final_positions(ring: tuple[Camer
 def test_a_cutoff_that_can_not_be_is_refused(cutoff_hz: float) -> None:
     config = replace(BUTTERWORTH, cutoff_hz=cutoff_hz)
     with pytest.raises(InputError, match=r"cutoff_hz.*between 0 and half of the frame rate, 12\.5 Hz"):
-        smooth_tracks([], [], [], Timebase(0.0, 25.0, 10), TWO_JOINTS, config)
+        check_smoothing(Timebase(0.0, 25.0, 10), config)
 
 
 def test_none_gives_the_same_tracks() -> None:
     track = track_of(np.zeros((3, 1, 3)))
-    assert smooth_tracks(
-        [track], [unseen(3, 1)], [], Timebase(0.0, 25.0, 3), TWO_JOINTS, ReconstructionConfig(smoothing="none")
-    ) == (track,)
+    assert (
+        smooth_track(track, unseen(3, 1), [], Timebase(0.0, 25.0, 3), ReconstructionConfig(smoothing="none")) is track
+    )
 
 
 def track_of(xyz_m: np.ndarray) -> Track3D:
