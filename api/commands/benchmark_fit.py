@@ -1,14 +1,17 @@
-"""`multicap benchmark fit`: person-frames a second of the fit, from tracks in memory to tracks in memory."""
+"""`multicap benchmark fit`: speed and memory of the fit, from tracks in memory to motions in memory."""
 
 import time
-from dataclasses import replace
+import tracemalloc
+from dataclasses import fields, replace
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from api.console import reporting, show_sizes
+from api.console import console, emit, reporting, show_sizes
 from pipeline.config import ReconstructionConfig
+from pipeline.data import Observations, SkeletonMotion, Timebase, Track3D
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
@@ -19,6 +22,8 @@ from pipeline.warm_up import warm_up
 _SIZES = (("room", 4), ("store", 12))
 _DURATION_S = 20.0
 _REPEATS = 3
+_MINUTES = (3.0, 30.0)
+_MIB = 2**20
 
 
 def measure_sizes() -> list[dict[str, Any]]:
@@ -41,11 +46,63 @@ def measure_sizes() -> list[dict[str, Any]]:
     return sizes
 
 
+def measure_memory() -> list[dict[str, float]]:
+    """What the fit of one person takes at its peak beside what it is given and what it gives, by the take's length."""
+    simulation = record(replace(SCENES["room"], duration_s=_DURATION_S), 0, _SIZES[0][1])
+    cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
+    found = reconstruct_tracks(
+        cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
+    )
+    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    figures = []
+    for minutes in _MINUTES:
+        num_frames = round(60 * minutes * rate_hz)
+        longer = partial(_to_and_fro, num_frames=num_frames)
+        long_track = replace(
+            track,
+            xyz_m=longer(track.xyz_m),
+            score=longer(track.score),
+            source=longer(track.source),
+            error_px=longer(track.error_px),
+            views=longer(track.views),
+        )
+        long_seen = replace(seen, points_px=longer(seen.points_px), score=longer(seen.score))
+        timebase = Timebase(0.0, rate_hz, num_frames)
+        tracemalloc.start()
+        animation = animate([long_track], [long_seen], cameras, timebase, simulation.joints, ReconstructionConfig())
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        given, made = _num_bytes(long_track, long_seen), _num_bytes(*animation.tracks, *animation.motions)
+        figures.append({"minutes": minutes, "records_mib": (given + made) / _MIB, "working_mib": (peak - made) / _MIB})
+    return figures
+
+
+def _to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:
+    """A take that goes on as itself backwards, and again."""
+    period = np.concatenate([values, values[::-1]])
+    return np.concatenate([period] * -(-num_frames // len(period)))[:num_frames]
+
+
+def _num_bytes(*records: Track3D | Observations | SkeletonMotion) -> int:
+    values = (getattr(one, field.name) for one in records for field in fields(one))
+    return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
 def fit(
+    memory: Annotated[bool, typer.Option("--memory", help="Also the memory of long takes; some minutes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """Time the fit of joints over whole tracks on one core; simulated people, detected in whole bodies."""
+    """Time the fit of skeletons to whole tracks on one core; simulated people, detected in whole bodies."""
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes()
+        figures = {"memory": measure_memory()} if memory else {}
+    if as_json:
+        emit({"sizes": sizes} | figures)
+        return
     show_sizes(sizes, as_json)
+    for figure in figures.get("memory", ()):
+        console.print(
+            f"{figure['minutes']:g} minutes of one person: {figure['working_mib']:.0f} MiB beside "
+            f"{figure['records_mib']:.0f} MiB of records"
+        )

@@ -233,7 +233,8 @@ function formOf(fields) {
   if (name) form.append("manifest", new Blob([JSON.stringify({ name })], { type: "application/json" }));
   form.append("calibration", fields.calibration.files[0]);
   for (const video of fields.videos.files) form.append("videos", video);
-  const spec = { method: fields.method.value, detector: fields.detector.value, smoothing: fields.smoothing.value };
+  const choices = ["method", "detector", "smoothing", "feet"];
+  const spec = Object.fromEntries(choices.map((name) => [name, fields[name].value]));
   form.append("spec", new Blob([JSON.stringify(spec)], { type: "application/json" }));
   return form;
 }

@@ -63,10 +63,12 @@ def animate(
     known = [_ankles_known(fitted.track, joints) for fitted in fits]
     floor = estimate_floor(ankles_m, known, rate_hz)
     finals: list[Track3D] = []
-    for number, (fitted, seen) in enumerate(zip(fits, observations, strict=True)):
+    for number, seen in enumerate(observations):
         contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
-        motions[number] = _stand(fitted, motions[number], ankles_m[number], contacts)
-        finals.append(follow(fitted, motions[number], seen, cameras) if config.smoothing == "fit" else fitted.track)
+        # What is replaced is let go first: motions of long takes are large.
+        fitted = fits.pop(0)
+        motions.append(_stand(fitted, motions.pop(0), ankles_m[number], contacts))
+        finals.append(follow(fitted, motions[-1], seen, cameras) if config.smoothing == "fit" else fitted.track)
         on_step()
     return Animation(tuple(finals), tuple(motions), floor)
 

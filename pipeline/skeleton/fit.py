@@ -104,9 +104,7 @@ class SkeletonFit:
 
         def start(rows: slice) -> Bodies:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
-            return start_from(
-                *solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton
-            )
+            return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
         return self._fit(start, {}, _NUM_STEPS)
 
@@ -118,13 +116,11 @@ class SkeletonFit:
 
         return self._fit(start, places_m, _NUM_STEPS_PINNED)
 
-    def landmarks_m(self, motion: SkeletonMotion) -> Float[np.ndarray, "frames landmarks 3"]:
-        """Where a motion of this skeleton has its landmarks."""
-        found = Blend(self._track.num_frames)
-        for rows in windows(self._track.num_frames, overlap=0):
-            bodies = start_from(motion.root_m[rows], motion.parent_from_joint[rows], self._skeleton)
-            found.add(rows, landmarks_of(bodies, self._skeleton))
-        return found.result
+    def place(self, motion: SkeletonMotion, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
+        """Put joints of some frames where a motion of this skeleton has them, in place; unknown ones stay so."""
+        bodies = start_from(motion.root_m[rows], motion.parent_from_joint[rows], self._skeleton)
+        known = np.isfinite(xyz_m[:, self.landmark])
+        xyz_m[:, self.landmark] = np.where(known, landmarks_of(bodies, self._skeleton), np.nan)
 
     def _fit(
         self,
@@ -140,7 +136,7 @@ class SkeletonFit:
             refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
             root_m.add(rows, bodies.root_m)
             quat.add(rows, _same_signs(bodies.quat_xyzw(), quat.result[rows.start] if rows.start else None))
-        turned = quat.result / np.linalg.norm(quat.result, axis=-1, keepdims=True)
+        quat.result /= np.linalg.norm(quat.result, axis=-1, keepdims=True)
         return SkeletonMotion(
             track_id=self._track.track_id,
             name=self._name,
@@ -148,7 +144,7 @@ class SkeletonFit:
             frame_rate_hz=self._timebase.frame_rate_hz,
             bone_length_m=read_only(self._bone_length_m),
             root_m=read_only(root_m.result),
-            parent_from_joint=read_only(turned),
+            parent_from_joint=read_only(quat.result),
             contacts=(),
         )
 
@@ -204,11 +200,11 @@ def follow(fitted: SkeletonFit, motion: SkeletonMotion, seen: Observations, came
 
     Without hips and shoulders nothing says where the motion is: positions stay as they are then.
     """
-    xyz_m = np.array(fitted.track.xyz_m)
-    if fitted.has_torso:
-        on_skeleton = np.isfinite(xyz_m[:, fitted.landmark])
-        xyz_m[:, fitted.landmark] = np.where(on_skeleton, fitted.landmarks_m(motion), np.nan)
-    error_px, _, _ = reproject(cameras, xyz_m, seen.points_px, seen.score)
+    xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
+    for rows in windows(len(xyz_m), overlap=0):
+        if fitted.has_torso:
+            fitted.place(motion, rows, xyz_m[rows])
+        error_px[rows], _, _ = reproject(cameras, xyz_m[rows], seen.points_px[rows], seen.score[rows])
     return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
 
 

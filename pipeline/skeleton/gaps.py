@@ -34,8 +34,10 @@ def carried(
 
 def gaps_up_to(known: Bool[np.ndarray, "frames joints"], longest: int) -> Bool[np.ndarray, "frames joints"]:
     """Frames in gaps of at most ``longest`` frames, each between two known ones."""
-    frames = np.arange(len(known))[:, None]
-    last = np.maximum.accumulate(np.where(known, frames, -1), axis=0)
-    following = np.minimum.accumulate(np.where(known, frames, len(known))[::-1], axis=0)[::-1]
-    inside = (last >= 0) & (following < len(known)) & ~known
-    return np.asarray(inside & (following - last <= longest + 1))
+    inside = np.zeros_like(known)
+    frames = np.arange(len(known))
+    for joint, mine in enumerate(known.T):
+        last = np.maximum.accumulate(np.where(mine, frames, -1))
+        following = np.minimum.accumulate(np.where(mine, frames, len(known))[::-1])[::-1]
+        inside[:, joint] = (last >= 0) & (following < len(known)) & ~mine & (following - last <= longest + 1)
+    return inside

@@ -35,6 +35,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "method": "tracking",
         "detector": "movenet-multipose",
         "smoothing": "fit",
+        "feet": "auto",
         "cutoff_hz": 6.0,
     }
 

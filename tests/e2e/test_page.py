@@ -53,7 +53,12 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
 def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served) -> None:
     properties = served.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
     page.get_by_text("How", exact=True).click()
-    for name, label in (("method", "People are put together"), ("detector", "Detector"), ("smoothing", "Smoothing")):
+    for name, label in (
+        ("method", "People are put together"),
+        ("detector", "Detector"),
+        ("smoothing", "Smoothing"),
+        ("feet", "Feet on the floor"),
+    ):
         options = page.get_by_label(label).get_by_role("option").evaluate_all("all => all.map(one => one.value)")
         assert sorted(options) == sorted(properties[name]["enum"])
         assert page.get_by_label(label).input_value() == properties[name]["default"]
