@@ -33,6 +33,8 @@ _SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.02, 0.02
 # that is.
 _HEIGHT_M, _HEIGHT_STEEP_M = 0.08, 0.015
 _SPEED_M_S, _SPEED_STEEP_M_S = 0.40, 0.07
+# Somebody's own level: what so many of their ankles are below, unless it is this far off.
+_OWN_SHARE, _OWN_LEVEL_M = 0.1, 0.3
 _LIKELY, _SHORTEST_S = 0.5, 0.1
 _SURE_AFTER_S = 0.15
 _CREEP_M, _ROOM_S = 0.04, 0.2
@@ -99,9 +101,11 @@ def find_contacts(
     if floor is None:
         return ()
     found = []
+    height_m = floor.height_m(ankles_m) - ANKLE_HEIGHT_M
+    height_m -= _own_level_m(height_m[known])
     for foot, side in enumerate(SIDES):
         ankle_m = ankles_m[:, foot]
-        likely = _likelihood(ankle_m, floor, frame_rate_hz) * known[:, foot]
+        likely = _likelihood(height_m[:, foot], _speed_m_s(ankle_m, frame_rate_hz)) * known[:, foot]
         for start, stop in _runs(likely >= _LIKELY):
             for rows in _places(ankle_m, start, stop, frame_rate_hz):
                 duration_s = (rows.stop - rows.start) / frame_rate_hz
@@ -201,12 +205,18 @@ def _speed_m_s(ankle_m: Float[np.ndarray, "frames 3"], frame_rate_hz: float) -> 
     return np.asarray(np.linalg.norm(np.gradient(smooth_m, axis=0), axis=-1) * frame_rate_hz)
 
 
+def _own_level_m(height_m: Float[np.ndarray, " n"]) -> float:
+    """How high above the floor's plane somebody stands: with a calibration a degree off it is centimetres."""
+    if not len(height_m):
+        return 0.0
+    level_m = float(np.quantile(height_m, _OWN_SHARE))
+    return level_m if abs(level_m) <= _OWN_LEVEL_M else 0.0
+
+
 def _likelihood(
-    ankle_m: Float[np.ndarray, "frames 3"], floor: Floor, frame_rate_hz: float
+    height_m: Float[np.ndarray, " frames"], speed_m_s: Float[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
     """How likely it is by height and speed that a foot stands."""
-    height_m = floor.height_m(ankle_m) - ANKLE_HEIGHT_M
-    speed_m_s = _speed_m_s(ankle_m, frame_rate_hz)
     by_height = expit((_HEIGHT_M - np.abs(height_m)) / _HEIGHT_STEEP_M)
     return np.asarray(by_height * expit((_SPEED_M_S - speed_m_s) / _SPEED_STEEP_M_S))
 
