@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Animation, Camera, FootContact, Observations, SkeletonMotion, Timebase, Track3D, read_only
+from pipeline.data import Animation, Camera, FootContact, Observations, Side, SkeletonMotion, Timebase, Track3D
 from pipeline.joints import JointSet
 from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, places_of_feet, slide_of, standing_share
 from pipeline.skeleton.fit import SkeletonFit, fit_to_rays, follow
-from pipeline.skeleton.model import INDEX, placed
-from pipeline.skeleton.rotations import continuous_quat_xyzw, from_axes
+from pipeline.skeleton.model import placed
+from pipeline.skeleton.rotations import from_axes
 from pipeline.skeleton.smooth import check_smoothing, smooth_track
 
 _LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
@@ -65,10 +65,10 @@ def animate(
     finals: list[Track3D] = []
     for number, seen in enumerate(observations):
         contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
-        # What is replaced is let go first: motions of long takes are large.
-        fitted = fits.pop(0)
-        motions.append(_stand(fitted, motions.pop(0), ankles_m[number], contacts))
-        finals.append(follow(fitted, motions[-1], seen, cameras) if config.smoothing == "fit" else fitted.track)
+        motions[number] = _stand(fits[number], motions[number], ankles_m[number], contacts)
+        finals.append(
+            follow(fits[number], motions[number], seen, cameras) if config.smoothing == "fit" else fits[number].track
+        )
         on_step()
     return Animation(tuple(finals), tuple(motions), floor)
 
@@ -107,28 +107,28 @@ def _stand(
     """Hold feet that stand, and level them where nothing says how they are turned."""
     places_m = places_of_feet(ankles_m, contacts, motion.frame_rate_hz)
     if np.isfinite(places_m).any():
-        motion = fitted.pinned(motion, {f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)})
+        fitted.pin({f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)})
         ankles_m = _ankles_m(motion)
     after = [slide_of(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
     slid = (replace(contact, slide_after_m=slide_m) for contact, slide_m in zip(contacts, after, strict=True))
     motion = replace(motion, contacts=tuple(slid))
-    return motion if fitted.sees_feet else _level_feet(motion)
+    if not fitted.sees_feet:
+        for side in SIDES:
+            fitted.turn(f"{side.capitalize()}Foot", _foot_without_toes(motion, side))
+    return motion
 
 
-def _level_feet(motion: SkeletonMotion) -> SkeletonMotion:
-    """Turn feet of which only ankles are seen: at a right angle to the shin in the air, level on the floor.
+def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
+    """How a foot is turned to the shin of which the ankle alone is seen.
 
-    A standing foot points where the shin faces; it comes to be level, and leaves that, as it comes to stand.
+    At a right angle in the air, level on the floor. A standing foot points where the shin faces; it comes to be level,
+    and leaves that, as it comes to stand.
     """
-    parent_from_joint = np.array(motion.parent_from_joint)
-    for side in SIDES:
-        joint = f"{side.capitalize()}Foot"
-        share = standing_share(motion.contacts, side, len(parent_from_joint), motion.frame_rate_hz)
-        _, world_from_shin = placed(motion, joint.replace("Foot", "Leg"))
-        left = world_from_shin.apply(_LEFT) * _HORIZONTAL
-        level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
-        bend = (world_from_shin.inv() * level).as_rotvec()
-        angle_rad = np.linalg.norm(bend, axis=-1)
-        share = share * is_known * np.minimum(1.0, _MAX_BEND_RAD / np.maximum(angle_rad, 1e-9))
-        parent_from_joint[:, INDEX[joint]] = continuous_quat_xyzw(Rotation.from_rotvec(bend * share[:, None]))
-    return replace(motion, parent_from_joint=read_only(parent_from_joint))
+    share = standing_share(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
+    _, world_from_shin = placed(motion, f"{side.capitalize()}Leg")
+    left = world_from_shin.apply(_LEFT) * _HORIZONTAL
+    level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
+    bend = (world_from_shin.inv() * level).as_rotvec()
+    angle_rad = np.linalg.norm(bend, axis=-1)
+    share = share * is_known * np.minimum(1.0, _MAX_BEND_RAD / np.maximum(angle_rad, 1e-9))
+    return Rotation.from_rotvec(bend * share[:, None])

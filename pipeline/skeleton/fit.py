@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from pipeline.data import Camera, Observations, SkeletonMotion, Source, Timebase, Track3D, read_only
 from pipeline.geometry.tracks import reproject
@@ -13,9 +14,11 @@ from pipeline.skeleton.articulated import Bodies, landmarks_of, refine, start_fr
 from pipeline.skeleton.articulation import FREEDOMS, articulate
 from pipeline.skeleton.gaps import gaps_up_to
 from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
+from pipeline.skeleton.model import INDEX, SKELETON
 from pipeline.skeleton.positions import SCALES_M, fit_positions, usual_step_m
 from pipeline.skeleton.rays import Rays
 from pipeline.skeleton.rigid_parts import landmark_offsets_m
+from pipeline.skeleton.rotations import continuous_quat_xyzw
 from pipeline.skeleton.solve import solve_pose
 from pipeline.skeleton.windows import Blend, windows
 
@@ -101,20 +104,39 @@ class SkeletonFit:
 
     def motion(self) -> SkeletonMotion:
         """Fit the skeleton, from the rotations that the positions suggest."""
+        num_frames = self._track.num_frames
+        self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
 
         def start(rows: slice) -> Bodies:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
             return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
-        return self._fit(start, {}, _NUM_STEPS)
+        self._fit(start, {}, _NUM_STEPS)
+        return SkeletonMotion(
+            track_id=self._track.track_id,
+            name=self._name,
+            start_frame=self._track.start_frame,
+            frame_rate_hz=self._timebase.frame_rate_hz,
+            bone_length_m=read_only(self._bone_length_m),
+            root_m=read_only(self._root_m.view()),
+            parent_from_joint=read_only(self._quat.view()),
+            contacts=(),
+        )
 
-    def pinned(self, motion: SkeletonMotion, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> SkeletonMotion:
-        """Fit the skeleton on, with landmarks that are drawn to places; NaN where and along which axes they are not."""
+    def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> None:
+        """Fit the motion on, with landmarks that are drawn to places; NaN where and along which axes they are not.
+
+        The motion changes in place: two of a long take would be large.
+        """
 
         def start(rows: slice) -> Bodies:
-            return start_from(motion.root_m[rows], motion.parent_from_joint[rows], self._skeleton)
+            return start_from(self._root_m[rows], self._quat[rows], self._skeleton)
 
-        return self._fit(start, places_m, _NUM_STEPS_PINNED)
+        self._fit(start, places_m, _NUM_STEPS_PINNED)
+
+    def turn(self, name: str, rotation: Rotation) -> None:
+        """Turn a joint of the skeleton to its parent, in all frames of the motion, in place."""
+        self._quat[:, INDEX[name]] = continuous_quat_xyzw(rotation)
 
     def place(self, motion: SkeletonMotion, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
         """Put joints of some frames where a motion of this skeleton has them, in place; unknown ones stay so."""
@@ -127,26 +149,21 @@ class SkeletonFit:
         start: Callable[[slice], Bodies],
         places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
         num_steps: int,
-    ) -> SkeletonMotion:
-        num_frames = self._track.num_frames
-        root_m, quat = Blend(num_frames), Blend(num_frames)
-        for rows in windows(num_frames):
-            bodies = start(rows)
+    ) -> None:
+        root_m, quat = Blend(self._root_m), Blend(self._quat)
+        all_rows = list(windows(self._track.num_frames))
+        following = start(all_rows[0])
+        for number, rows in enumerate(all_rows):
+            bodies = following
+            if number + 1 < len(all_rows):
+                # Before what this window changes of it.
+                following = start(all_rows[number + 1])
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
             refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
             root_m.add(rows, bodies.root_m)
-            quat.add(rows, _same_signs(bodies.quat_xyzw(), quat.result[rows.start] if rows.start else None))
-        quat.result /= np.linalg.norm(quat.result, axis=-1, keepdims=True)
-        return SkeletonMotion(
-            track_id=self._track.track_id,
-            name=self._name,
-            start_frame=self._track.start_frame,
-            frame_rate_hz=self._timebase.frame_rate_hz,
-            bone_length_m=read_only(self._bone_length_m),
-            root_m=read_only(root_m.result),
-            parent_from_joint=read_only(quat.result),
-            contacts=(),
-        )
+            quat.add(rows, _same_signs(bodies.quat_xyzw(), self._quat[rows.start] if rows.start else None))
+            # Blended quaternions are not of length 1.
+            self._quat[rows] /= np.linalg.norm(self._quat[rows], axis=-1, keepdims=True)
 
     def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
         """What the fit of a window follows. In gaps it stays near the way that it starts with."""

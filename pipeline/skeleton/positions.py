@@ -79,11 +79,12 @@ def fit_positions(
     """
     limbs = _limbs(track, track.source == Source.MEASURED, joints)
     usual_m = usual_step_m(joints, timebase)
-    fitted = Blend(track.num_frames)
+    fitted_m = np.empty(track.xyz_m.shape)
+    fitted = Blend(fitted_m)
     for rows in windows(track.num_frames):
         rays = Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
         fitted.add(rows, _fit_window(track.xyz_m[rows], rays, limbs, usual_m))
-    return fitted.result
+    return fitted_m
 
 
 def _limbs(

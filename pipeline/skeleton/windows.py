@@ -20,23 +20,20 @@ class Blend:
 
     Parameters
     ----------
-    num_frames
-        Of the whole.
+    result
+        Where they are put.
     """
 
-    def __init__(self, num_frames: int) -> None:
-        self._num_frames = num_frames
+    def __init__(self, result: Float[np.ndarray, "frames *values"]) -> None:
+        self._result = result
         self._done = 0
-        self.result: Float[np.ndarray, "frames *values"]
 
     def add(self, rows: slice, values: Float[np.ndarray, "rows *values"]) -> None:
         """Put a window in, in the order of ``windows``."""
-        if rows.start == 0:
-            self.result = np.empty((self._num_frames, *values.shape[1:]))
         overlap = self._done - rows.start
-        before, after = self.result[rows.start : self._done], values[:overlap]
+        before, after = self._result[rows.start : self._done], values[:overlap]
         share = (np.arange(1, overlap + 1) / (overlap + 1)).reshape(-1, *(1,) * (values.ndim - 1))
         known = np.where(np.isnan(after), before, np.where(np.isnan(before), after, before + share * (after - before)))
-        self.result[rows.start : self._done] = known
-        self.result[self._done : rows.stop] = values[overlap:]
+        self._result[rows.start : self._done] = known
+        self._result[self._done : rows.stop] = values[overlap:]
         self._done = rows.stop

@@ -14,7 +14,7 @@ from pipeline.simulation.scenes import SCENES, Simulation, record, simulate
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
-    "contact", "crowd-2", "crowd-3", "crowd-5",
+    "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports",
 )  # fmt: skip
 HIPS = (11, 12)
 
