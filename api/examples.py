@@ -15,6 +15,7 @@ DOCUMENTS: dict[str, Any] = {
         "smoothing": "fit",
         "cutoff_hz": 6.0,
         "feet": "auto",
+        "exports": ["bvh"],
     },
 }
 

@@ -7,6 +7,7 @@ from typing import Literal
 Method = Literal["tracking", "clustering"]
 Smoothing = Literal["none", "butterworth", "one-euro", "fit"]
 Feet = Literal["off", "auto", "always"]
+Export = Literal["bvh", "trc", "c3d", "csv"]
 
 
 @dataclass(frozen=True, slots=True)

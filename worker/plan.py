@@ -60,7 +60,7 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
         **({"cutoff_hz": spec.cutoff_hz} if spec.smoothing == "butterworth" else {}),
     }
     fit = _key(FIT, smoothing, [associate])
-    export = _key(EXPORT, {}, [associate, fit])
+    export = _key(EXPORT, {"exports": sorted(spec.exports)}, [associate, fit])
     stages.extend(StagePlan(name, _reduce(key)) for name, key in ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export)))
     return tuple(stages)
 

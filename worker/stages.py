@@ -47,7 +47,13 @@ from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, is_of_ke
 
 _detector = functools.cache(open_detector)
 
-_MEDIA_TYPES = {".json": "application/json", ".bvh": "text/plain; charset=utf-8"}
+_MEDIA_TYPES = {
+    ".json": "application/json",
+    ".bvh": "text/plain; charset=utf-8",
+    ".trc": "text/plain; charset=utf-8",
+    ".c3d": "application/octet-stream",
+    ".csv": "text/csv; charset=utf-8; header=present",
+}
 
 
 class _OpenSession:
@@ -189,7 +195,7 @@ def export(work: Work) -> Outcome:
         warnings=session.warnings,
     )
     files = []
-    for name, content in result_files(reconstruction):
+    for name, content in result_files(reconstruction, work.claim.spec.exports):
         files.append(_result_file(name, content))
         work.on_unit()
     index = json.dumps({"files": [file.name for file in files]}).encode()

@@ -5,12 +5,13 @@ from typing import Annotated, cast, get_args
 
 import typer
 
-from pipeline.config import Feet, Method, Smoothing
+from pipeline.config import Export, Feet, Method, Smoothing
 from pipeline.errors import InputError, Problem
 
 METHODS: tuple[str, ...] = get_args(Method)
 SMOOTHINGS: tuple[str, ...] = get_args(Smoothing)
 FEET: tuple[str, ...] = get_args(Feet)
+EXPORTS: tuple[str, ...] = get_args(Export)
 
 MethodOption = Annotated[str, typer.Option(help=f"How detections become tracks: {' or '.join(METHODS)}.")]
 """To be checked by ``known_method``, which reports a wrong one as any other problem."""
@@ -20,6 +21,10 @@ FeetOption = Annotated[
     str, typer.Option(help=f"Which feet that stand are held in place: {', '.join(FEET)}; auto means likely ones.")
 ]
 """Likewise by ``known_feet``."""
+ExportsOption = Annotated[
+    str, typer.Option(metavar="LIST", help=f"Files of each person, such as bvh,csv; of {', '.join(EXPORTS)}.")
+]
+"""Likewise by ``known_exports``."""
 
 
 def known_method(name: str) -> Method:
@@ -35,6 +40,11 @@ def known_smoothing(name: str) -> Smoothing:
 def known_feet(name: str) -> Feet:
     """Check what to do with feet; ``InputError`` if there is nothing of that name."""
     return cast(Feet, _known("feet", name, FEET))
+
+
+def known_exports(names: str) -> tuple[Export, ...]:
+    """Check a list of formats; ``InputError`` if there is none of a name."""
+    return tuple(cast(Export, _known("export", name.strip(), EXPORTS)) for name in names.split(",") if name.strip())
 
 
 def _known(kind: str, name: str, names: Sequence[str]) -> str:

@@ -1,7 +1,7 @@
 """`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,20 +9,31 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from api.commands.options import FeetOption, MethodOption, SmoothingOption, known_feet, known_method, known_smoothing
+from api.commands.options import (
+    ExportsOption,
+    FeetOption,
+    MethodOption,
+    SmoothingOption,
+    known_exports,
+    known_feet,
+    known_method,
+    known_smoothing,
+)
 from api.console import StageBars, console, emit, reporting
 from pipeline.association import Views
-from pipeline.config import ReconstructionConfig
+from pipeline.config import Export, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
-from pipeline.export.results import result_files
+from pipeline.export.results import DEFAULT_EXPORTS, result_files
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.metrics.quality import quality_report
 from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.session import open_session
 
 
-def write_results(reconstruction: Reconstruction, folder: Path) -> list[Path]:
+def write_results(
+    reconstruction: Reconstruction, folder: Path, exports: Collection[Export] = DEFAULT_EXPORTS
+) -> list[Path]:
     """Write all result files into a folder, which is made if it is missing.
 
     Each is written under a temporary name first, so that a half-written file never bears its name.
@@ -35,7 +46,7 @@ def write_results(reconstruction: Reconstruction, folder: Path) -> list[Path]:
     paths = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, content in result_files(reconstruction):
+        for name, content in result_files(reconstruction, exports):
             part = folder / f".{name}.part"
             part.write_bytes(content)
             paths.append(part.replace(folder / name))
@@ -139,6 +150,7 @@ def command(
     ] = None,
     smoothing: SmoothingOption = "fit",
     feet: FeetOption = "auto",
+    exports: ExportsOption = "bvh",
     cutoff: Annotated[float, typer.Option(help="Of Butterworth's low-pass, in Hz.")] = 6.0,
     chunk_frames: Annotated[
         int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
@@ -160,6 +172,7 @@ def command(
             chunk_frames=chunk_frames,
             processes=processes,
         )
+        formats = known_exports(exports)
         _check_sources(videos, keypoints, timestamps, frame_rate)
         session: Views
         if keypoints is not None:
@@ -173,7 +186,7 @@ def command(
             reconstruction = reconstruct_keypoints(session, config, bars.update)
         else:
             reconstruction = reconstruct(session, config, bars.update)
-        paths = write_results(reconstruction, out)
+        paths = write_results(reconstruction, out, formats)
     metrics = quality_report(reconstruction)
     if as_json:
         emit(

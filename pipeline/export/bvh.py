@@ -11,10 +11,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.data import SkeletonMotion
+from pipeline.export.axes import Y_UP_FROM_WORLD
 from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON, rest_offsets_m
-
-BVH_FROM_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""BVH's x, y, z are the world's x, z, -y."""
 
 _CM_PER_M = 100.0
 # Cosine of the X angle below which Z and Y turn about the same axis, so that only their sum is known.
@@ -87,12 +85,12 @@ def encode(motion: SkeletonMotion) -> bytes:
     The same motion always gives the same bytes.
     """
     root = SKELETON[0].name
-    offsets_cm = rest_offsets_m(motion.bone_length_m) @ BVH_FROM_WORLD.T * _CM_PER_M
+    offsets_cm = rest_offsets_m(motion.bone_length_m) @ Y_UP_FROM_WORLD.T * _CM_PER_M
     order = [INDEX[name] for name in _depth_first(root)]
     quat = motion.parent_from_joint[:, order]
     in_world = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
-    angles_deg = euler_zxy_deg(BVH_FROM_WORLD @ in_world @ BVH_FROM_WORLD.T)
-    positions = _fixed(motion.root_m @ BVH_FROM_WORLD.T * _CM_PER_M, 2)
+    angles_deg = euler_zxy_deg(Y_UP_FROM_WORLD @ in_world @ Y_UP_FROM_WORLD.T)
+    positions = _fixed(motion.root_m @ Y_UP_FROM_WORLD.T * _CM_PER_M, 2)
     angles = _fixed(angles_deg.reshape(len(quat), -1), 4)
     lines = [
         "HIERARCHY",

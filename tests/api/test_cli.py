@@ -148,6 +148,15 @@ def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> No
         write_results(nobody, tmp_path / "file" / "results")
 
 
+def test_a_format_that_nobody_knows_is_named_with_those_there_are(tmp_path: Path) -> None:
+    folder = str(tmp_path)
+    arguments = ["reconstruct", "--videos", folder, "--calibration", folder, "--out", folder, "--exports", "bvh,fbx"]
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "'fbx'" in result.stderr
+    assert "trc" in result.stderr
+
+
 def test_a_take_without_people_leaves_valid_files(tmp_path: Path) -> None:
     nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), Animation((), (), None))
     paths = write_results(nobody, tmp_path / "new" / "results")

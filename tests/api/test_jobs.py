@@ -36,6 +36,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "detector": "movenet-multipose",
         "smoothing": "fit",
         "feet": "auto",
+        "exports": ["bvh"],
         "cutoff_hz": 6.0,
     }
 
@@ -53,6 +54,16 @@ def test_a_cutoff_that_the_frame_rate_can_not_have_is_refused_at_once(live: Live
     assert len(live.client.get("/v1/sessions").json()["sessions"]) == num_sessions
     lower = {"smoothing": "butterworth", "cutoff_hz": half_rate_hz - 0.1}
     assert live.client.post(f"/v1/sessions/{session_id}/jobs", json=lower).status_code == 202
+
+
+def test_formats_are_named_once_and_have_to_be_known(live: Live) -> None:
+    session_id = live.session_id()
+    for exports, pointer in ((["bvh", "bvh"], "/exports"), (["fbx"], "/exports/0")):
+        answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"exports": exports})
+        problem = problem_of(answer, 422, "invalid_request")
+        assert [item["pointer"] for item in problem["errors"]] == [pointer]
+    answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"exports": []})
+    assert answer.json()["spec"]["exports"] == []
 
 
 def test_session_and_job_in_one_call(live: Live) -> None:

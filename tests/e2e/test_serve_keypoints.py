@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from api.commands.reconstruct import write_results
-from pipeline.config import Method, ReconstructionConfig, Smoothing
+from pipeline.config import Export, Method, ReconstructionConfig, Smoothing
 from pipeline.keypoints import open_keypoints
 from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
@@ -45,14 +45,18 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     return [*archives(capture), *((part, (name, (capture / name).read_bytes())) for part, name in one_each)]
 
 
-@pytest.mark.parametrize(("method", "smoothing"), [("tracking", "none"), ("clustering", "butterworth")])
+@pytest.mark.parametrize(
+    ("method", "smoothing", "exports"),
+    [("tracking", "none", ("bvh",)), ("clustering", "butterworth", ("csv", "c3d", "trc", "bvh"))],
+)
 def test_the_same_files_as_without_the_service(
-    served: Served, capture: Path, tmp_path: Path, method: Method, smoothing: Smoothing
+    served: Served, capture: Path, tmp_path: Path, method: Method, smoothing: Smoothing, exports: tuple[Export, ...]
 ) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
     config = ReconstructionConfig(method=method, smoothing=smoothing, cutoff_hz=5.0)
-    write_results(reconstruct_keypoints(session, config), tmp_path)
-    spec = ("spec", (None, json.dumps({"method": method, "smoothing": smoothing, "cutoff_hz": 5.0})))
+    write_results(reconstruct_keypoints(session, config), tmp_path, exports)
+    choices = {"method": method, "smoothing": smoothing, "cutoff_hz": 5.0, "exports": exports}
+    spec = ("spec", (None, json.dumps(choices)))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])

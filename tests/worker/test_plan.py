@@ -132,6 +132,8 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ("detector", {DETECT, ASSOCIATE, FIT, EXPORT}),
         ("method", {ASSOCIATE, FIT, EXPORT}),
         ("smoothing", {FIT, EXPORT}),
+        ("feet", {FIT, EXPORT}),
+        ("exports", {EXPORT}),
     ],
 )
 def test_a_choice_changes_the_keys_of_its_stage_and_those_after(field: str, changed: set[str]) -> None:

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 # Networks with part affinity fields; the others find whole bodies.
 _FIELD_DETECTORS = frozenset({"openpose-mobilenet-thin", "human-pose-estimation-0001"})
@@ -29,6 +29,19 @@ class JobSpec(BaseModel):
         default="auto",
         description="Which feet that stand are held in place: none, where it is likely that they stand, or all.",
     )
+
+    exports: tuple[Literal["bvh", "trc", "c3d", "csv"], ...] = Field(
+        default=("bvh",),
+        description="Formats of which each person gets a file, beside `skeletons.json` and `metrics.json`.",
+        json_schema_extra={"uniqueItems": True},
+    )
+
+    @field_validator("exports")
+    @classmethod
+    def _each_once(cls, exports: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(exports)) < len(exports):
+            raise ValueError("Name each format once.")
+        return exports
 
     @property
     def uses_fields(self) -> bool:
