@@ -56,6 +56,9 @@ def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
         # which are a file like any other.
         is_form = case.media_type == "multipart/form-data"
         excluded: list[Any] = [positive_data_acceptance, negative_data_rejection] if is_form else []
+        # Which cutoff a session's frame rate allows, no schema can say.
+        if isinstance(case.body, dict) and case.body.get("smoothing") == "butterworth":
+            excluded.append(positive_data_acceptance)
         case.call_and_validate(base_url=str(service.client.base_url), excluded_checks=excluded)
 
     for operation in schema.get_all_operations():
