@@ -66,9 +66,7 @@ def animate(
     for number, seen in enumerate(observations):
         contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
         motions[number] = _stand(fits[number], motions[number], ankles_m[number], contacts)
-        finals.append(
-            follow(fits[number], motions[number], seen, cameras) if config.smoothing == "fit" else fits[number].track
-        )
+        finals.append(follow(fits[number], seen, cameras) if config.smoothing == "fit" else fits[number].track)
         on_step()
     return Animation(tuple(finals), tuple(motions), floor)
 

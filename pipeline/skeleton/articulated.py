@@ -99,6 +99,7 @@ class _Posed:
     """All places and orientations of bodies."""
 
     def __init__(self, bodies: Bodies, skeleton: Articulation) -> None:
+        self._skeleton = skeleton
         num_frames, num_joints = bodies.local.shape[:2]
         self.world = np.empty((num_frames, num_joints, 3, 3))
         self.joint_m = np.empty((num_frames, num_joints, 3))
@@ -114,6 +115,37 @@ class _Posed:
             self.joint_m,
             self.landmark_m,
         )
+
+    def jacobian(self) -> Float[np.ndarray, "frames landmarks most 3"]:
+        """How each landmark moves with each degree of freedom that moves it (``Articulation.moved_by``)."""
+        skeleton = self._skeleton
+        result = np.empty((len(self.world), *skeleton.moved_by.shape, 3))
+        differentiate(
+            self.world,
+            self.joint_m,
+            self.landmark_m,
+            skeleton.freedom_joint,
+            skeleton.freedom_axis,
+            skeleton.moved_by,
+            skeleton.num_moved_by,
+            result,
+        )
+        return result
+
+
+def move(bodies: Bodies, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
+    """Take a step of all degrees of freedom, in place: no rotation too far at once, no hinge past its end."""
+    turn(
+        step,
+        skeleton.freedom_joint,
+        skeleton.freedom_axis,
+        skeleton.lowest_rad,
+        skeleton.highest_rad,
+        _LONGEST_STEP_RAD,
+        bodies.root_m,
+        bodies.angle_rad,
+        bodies.local,
+    )
 
 
 def refine(
@@ -137,17 +169,7 @@ def refine(
         # Several threads would only wait for each other in a band so narrow, and could round differently.
         with _LIBRARIES.limit(limits=1, user_api="blas"):
             step = _step(bodies, skeleton, evidence, usual_m, frame_rate_hz)
-        turn(
-            step,
-            skeleton.freedom_joint,
-            skeleton.freedom_axis,
-            skeleton.lowest_rad,
-            skeleton.highest_rad,
-            _LONGEST_STEP_RAD,
-            bodies.root_m,
-            bodies.angle_rad,
-            bodies.local,
-        )
+        move(bodies, skeleton, step)
 
 
 def _step(
@@ -159,17 +181,7 @@ def _step(
 ) -> Float[np.ndarray, "frames freedoms"]:
     num_frames, num_freedoms = len(bodies.root_m), skeleton.num_freedoms
     posed = _Posed(bodies, skeleton)
-    jacobian = np.empty((num_frames, *skeleton.moved_by.shape, 3))
-    differentiate(
-        posed.world,
-        posed.joint_m,
-        posed.landmark_m,
-        skeleton.freedom_joint,
-        skeleton.freedom_axis,
-        skeleton.moved_by,
-        skeleton.num_moved_by,
-        jacobian,
-    )
+    jacobian = posed.jacobian()
     second_m = np.diff(posed.landmark_m, n=2, axis=0)
     tie = tie_weight(second_m, usual_m)
     lower, right = np.zeros((num_frames * num_freedoms, 3 * num_freedoms)), np.zeros(num_frames * num_freedoms)

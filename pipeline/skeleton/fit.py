@@ -97,11 +97,6 @@ class SkeletonFit:
         girdles = [index for index, name in enumerate(self._joints.names) if name.endswith(("_hip", "_shoulder"))]
         return bool(np.isfinite(self._track.xyz_m[:, girdles]).any())
 
-    @property
-    def landmark(self) -> Int[np.ndarray, " landmarks"]:
-        """Numbers on the track's joint axis of what the skeleton carries."""
-        return self._skeleton.landmark
-
     def motion(self) -> SkeletonMotion:
         """Fit the skeleton, from the rotations that the positions suggest."""
         num_frames = self._track.num_frames
@@ -138,11 +133,12 @@ class SkeletonFit:
         """Turn a joint of the skeleton to its parent, in all frames of the motion, in place."""
         self._quat[:, INDEX[name]] = continuous_quat_xyzw(rotation)
 
-    def place(self, motion: SkeletonMotion, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
-        """Put joints of some frames where a motion of this skeleton has them, in place; unknown ones stay so."""
-        bodies = start_from(motion.root_m[rows], motion.parent_from_joint[rows], self._skeleton)
-        known = np.isfinite(xyz_m[:, self.landmark])
-        xyz_m[:, self.landmark] = np.where(known, landmarks_of(bodies, self._skeleton), np.nan)
+    def place(self, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
+        """Put joints of some frames where the motion has them, in place; unknown ones stay so."""
+        bodies = start_from(self._root_m[rows], self._quat[rows], self._skeleton)
+        landmark = self._skeleton.landmark
+        known = np.isfinite(xyz_m[:, landmark])
+        xyz_m[:, landmark] = np.where(known, landmarks_of(bodies, self._skeleton), np.nan)
 
     def _fit(
         self,
@@ -168,7 +164,8 @@ class SkeletonFit:
     def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
         """What the fit of a window follows. In gaps it stays near the way that it starts with."""
         position_m = self._track.xyz_m[rows]
-        xyz_m = position_m[:, self.landmark]
+        landmark = self._skeleton.landmark
+        xyz_m = position_m[:, landmark]
         start_m = landmarks_of(start, self._skeleton)
         known = np.isfinite(xyz_m)
         if self._rays_of is None:
@@ -177,14 +174,14 @@ class SkeletonFit:
         place_m = np.where(known, xyz_m, start_m)
         strength = np.where(known, 0.0 if self._rays_of else 1.0 / _PLACED_M**2, 1.0 / _BRIDGE_M**2)
         for name, pin_m in places_m.items():
-            number = self.landmark.tolist().index(self._joints.index(name))
+            number = landmark.tolist().index(self._joints.index(name))
             pinned = np.isfinite(pin_m)
             strength[:, number] = np.where(pinned, 1.0 / _PIN_M**2, strength[:, number])
             place_m[:, number] = np.where(pinned, pin_m, place_m[:, number])
         rays = self._rays_of(rows) if self._rays_of else None
         if rays is not None:
             rays.exchange_sides(position_m, SCALES_M[-1])
-        return _Evidence(rays, self.landmark, strength, place_m)
+        return _Evidence(rays, landmark, strength, place_m)
 
 
 def fit_to_rays(
@@ -212,15 +209,15 @@ def fit_to_rays(
     return SkeletonFit(positions, joints, timebase, name, rays_of)
 
 
-def follow(fitted: SkeletonFit, motion: SkeletonMotion, seen: Observations, cameras: Sequence[Camera]) -> Track3D:
-    """The track whose joints are where a motion has them, as far as they are known.
+def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera]) -> Track3D:
+    """The track whose joints are where the fit's motion has them, as far as they are known.
 
     Without hips and shoulders nothing says where the motion is: positions stay as they are then.
     """
     xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
     for rows in windows(len(xyz_m), overlap=0):
         if fitted.has_torso:
-            fitted.place(motion, rows, xyz_m[rows])
+            fitted.place(rows, xyz_m[rows])
         error_px[rows], _, _ = reproject(cameras, xyz_m[rows], seen.points_px[rows], seen.score[rows])
     return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
 

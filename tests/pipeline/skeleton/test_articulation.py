@@ -6,9 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.joints import BODY_25, COCO_17, JointSet
 from pipeline.skeleton import articulated
-from pipeline.skeleton.articulated import Bodies, landmarks_of, refine, start_from
+from pipeline.skeleton.articulated import Bodies, landmarks_of, move, refine, start_from
 from pipeline.skeleton.articulation import NUM_ROOT, Articulation, articulate, joint_of_landmark
-from pipeline.skeleton.articulation_kernels import differentiate, turn
 from pipeline.skeleton.model import INDEX, SKELETON
 
 RATE_HZ = 25.0
@@ -39,36 +38,12 @@ def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> Bodies:
     return bodies
 
 
-def move(bodies: Bodies, skeleton: Articulation, step: np.ndarray) -> None:
-    turn(
-        step,
-        skeleton.freedom_joint,
-        skeleton.freedom_axis,
-        skeleton.lowest_rad,
-        skeleton.highest_rad,
-        0.3,
-        bodies.root_m,
-        bodies.angle_rad,
-        bodies.local,
-    )
-
-
 @pytest.mark.parametrize("joints", [COCO_17, BODY_25])
 def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
     skeleton = skeleton_of(joints)
     bodies = anybody(skeleton, 2)
     posed = articulated._Posed(bodies, skeleton)
-    jacobian = np.empty((2, *skeleton.moved_by.shape, 3))
-    differentiate(
-        posed.world,
-        posed.joint_m,
-        posed.landmark_m,
-        skeleton.freedom_joint,
-        skeleton.freedom_axis,
-        skeleton.moved_by,
-        skeleton.num_moved_by,
-        jacobian,
-    )
+    jacobian = posed.jacobian()
     assert len(skeleton.landmark) == len(joints.names)
     for freedom in range(skeleton.num_freedoms):
         step = np.zeros((2, skeleton.num_freedoms))
