@@ -45,8 +45,8 @@ _EASE_S = 0.2
 
 
 def estimate_floor(
-    ankles_m: Sequence[Float[np.ndarray, "frames 2 3"]],
-    known: Sequence[Bool[np.ndarray, "frames 2"]],
+    ankles_m: Sequence[Float[np.ndarray, "_ 2 3"]],
+    known: Sequence[Bool[np.ndarray, "_ 2"]],
     frame_rate_hz: float,
 ) -> Floor | None:
     """Fit a plane to the lowest resting feet of everybody; ``None`` if no foot was ever seen.

@@ -106,7 +106,7 @@ def _mot_frames(
         people, tracks = np.flatnonzero(seen[:, frame]), np.flatnonzero(found[:, frame])
         overlap = box_overlap(truth_px[people, frame], predicted_px[tracks, frame])
         near = distance_m[people[:, None], tracks, frame] <= _NEAR_M
-        without = ~(near & (overlap >= _OVERLAP)).any(1, keepdims=True)
+        without = ~near.any(1, keepdims=True)
         counts = (near | (without & (overlap >= _OVERLAP))).any(0)
         frames.append(MotFrame(people, tracks[counts], overlap[:, counts]))
     return frames

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.data import Track3D
+from pipeline.geometry.camera import center_in_world
 from pipeline.metrics.datasets.shelf import ShelfBenchmark, thin
 from pipeline.metrics.datasets.shelf_tracking import association_accuracy, score_single_view, score_tracking
 from pipeline.metrics.pcp import benchmark_joints
@@ -72,6 +73,20 @@ def test_a_duplicate_costs_and_somebody_elsewhere_does_not(
     scores = score_tracking([*tracks, duplicate], benchmark)
     assert max(scores["mota"].values()) < 0.9
     assert scores["ghost_tracks"] == 0
+
+
+def test_somebody_behind_an_actor_is_not_taken_for_the_actor_whose_own_track_is_near(
+    tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
+) -> None:
+    actor_m, camera = simulation.truth_m[0], simulation.cameras[0]
+    middle_m = actor_m.mean(1, keepdims=True)
+    away = middle_m - center_in_world(camera)
+    behind = track(9, actor_m + 1.2 * away / np.linalg.norm(away, axis=-1, keepdims=True))
+    wide = track(1, middle_m + [2.2, 2.2, 1.0] * (actor_m - middle_m))
+    alone = replace(benchmark, truth_m=benchmark.truth_m[:1], cameras=(camera,))
+    assert score_tracking([behind], alone)["missed"] == {camera.name: 0}
+    assert score_tracking([wide, behind], alone)["missed"] == score_tracking([wide], alone)["missed"]
+    assert score_tracking([wide], alone)["missed"][camera.name] > 0.5 * simulation.timebase.num_frames
 
 
 def test_a_person_who_is_lost_and_a_switch(
