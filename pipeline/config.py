@@ -7,7 +7,8 @@ from typing import Literal
 Method = Literal["tracking", "clustering"]
 Smoothing = Literal["none", "butterworth", "one-euro", "fit"]
 Feet = Literal["off", "auto", "always"]
-Export = Literal["bvh", "trc", "c3d", "csv"]
+Export = Literal["bvh", "glb", "trc", "c3d", "csv"]
+Preset = Literal["default", "blender", "unity-humanoid", "unreal", "mixamo"]
 
 
 @dataclass(frozen=True, slots=True)

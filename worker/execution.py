@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from worker.jobs.artifacts import ArtifactStore
@@ -31,6 +32,8 @@ class Work:
         Where the session's files are.
     outputs
         Reads what chunks of an earlier stage left.
+    scratch
+        A folder for result files, which is gone after the chunk.
     on_unit
         To be called after each unit of work (a frame, a person); raises ``StoppedError`` when the work is no longer
         wanted.
@@ -40,18 +43,19 @@ class Work:
     session: Session
     artifacts: ArtifactStore
     outputs: Outputs
+    scratch: Path
     on_unit: Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:
-    """A file for the client."""
+    """A file for the client; whoever keeps it may take it away from ``path``."""
 
     name: str
     kind: str
     person: str | None
     media_type: str
-    content: bytes
+    path: Path
 
 
 @dataclass(frozen=True, slots=True)

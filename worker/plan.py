@@ -17,7 +17,7 @@ from worker.jobs.spec import JobSpec
 DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
 
 # A stage's number goes up with every change of its code that changes what it leaves.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 1, POSES: 1, ASSOCIATE: 3, FIT: 3, EXPORT: 2}
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 1, POSES: 1, ASSOCIATE: 3, FIT: 3, EXPORT: 3}
 
 DEFAULT_CHUNK_FRAMES = 100
 
@@ -60,7 +60,8 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
         **({"cutoff_hz": spec.cutoff_hz} if spec.smoothing == "butterworth" else {}),
     }
     fit = _key(FIT, smoothing, [associate])
-    export = _key(EXPORT, {"exports": sorted(spec.exports)}, [associate, fit])
+    formats = {"exports": sorted(spec.exports), **({"bvh": spec.bvh} if "bvh" in spec.exports else {})}
+    export = _key(EXPORT, formats, [associate, fit])
     stages.extend(StagePlan(name, _reduce(key)) for name, key in ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export)))
     return tuple(stages)
 

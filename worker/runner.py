@@ -3,9 +3,11 @@
 import hashlib
 import os
 import socket
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import structlog
 
@@ -109,17 +111,19 @@ class Runner:
             log.info("chunk_reused")
             return self._store.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
         started_s = time.monotonic()
-        outcome = self._stages[claim.stage](
-            Work(
-                claim=claim,
-                session=self._store.session(claim.session_id),
-                artifacts=self._artifacts,
-                outputs=partial(self._outputs, claim),
-                on_unit=lease.on_unit,
+        with tempfile.TemporaryDirectory(prefix="multicap-") as scratch:
+            outcome = self._stages[claim.stage](
+                Work(
+                    claim=claim,
+                    session=self._store.session(claim.session_id),
+                    artifacts=self._artifacts,
+                    outputs=partial(self._outputs, claim),
+                    scratch=Path(scratch),
+                    on_unit=lease.on_unit,
+                )
             )
-        )
-        lease.check()
-        results = [self._keep(claim, file) for file in outcome.files]
+            lease.check()
+            results = [self._keep(claim, file) for file in outcome.files]
         self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), outcome.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return self._store.finish(
@@ -146,15 +150,18 @@ class Runner:
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
         key = result_key(claim.job_id, file.name)
-        self._artifacts.put_bytes(key, file.content)
+        num_bytes = file.path.stat().st_size
+        with file.path.open("rb") as content:
+            sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+        self._artifacts.put_file(key, file.path)
         return Result(
             name=file.name,
             kind=file.kind,
             person=file.person,
             media_type=file.media_type,
             key=key,
-            num_bytes=len(file.content),
-            sha256=_sha256(file.content),
+            num_bytes=num_bytes,
+            sha256=sha256,
         )
 
 

@@ -16,7 +16,7 @@ from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError, PipelineError
-from pipeline.export.results import result_files
+from pipeline.export.results import write_results
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.records_npz import (
@@ -50,6 +50,7 @@ _detector = functools.cache(open_detector)
 _MEDIA_TYPES = {
     ".json": "application/json",
     ".bvh": "text/plain; charset=utf-8",
+    ".glb": "model/gltf-binary",
     ".trc": "text/plain; charset=utf-8",
     ".c3d": "application/octet-stream",
     ".csv": "text/csv; charset=utf-8; header=present",
@@ -195,18 +196,18 @@ def export(work: Work) -> Outcome:
         warnings=session.warnings,
     )
     files = []
-    for name, content in result_files(reconstruction, work.claim.spec.exports):
-        files.append(_result_file(name, content))
+    spec = work.claim.spec
+    for path in write_results(reconstruction, work.scratch, spec.exports, spec.bvh):
+        files.append(_result_file(path))
         work.on_unit()
     index = json.dumps({"files": [file.name for file in files]}).encode()
     return Outcome(index, tuple(files))
 
 
-def _result_file(name: str, content: bytes) -> ResultFile:
-    path = Path(name)
+def _result_file(path: Path) -> ResultFile:
     kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
     person = None if path.suffix == ".json" else path.stem
-    return ResultFile(name, kind, person, _MEDIA_TYPES[path.suffix], content)
+    return ResultFile(path.name, kind, person, _MEDIA_TYPES[path.suffix], path)
 
 
 STAGES: Stages = {

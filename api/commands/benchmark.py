@@ -26,7 +26,6 @@ from pipeline.config import ReconstructionConfig
 from pipeline.detect import models
 from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError
-from pipeline.export.results import result_files
 from pipeline.run import reconstruct
 from pipeline.samples import Sample
 from pipeline.session import CaptureSession, open_session
@@ -105,7 +104,7 @@ def pipeline(
         opened_s = time.perf_counter()
         reconstruction = reconstruct(session, ReconstructionConfig(detector=detector), bars.update)
         reconstructed_s = time.perf_counter()
-        num_bytes = sum(len(content) for _, content in result_files(reconstruction))
+        num_bytes = sum(path.stat().st_size for path in write_results(reconstruction, Path(folder) / "results"))
         ended_s = time.perf_counter()
         peak_mib = peak_rss_mib()
         network_s = network_seconds(session, detector)

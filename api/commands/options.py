@@ -5,13 +5,14 @@ from typing import Annotated, cast, get_args
 
 import typer
 
-from pipeline.config import Export, Feet, Method, Smoothing
+from pipeline.config import Export, Feet, Method, Preset, Smoothing
 from pipeline.errors import InputError, Problem
 
 METHODS: tuple[str, ...] = get_args(Method)
 SMOOTHINGS: tuple[str, ...] = get_args(Smoothing)
 FEET: tuple[str, ...] = get_args(Feet)
 EXPORTS: tuple[str, ...] = get_args(Export)
+PRESETS: tuple[str, ...] = get_args(Preset)
 
 MethodOption = Annotated[str, typer.Option(help=f"How detections become tracks: {' or '.join(METHODS)}.")]
 """To be checked by ``known_method``, which reports a wrong one as any other problem."""
@@ -25,6 +26,10 @@ ExportsOption = Annotated[
     str, typer.Option(metavar="LIST", help=f"Files of each person, such as bvh,csv; of {', '.join(EXPORTS)}.")
 ]
 """Likewise by ``known_exports``."""
+PresetOption = Annotated[
+    str, typer.Option(help=f"What BVH files are to be opened with: {', '.join(PRESETS)}; see docs/formats.md.")
+]
+"""Likewise by ``known_preset``."""
 
 
 def known_method(name: str) -> Method:
@@ -45,6 +50,11 @@ def known_feet(name: str) -> Feet:
 def known_exports(names: str) -> tuple[Export, ...]:
     """Check a list of formats; ``InputError`` if there is none of a name."""
     return tuple(cast(Export, _known("export", name.strip(), EXPORTS)) for name in names.split(",") if name.strip())
+
+
+def known_preset(name: str) -> Preset:
+    """Check the name of a preset; ``InputError`` if there is none of that name."""
+    return cast(Preset, _known("preset", name, PRESETS))
 
 
 def _known(kind: str, name: str, names: Sequence[str]) -> str:

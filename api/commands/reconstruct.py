@@ -1,5 +1,6 @@
 """`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
 
+import json
 import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -13,46 +14,43 @@ from api.commands.options import (
     ExportsOption,
     FeetOption,
     MethodOption,
+    PresetOption,
     SmoothingOption,
     known_exports,
     known_feet,
     known_method,
+    known_preset,
     known_smoothing,
 )
 from api.console import StageBars, console, emit, reporting
 from pipeline.association import Views
-from pipeline.config import Export, ReconstructionConfig
+from pipeline.config import Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
-from pipeline.export.results import DEFAULT_EXPORTS, result_files
+from pipeline.export import results
+from pipeline.export.results import DEFAULT_EXPORTS
 from pipeline.keypoints import KeypointSession, open_keypoints
-from pipeline.metrics.quality import quality_report
 from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.session import open_session
 
 
 def write_results(
-    reconstruction: Reconstruction, folder: Path, exports: Collection[Export] = DEFAULT_EXPORTS
+    reconstruction: Reconstruction,
+    folder: Path,
+    exports: Collection[Export] = DEFAULT_EXPORTS,
+    preset: Preset = "default",
 ) -> list[Path]:
-    """Write all result files into a folder, which is made if it is missing.
-
-    Each is written under a temporary name first, so that a half-written file never bears its name.
+    """Write all result files into a folder, as ``pipeline.export.results`` does.
 
     Raises
     ------
     PipelineError
         If the folder can't be written to or the disk is full.
     """
-    paths = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in result_files(reconstruction, exports):
-            part = folder / f".{name}.part"
-            part.write_bytes(content)
-            paths.append(part.replace(folder / name))
+        return list(results.write_results(reconstruction, folder, exports, preset))
     except OSError as error:
         raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
-    return paths
 
 
 def print_summary(metrics: Mapping[str, Any]) -> None:
@@ -151,6 +149,7 @@ def command(
     smoothing: SmoothingOption = "fit",
     feet: FeetOption = "auto",
     exports: ExportsOption = "bvh",
+    preset: PresetOption = "default",
     cutoff: Annotated[float, typer.Option(help="Of Butterworth's low-pass, in Hz.")] = 6.0,
     chunk_frames: Annotated[
         int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
@@ -172,7 +171,7 @@ def command(
             chunk_frames=chunk_frames,
             processes=processes,
         )
-        formats = known_exports(exports)
+        formats, names = known_exports(exports), known_preset(preset)
         _check_sources(videos, keypoints, timestamps, frame_rate)
         session: Views
         if keypoints is not None:
@@ -186,8 +185,8 @@ def command(
             reconstruction = reconstruct_keypoints(session, config, bars.update)
         else:
             reconstruction = reconstruct(session, config, bars.update)
-        paths = write_results(reconstruction, out, formats)
-    metrics = quality_report(reconstruction)
+        paths = write_results(reconstruction, out, formats, names)
+    metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:
         emit(
             {

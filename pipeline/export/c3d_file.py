@@ -5,19 +5,23 @@ the person's first frame. Numbers are of single precision, as the format has the
 """
 
 import tempfile
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import ezc3d
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.data import Timebase, Track3D
 from pipeline.joints import JointSet
 
 _MM_PER_M = 1000.0
+_PIECE_BYTES = 2**18
 
 
-def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> bytes:
-    """Write a track's positions as C3D.
+def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[bytes]:
+    """Write a track's positions as C3D, piece by piece.
 
     Parameters
     ----------
@@ -37,4 +41,11 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> bytes:
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         path = Path(folder) / "person.c3d"
         content.write(str(path))
-        return path.read_bytes()
+        with path.open("rb") as file:
+            yield from iter(partial(file.read, _PIECE_BYTES), b"")
+
+
+def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions of the joints in a file that ``encode`` wrote, NaN where unknown."""
+    points = ezc3d.c3d(str(path))["data"]["points"][:3]
+    yield np.transpose(points, (2, 1, 0)) / _MM_PER_M

@@ -1,6 +1,5 @@
 """Pictures of skeletons drawn over a camera's frame."""
 
-import colorsys
 from collections.abc import Mapping
 
 import cv2
@@ -8,22 +7,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from pipeline.data import Camera
+from pipeline.export.colors import Rgb, color_rgb
 from pipeline.geometry.camera import project
 from pipeline.joints import JointSet
-
-Rgb = tuple[int, int, int]
 
 _BLACK: Rgb = (0, 0, 0)
 # cv2 draws with this many fractional bits.
 _SHIFT = 4
-# The golden ratio spreads hues evenly however many people there are.
-_HUE_STEP = 0.618034
-
-
-def color_rgb(track_id: int) -> Rgb:
-    """A bright colour of a person, far from those of the next numbers."""
-    red, green, blue = colorsys.hsv_to_rgb(track_id * _HUE_STEP % 1.0, 0.85, 1.0)
-    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def _drawable(points_px: Float[np.ndarray, "joints 2"], size_px: tuple[int, int]) -> dict[int, tuple[int, int]]:

@@ -1,35 +1,130 @@
 """The files that a reconstruction leaves, by name; the service's results bear the same names."""
 
-from collections.abc import Collection, Iterator
+import errno
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
 
-from pipeline.config import Export
-from pipeline.data import Reconstruction
-from pipeline.export import bvh, c3d_file, csv_table, skeletons_json, trc
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.config import Export, Preset
+from pipeline.data import Reconstruction, SkeletonMotion, Track3D
+from pipeline.export import bvh, c3d_file, csv_table, glb, skeletons_json, trc
+from pipeline.export.presets import PRESETS
 from pipeline.metrics.quality import encode as encode_metrics
 from pipeline.metrics.quality import quality_report
+from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = ("bvh",)
 
+# Of a skeleton's motion; the other formats hold positions of joints.
+_OF_MOTIONS: frozenset[Export] = frozenset({"bvh", "glb"})
+_MM_PER_M = 1000.0
+_DECIMALS_MM = 4
 
-def result_files(
-    reconstruction: Reconstruction, exports: Collection[Export] = DEFAULT_EXPORTS
-) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of all result files, one at a time.
+
+def write_results(
+    reconstruction: Reconstruction,
+    folder: Path,
+    exports: Collection[Export] = DEFAULT_EXPORTS,
+    preset: Preset = "default",
+) -> Iterator[Path]:
+    """Write all result files into a folder, which is made if it is missing; yields each as soon as it is there.
+
+    Each is written under a temporary name first, so that a half-written file never bears its name, and is read back:
+    ``metrics.json``, the last one, says how far joints then are from where they should be, at most.
 
     Parameters
     ----------
     exports
         Formats of which everybody gets a file, beside the two files of all.
+    preset
+        How BVH files name, turn and scale the skeleton.
+
+    Raises
+    ------
+    OSError
+        If the folder can't be written to, the disk is full, or a file does not hold what was written.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = _write(folder / "skeletons.json", skeletons_json.encode(reconstruction))
+    everybody_m = skeletons_json.read_xyz_m(path)
+    far_mm = {
+        "skeletons": [
+            _furthest_mm(path, track.xyz_m, [read_m])
+            for track, read_m in zip(reconstruction.tracks, everybody_m, strict=True)
+        ]
+    }
+    yield path
+    for export in dict.fromkeys(exports):
+        far_mm[export] = []
+        for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
+            path = folder / f"{motion.name}.{export}"
+            _write(path, _encode(export, reconstruction, track, motion, path.name, preset))
+            expected_m = forward_kinematics(motion) if export in _OF_MOTIONS else track.xyz_m
+            far_mm[export].append(_furthest_mm(path, expected_m, _read(export, path, preset)))
+            yield path
+    check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
+    yield _write(folder / "metrics.json", [encode_metrics(quality_report(reconstruction) | {"exports": check})])
+
+
+def _write(path: Path, pieces: Iterable[bytes]) -> Path:
+    part = path.with_name(f".{path.name}.part")
+    with part.open("wb") as file:
+        file.writelines(pieces)
+    return part.replace(path)
+
+
+def _encode(
+    export: Export, reconstruction: Reconstruction, track: Track3D, motion: SkeletonMotion, name: str, preset: Preset
+) -> Iterator[bytes]:
     joints, timebase = reconstruction.joints, reconstruction.timebase
-    yield "skeletons.json", skeletons_json.encode(reconstruction)
-    yield "metrics.json", encode_metrics(quality_report(reconstruction))
-    for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
-        if "bvh" in exports:
-            yield f"{motion.name}.bvh", bvh.encode(motion)
-        if "trc" in exports:
-            yield f"{motion.name}.trc", trc.encode(track, joints, timebase, f"{motion.name}.trc")
-        if "c3d" in exports:
-            yield f"{motion.name}.c3d", c3d_file.encode(track, joints, timebase)
-        if "csv" in exports:
-            yield f"{motion.name}.csv", csv_table.encode(track, joints, timebase)
+    match export:
+        case "bvh":
+            return bvh.encode(motion, PRESETS[preset])
+        case "glb":
+            return glb.encode(motion)
+        case "trc":
+            return trc.encode(track, joints, timebase, name)
+        case "c3d":
+            return c3d_file.encode(track, joints, timebase)
+        case "csv":
+            return csv_table.encode(track, joints, timebase)
+
+
+def _read(export: Export, path: Path, preset: Preset) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    if export == "bvh":
+        return bvh.read_xyz_m(path, PRESETS[preset])
+    read = {"glb": glb, "trc": trc, "c3d": c3d_file, "csv": csv_table}[export]
+    return read.read_xyz_m(path)
+
+
+def _furthest_mm(
+    path: Path, expected_m: Float[np.ndarray, "frames joints 3"], read_m: Iterable[Float[np.ndarray, "_ joints 3"]]
+) -> float | None:
+    """Largest distance of what was read of a person's file, some frames at a time, from what should be there.
+
+    Returns
+    -------
+        ``None`` if no joint is known in any frame.
+    """
+    spoilt = OSError(errno.EIO, f"{path.name} does not hold what was written to it")
+    num_read, far_m = 0, []
+    for block_m in read_m:
+        expected_block_m = expected_m[num_read : num_read + len(block_m)]
+        num_read += len(block_m)
+        if block_m.shape != expected_block_m.shape:
+            raise spoilt
+        known, found = np.isfinite(expected_block_m).all(-1), np.isfinite(block_m).all(-1)
+        if (known != found).any():
+            raise spoilt
+        if known.any():
+            far_m.append(np.linalg.norm((block_m - expected_block_m)[known], axis=-1).max())
+    if num_read != len(expected_m):
+        raise spoilt
+    return float(max(far_m)) * _MM_PER_M if far_m else None
+
+
+def _largest(values: Iterable[float | None]) -> float | None:
+    largest = max((value for value in values if value is not None), default=None)
+    return None if largest is None else round(largest, _DECIMALS_MM)

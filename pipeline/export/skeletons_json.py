@@ -4,9 +4,9 @@ Positions are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN beco
 always the same for the same reconstruction.
 """
 
-import io
 import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from pipeline.data import Reconstruction, Source, Track3D
 
 SCHEMA_VERSION = 1
 
+_BEFORE_TRACKS = b',"tracks":['
 _LETTERS = np.array([source.letter for source in Source])
 
 
@@ -47,8 +48,8 @@ def _track_parts(track: Track3D) -> Iterator[str]:
     yield "}"
 
 
-def encode(reconstruction: Reconstruction) -> bytes:
-    """Write all tracks as ``skeletons.json``."""
+def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
+    """Write all tracks as ``skeletons.json``, piece by piece."""
     timebase, joints = reconstruction.timebase, reconstruction.joints
     head = {
         "schema_version": SCHEMA_VERSION,
@@ -58,11 +59,20 @@ def encode(reconstruction: Reconstruction) -> bytes:
         "joint_names": joints.names,
         "bones": joints.bones,
     }
-    out = io.BytesIO()
-    out.write(_dumps(head).removesuffix("}").encode("ascii"))
-    out.write(b',"tracks":[')
+    yield _dumps(head).removesuffix("}").encode("ascii") + _BEFORE_TRACKS
     for number, track in enumerate(reconstruction.tracks):
-        out.write(b"," if number else b"")
-        out.writelines(part.encode("ascii") for part in _track_parts(track))
-    out.write(b"]}\n")
-    return out.getvalue()
+        yield b"," if number else b""
+        for part in _track_parts(track):
+            yield part.encode("ascii")
+    yield b"]}\n"
+
+
+def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions of each track in a file that ``encode`` wrote, NaN where null, a person at a time."""
+    content = path.read_text(encoding="ascii")
+    decoder = json.JSONDecoder()
+    at = content.index(_BEFORE_TRACKS.decode("ascii")) + len(_BEFORE_TRACKS)
+    while content[at] != "]":
+        track, at = decoder.raw_decode(content, at + (content[at] == ","))
+        unknown = [np.nan] * 3
+        yield np.array([[xyz_m or unknown for xyz_m in frame] for frame in track["positions_m"]])

@@ -5,16 +5,21 @@ skip empty cells. Times are on the session's clock; numbers are rounded to 0.01 
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.data import Timebase, Track3D
 from pipeline.export.axes import Y_UP_FROM_WORLD
+from pipeline.export.blocks import fixed, frame_blocks, read_rows
 from pipeline.joints import JointSet
 
+_HEAD_LINES = 6
 
-def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str) -> bytes:
-    """Write a track's positions as TRC.
+
+def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str) -> Iterator[bytes]:
+    """Write a track's positions as TRC, piece by piece.
 
     Parameters
     ----------
@@ -23,19 +28,30 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str)
     file_name
         What the file will be called: it says so itself.
     """
-    return ("\n".join(_lines(track, joints, timebase, file_name)) + "\n").encode("utf-8")
-
-
-def _lines(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str) -> Iterator[str]:
     rate = np.format_float_positional(timebase.frame_rate_hz)
     num_frames, num_joints = track.xyz_m.shape[:2]
-    yield f"PathFileType\t4\t(X/Y/Z)\t{file_name}"
-    yield "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"
-    yield f"{rate}\t{rate}\t{num_frames}\t{num_joints}\tm\t{rate}\t1\t{num_frames}"
-    yield "Frame#\tTime\t" + "\t".join(f"{name}\t\t" for name in joints.names)
-    yield "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, num_joints + 1))
-    yield ""
-    for number, xyz_m in enumerate(track.xyz_m @ Y_UP_FROM_WORLD.T):
-        # Adding zero turns -0.0 into 0.0.
-        cells = [f"{value:.5f}" for value in (np.round(xyz_m, 5) + 0.0).ravel()]
-        yield f"{number + 1}\t{timebase.time_s(track.start_frame + number):.6f}\t" + "\t".join(cells)
+    head = (
+        f"PathFileType\t4\t(X/Y/Z)\t{file_name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{num_frames}\t{num_joints}\tm\t{rate}\t1\t{num_frames}",
+        "Frame#\tTime\t" + "\t".join(f"{name}\t\t" for name in joints.names),
+        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, num_joints + 1)),
+        "",
+    )
+    yield "".join(f"{line}\n" for line in head).encode("utf-8")
+    for rows in frame_blocks(num_frames):
+        places = fixed((track.xyz_m[rows] @ Y_UP_FROM_WORLD.T).reshape(-1, 3 * num_joints), 5, "\t")
+        lines = (
+            f"{number + 1}\t{timebase.time_s(track.start_frame + number):.6f}\t{place}\n"
+            for number, place in enumerate(places, rows.start)
+        )
+        yield "".join(lines).encode("ascii")
+
+
+def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions of the joints in a file that ``encode`` wrote, some frames at a time."""
+    with path.open(encoding="utf-8") as file:
+        for _ in range(_HEAD_LINES):
+            file.readline()
+        for values in read_rows(file, "\t"):
+            yield values[:, 2:].reshape(len(values), -1, 3) @ Y_UP_FROM_WORLD

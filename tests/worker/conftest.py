@@ -39,7 +39,9 @@ def fit(work: Work) -> Outcome:
 
 
 def export(work: Work) -> Outcome:
-    return Outcome(b"{}", (ResultFile("person-1.bvh", "bvh", "person-1", "text/plain", work.outputs(FIT)[0]),))
+    path = work.scratch / "person-1.bvh"
+    path.write_bytes(work.outputs(FIT)[0])
+    return Outcome(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),))
 
 
 @dataclass

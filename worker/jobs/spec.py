@@ -30,10 +30,14 @@ class JobSpec(BaseModel):
         description="Which feet that stand are held in place: none, where it is likely that they stand, or all.",
     )
 
-    exports: tuple[Literal["bvh", "trc", "c3d", "csv"], ...] = Field(
+    exports: tuple[Literal["bvh", "glb", "trc", "c3d", "csv"], ...] = Field(
         default=("bvh",),
         description="Formats of which each person gets a file, beside `skeletons.json` and `metrics.json`.",
         json_schema_extra={"uniqueItems": True},
+    )
+
+    bvh: Literal["default", "blender", "unity-humanoid", "unreal", "mixamo"] = Field(
+        default="default", description="What BVH files are to be opened with: their names, axes, unit and rest pose."
     )
 
     @field_validator("exports")

@@ -2,7 +2,8 @@ import cv2
 import numpy as np
 
 from pipeline.data import Camera
-from pipeline.export.overlay import color_rgb, draw_skeletons, encode_png
+from pipeline.export.colors import color_rgb
+from pipeline.export.overlay import draw_skeletons, encode_png
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17

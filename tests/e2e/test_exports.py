@@ -1,0 +1,238 @@
+"""Exports of the sample and of a simulated walk, opened by software that nobody here wrote."""
+
+import json
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import c3d
+import cv2
+import ezc3d
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from trc import TRCData
+
+from api.commands.reconstruct import write_results
+from pipeline.config import Export, Preset, ReconstructionConfig
+from pipeline.data import Reconstruction, SkeletonMotion
+from pipeline.export.presets import PRESETS
+from pipeline.keypoints import open_keypoints
+from pipeline.run import reconstruct_keypoints
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
+from pipeline.skeleton.feet import ANKLE_HEIGHT_M
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
+from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
+
+pytestmark = pytest.mark.xdist_group("sample")
+
+EXPORTS: tuple[Export, ...] = get_args(Export)
+PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
+# What x, y and z of a file are in the world, and how many units a metre is.
+WORLD, Y_UP = np.eye(3), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {
+    "default": (Y_UP, 100.0),
+    "blender": (Y_UP, 1.0),
+    "unity-humanoid": (Y_UP, 1.0),
+    "unreal": (WORLD, 100.0),
+    "mixamo": (Y_UP, 100.0),
+}
+# What is changed in the dialogue of Blender's importer.
+IN_BLENDER: dict[Preset, dict[str, object]] = {
+    "default": {"global_scale": 0.01},
+    "blender": {},
+    "unity-humanoid": {},
+    "unreal": {"global_scale": 0.01, "axis_forward": "Y", "axis_up": "Z"},
+    "mixamo": {"global_scale": 0.01},
+}
+WITH_CHANNELS = [joint.name for joint in SKELETON if not joint.name.endswith("End")]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """A reconstruction and all of its exports; BVH files of each preset in a folder of its own."""
+
+    reconstruction: Reconstruction
+    folder: Path
+
+    def paths(self, export: Export, preset: Preset = "default") -> dict[Path, SkeletonMotion]:
+        return {self.folder / preset / f"{one.name}.{export}": one for one in self.reconstruction.motions}
+
+
+def exported(reconstruction: Reconstruction, folder: Path) -> Capture:
+    for preset in PRESET_NAMES:
+        write_results(reconstruction, folder / preset, EXPORTS if preset == "default" else ("bvh",), preset)
+    return Capture(reconstruction, folder)
+
+
+@pytest.fixture(scope="session")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    folder = tmp_path_factory.mktemp("walk")
+    for name, content in simulation_files(record(find_scene("walk"), seed=0)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv", None)
+    return exported(reconstruct_keypoints(session, ReconstructionConfig()), folder)
+
+
+@pytest.fixture(scope="session")
+def filmed(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    return exported(reconstruction, tmp_path_factory.mktemp("filmed"))
+
+
+@pytest.fixture(params=["walk", "filmed"])
+def capture(request: pytest.FixtureRequest) -> Capture:
+    return request.getfixturevalue(request.param)
+
+
+def assert_same(found: np.ndarray, expected: np.ndarray, tolerance: float, what: object) -> None:
+    assert found.shape == expected.shape, what
+    assert np.linalg.norm(found - expected, axis=-1).max() <= tolerance, what
+
+
+@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("read", [read_with_bvhio, read_with_bvh_converter])
+def test_bvh_in_python(capture: Capture, preset: Preset, read: Callable[[Path], dict[str, np.ndarray]]) -> None:
+    axes, units_per_m = IN_FILE[preset]
+    for path, motion in capture.paths("bvh", preset).items():
+        expected_m, found = forward_kinematics(motion), read(path)
+        for joint in WITH_CHANNELS:
+            expected = expected_m[:, INDEX[joint]] @ axes.T * units_per_m
+            assert_same(found[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
+
+
+# Its loader does not find joints again whose names have a colon.
+@pytest.mark.parametrize("preset", [preset for preset in PRESET_NAMES if preset != "mixamo"])
+def test_bvh_in_three(capture: Capture, preset: Preset) -> None:
+    axes, units_per_m = IN_FILE[preset]
+    paths = capture.paths("bvh", preset)
+    for path, read in read_with_three(list(paths)).items():
+        motion = paths[path]
+        expected_m = forward_kinematics(motion)
+        assert read.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-6)
+        for joint in WITH_CHANNELS:
+            expected = expected_m[:, INDEX[joint]] @ axes.T * units_per_m
+            assert_same(read.positions[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
+
+
+def test_glb_in_three(capture: Capture) -> None:
+    paths = capture.paths("glb")
+    for path, read in read_with_three(list(paths)).items():
+        motion = paths[path]
+        assert read.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-4)
+        for joint, index in INDEX.items():
+            assert_same(read.positions[joint], forward_kinematics(motion)[:, index] @ Y_UP.T, 1e-4, (path, joint))
+
+
+def test_glb_is_valid_gltf(capture: Capture) -> None:
+    for path, issues in validate_with_khronos(list(capture.paths("glb"))).items():
+        assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), (path, issues["messages"])
+
+
+def test_markers(capture: Capture) -> None:
+    tracks = {track.track_id: track for track in capture.reconstruction.tracks}
+    joints, rate_hz = capture.reconstruction.joints.names, capture.reconstruction.timebase.frame_rate_hz
+    for path, motion in capture.paths("c3d").items():
+        expected_m = tracks[motion.track_id].xyz_m
+        known = np.isfinite(expected_m).all(-1)
+        read = ezc3d.c3d(str(path))
+        assert read["parameters"]["POINT"]["LABELS"]["value"] == list(joints)
+        assert read["header"]["points"]["frame_rate"] == pytest.approx(rate_hz)
+        assert_same(np.transpose(read["data"]["points"][:3], (2, 1, 0))[known] / 1e3, expected_m[known], 1e-4, path)
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that there are no analog channels
+            frames = np.array([points for _, points, _ in c3d.Reader(file).read_frames()])
+        assert_same(frames[known][:, :3] / 1e3, expected_m[known], 1e-4, path)
+    for path, motion in capture.paths("trc").items():
+        expected_m = tracks[motion.track_id].xyz_m
+        known = np.isfinite(expected_m).all(-1)
+        table = TRCData()
+        table.load(str(path))
+        assert int(table["NumFrames"]) == len(expected_m)
+        assert float(table["DataRate"]) == pytest.approx(rate_hz)
+        found_m = np.array([table[number + 1][1] for number in range(len(expected_m))], dtype=float)
+        assert_same(found_m[known], (expected_m @ Y_UP.T)[known], 1e-4, path)
+
+
+def test_metrics_say_how_far_joints_are_in_each_format(capture: Capture) -> None:
+    for preset in PRESET_NAMES:
+        check = json.loads((capture.folder / preset / "metrics.json").read_bytes())["exports"]
+        assert set(check) == {"skeletons", *(EXPORTS if preset == "default" else ("bvh",))}
+        assert check["bvh"]["max_distance_mm"] < 0.5
+    check = json.loads((capture.folder / "default" / "metrics.json").read_bytes())["exports"]
+    assert max(check[export]["max_distance_mm"] for export in check if export != "bvh") < 0.1
+
+
+def test_animations_are_where_the_fit_has_the_joints(capture: Capture) -> None:
+    """Of joints that the skeleton has itself: the track's final positions are its own."""
+    joints = capture.reconstruction.joints
+    own = {one.name: one.landmarks[0] for one in SKELETON if len(one.landmarks) == 1}
+    assert len(own) == 12
+    for track, (path, motion) in zip(capture.reconstruction.tracks, capture.paths("bvh").items(), strict=True):
+        assert track.track_id == motion.track_id
+        found = read_with_bvhio(path)
+        for name, landmark in own.items():
+            expected_m = track.xyz_m[:, joints.index(landmark)]
+            known = np.isfinite(expected_m).all(-1)
+            assert_same(found[name][known], (expected_m[known] @ Y_UP.T) * 100.0, 0.1, (path, name))
+
+
+@pytest.mark.parametrize("preset", PRESET_NAMES)
+def test_nothing_flips(capture: Capture, preset: Preset) -> None:
+    """No joint turns by more than 45 degrees between frames in which it and its bones' ends move less than 5 cm."""
+    for motion in capture.reconstruction.motions:
+        positions_m = forward_kinematics(motion)
+        moved_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=-1)
+        for joint in WITH_CHANNELS:
+            ends = [INDEX[one.name] for one in SKELETON if joint in (one.name, one.parent)]
+            calm = (moved_m[:, ends] < 0.05).all(-1)
+            turn = Rotation.from_quat(PRESETS[preset].parent_from_joint(motion.parent_from_joint)[:, INDEX[joint]])
+            step_deg = np.degrees((turn[:-1].inv() * turn[1:]).magnitude())
+            assert step_deg[calm].max(initial=0.0) <= 45.0, (motion.name, joint)
+
+
+@pytest.mark.blender
+def test_blender(capture: Capture, tmp_path: Path) -> None:
+    """Everything is upright, faces the right way, and stands where it does in the world, in each frame."""
+    rate_hz = capture.reconstruction.timebase.frame_rate_hz
+    opened: dict[Path, tuple[Preset, SkeletonMotion, float]] = {
+        path: ("default", motion, 1e-4) for path, motion in capture.paths("glb").items()
+    }
+    files: list[tuple[Path, float, dict[str, object]]] = [(path, rate_hz, {}) for path in opened]
+    for preset in PRESET_NAMES:
+        for path, motion in capture.paths("bvh", preset).items():
+            opened[path] = (preset, motion, 1e-3)
+            files.append((path, rate_hz, IN_BLENDER[preset]))
+    picture = tmp_path / "blender.jpg"
+    found = read_with_blender(files, tmp_path, picture)
+    for path, (preset, motion, tolerance_m) in opened.items():
+        read, name = found[path], PRESETS[preset].name
+        assert read.frame_rate_hz == pytest.approx(rate_hz, rel=1e-6)
+        rest = {joint: read.rest[name(joint)] for joint in WITH_CHANNELS}
+        assert rest["Head"][2] > rest["Hips"][2] + 0.4 > rest["LeftFoot"][2] + 1.0
+        assert rest["LeftHand"][0] > 0.3 > -0.3 > rest["RightHand"][0]
+        expected_m = forward_kinematics(motion)
+        for joint in INDEX if path.suffix == ".glb" else WITH_CHANNELS:
+            assert_same(read.positions[name(joint)], expected_m[:, INDEX[joint]], tolerance_m, (path, joint))
+        if path.suffix == ".glb":
+            assert read.rest["LeftFootEnd"][1] < read.rest["LeftFoot"][1] - 0.05  # it faces -Y
+            for contact in motion.contacts:
+                assert_stands(read.positions[f"{contact.side.capitalize()}Foot"][contact.rows], capture, path)
+    assert is_a_picture_of_people(picture)
+
+
+def assert_stands(ankle_m: np.ndarray, capture: Capture, what: object) -> None:
+    floor = capture.reconstruction.animation.floor
+    assert floor is not None
+    assert -0.05 < floor.height_m(ankle_m).mean() - ANKLE_HEIGHT_M < 0.1, what
+
+
+def is_a_picture_of_people(path: Path) -> bool:
+    """Whether something bright and colourful stands on the grey floor."""
+    image = cv2.imread(str(path))
+    assert image is not None
+    return bool((np.ptp(image.astype(int), axis=-1) > 100).mean() > 0.005)
