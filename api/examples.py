@@ -85,6 +85,7 @@ _JOB: dict[str, Any] = {
         "self": f"/v1/jobs/{_JOB_ID}",
         "session": f"/v1/sessions/{_SESSION_ID}",
         "results": f"/v1/jobs/{_JOB_ID}/results",
+        "results_zip": f"/v1/jobs/{_JOB_ID}/results.zip",
         "cancel": f"/v1/jobs/{_JOB_ID}/cancel",
         "retry": f"/v1/jobs/{_JOB_ID}/retry",
     },

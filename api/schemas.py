@@ -156,6 +156,7 @@ class JobLinks(_Answer):
     self: str
     session: str
     results: str
+    results_zip: str
     cancel: str
     retry: str
 
@@ -190,6 +191,7 @@ class JobOut(_Answer):
                 self=address,
                 session=f"/v1/sessions/{job.session_id}",
                 results=f"{address}/results",
+                results_zip=f"{address}/results.zip",
                 cancel=f"{address}/cancel",
                 retry=f"{address}/retry",
             ),

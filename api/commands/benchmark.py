@@ -1,7 +1,6 @@
 """`multicap benchmark`: speed and memory, as ratios within one run."""
 
 import multiprocessing
-import resource
 import tempfile
 import time
 from collections.abc import Mapping
@@ -17,7 +16,9 @@ from rich.table import Table
 
 from api.client import Json, served
 from api.commands.benchmark_clustering import clustering
+from api.commands.benchmark_export import export
 from api.commands.benchmark_fit import fit
+from api.commands.benchmark_takes import peak_rss_mib
 from api.commands.benchmark_tracking import tracking
 from api.commands.reconstruct import write_results
 from api.console import StageBars, console, emit, reporting
@@ -35,6 +36,7 @@ from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
 app.command()(clustering)
+app.command()(export)
 app.command()(fit)
 app.command()(tracking)
 
@@ -74,11 +76,6 @@ def loop_video(source: Path, target: Path, loops: int) -> None:
                     packet.dts += loop * length
                     packet.stream = stream_out
                     out.mux(packet)
-
-
-def peak_rss_mib() -> float:
-    """Largest resident memory of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 @app.command()

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from api.commands.benchmark_takes import to_and_fro
 from api.console import console, emit, reporting, show_sizes
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Observations, SkeletonMotion, Timebase, Track3D
@@ -57,7 +58,7 @@ def measure_memory() -> list[dict[str, float]]:
     figures = []
     for minutes in _MINUTES:
         num_frames = round(60 * minutes * rate_hz)
-        longer = partial(_to_and_fro, num_frames=num_frames)
+        longer = partial(to_and_fro, num_frames=num_frames)
         long_track = replace(
             track,
             xyz_m=longer(track.xyz_m),
@@ -78,12 +79,6 @@ def measure_memory() -> list[dict[str, float]]:
         num_all = sum(array.nbytes for array in (given | made).values())
         figures.append({"minutes": minutes, "records_mib": num_all / _MIB, "working_mib": (peak - num_new) / _MIB})
     return figures
-
-
-def _to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:
-    """A take that goes on as itself backwards, and again."""
-    period = np.concatenate([values, values[::-1]])
-    return np.concatenate([period] * -(-num_frames // len(period)))[:num_frames]
 
 
 def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.ndarray]:

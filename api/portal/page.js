@@ -119,15 +119,17 @@ async function fillResults(card, job) {
   place.hidden = true;
   if (job.state !== "succeeded") return;
   const { results } = await call(job.links.results);
-  for (const result of results) {
-    const link = element("a", result.name);
-    link.href = result.link;
-    link.download = result.name;
-    link.append(Object.assign(element("span", sized(result.num_bytes)), { className: "quiet" }));
+  const add = (address, name, ...more) => {
+    const link = Object.assign(element("a", name), { href: address, download: "" });
+    link.append(...more);
     const item = document.createElement("li");
     item.append(link);
     place.append(item);
+  };
+  for (const result of results) {
+    add(result.link, result.name, Object.assign(element("span", sized(result.num_bytes)), { className: "quiet" }));
   }
+  add(job.links.results_zip, "All as ZIP");
   place.hidden = results.length === 0;
 }
 
@@ -233,8 +235,9 @@ function formOf(fields) {
   if (name) form.append("manifest", new Blob([JSON.stringify({ name })], { type: "application/json" }));
   form.append("calibration", fields.calibration.files[0]);
   for (const video of fields.videos.files) form.append("videos", video);
-  const choices = ["method", "detector", "smoothing", "feet"];
+  const choices = ["method", "detector", "smoothing", "feet", "bvh"];
   const spec = Object.fromEntries(choices.map((name) => [name, fields[name].value]));
+  spec.exports = [...fields.exports].filter((box) => box.checked).map((box) => box.value);
   form.append("spec", new Blob([JSON.stringify(spec)], { type: "application/json" }));
   return form;
 }

@@ -6,15 +6,17 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Path, Response
 from fastapi.responses import StreamingResponse
+from zipstream import ZIP_DEFLATED, ZipStream
 
 from api.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.contract import answer, problems
-from api.dependencies import JobId, ServicesDep
+from api.dependencies import JobId, Services, ServicesDep
 from api.errors import ApiError
 from api.schemas import ResultList, ResultOut
 from worker.jobs.errors import NotFound
+from worker.jobs.model import Result
 
-router = APIRouter(prefix="/v1/jobs/{job_id}/results", tags=["results"])
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
 _BLOCK_BYTES = 2**18
 _FILE: dict[str, Any] = {
@@ -28,7 +30,7 @@ _HEADERS = {
 }
 
 
-@router.get("", operation_id="listResults", responses={200: answer("ResultList"), **problems(404, 409)})
+@router.get("/results", operation_id="listResults", responses={200: answer("ResultList"), **problems(404, 409)})
 def list_results(job_id: JobId, services: ServicesDep) -> ResultList:
     """List the result files of a finished job."""
     results = services.store.results(job_id)
@@ -36,7 +38,49 @@ def list_results(job_id: JobId, services: ServicesDep) -> ResultList:
 
 
 @router.get(
-    "/{name}",
+    "/results.zip",
+    operation_id="getAllResults",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The files under their names.",
+            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+            "headers": {"Content-Disposition": _HEADERS["Content-Disposition"]},
+        },
+        **problems(404, 409, 410),
+    },
+)
+def get_all_results(job_id: JobId, services: ServicesDep) -> Response:
+    """Download all result files of a job as one archive."""
+    results = services.store.results(job_id)
+    if not results:
+        raise NotFound("The job has no results.")
+    if not all(services.artifacts.exists(result.key) for result in results):
+        raise _expired()
+    session = services.store.session(services.store.job(job_id).session_id)
+    # Made while it is sent. The fastest compression: text shrinks to a fifth already.
+    archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
+    for result in results:
+        archive.add(_content(services, result), result.name)
+    headers = {"Cache-Control": "private, no-cache", **_attachment(f"{session.name or job_id}.zip")}
+    return StreamingResponse(iter(archive), headers=headers, media_type="application/zip")
+
+
+def _content(services: Services, result: Result) -> Iterator[bytes]:
+    """A file's blocks; it is opened for the first one."""
+    yield from _blocks(services.artifacts.open(result.key), ByteRange(0, result.num_bytes))
+
+
+def _attachment(name: str) -> dict[str, str]:
+    return {"Content-Disposition": f"attachment; filename*=utf-8''{quote(name, safe='')}"}
+
+
+def _expired() -> ApiError:
+    return ApiError(410, "expired", "The file was removed.", hint="Retry the job, or start it again.")
+
+
+@router.get(
+    "/results/{name}",
     operation_id="getResult",
     response_class=Response,
     responses={
@@ -61,7 +105,7 @@ def get_result(
         "ETag": etag,
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, no-cache",
-        "Content-Disposition": f"attachment; filename*=utf-8''{quote(result.name, safe='')}",
+        **_attachment(result.name),
     }
     if matches(if_none_match, etag):
         return Response(status_code=304, headers=headers)
@@ -73,7 +117,7 @@ def get_result(
     try:
         file = services.artifacts.open(result.key)
     except NotFound:
-        raise ApiError(410, "expired", "The file was removed.", hint="Retry the job, or start it again.") from None
+        raise _expired() from None
     sent = wanted or ByteRange(0, result.num_bytes)
     headers["Content-Length"] = str(sent.stop - sent.start)
     if wanted:

@@ -70,14 +70,14 @@ class Convention:
         self, quat_xyzw: Float[np.ndarray, "frames joints 4"]
     ) -> Float[np.ndarray, "frames joints 4"]:
         """Rotations of a ``SkeletonMotion`` as they are from the file's rest pose, on its axes; as continuous."""
-        lowered = self._lowered().as_quat()
-        before, after = (
-            Rotation.from_quat(np.broadcast_to(turn, quat_xyzw.shape).reshape(-1, 4))
-            for turn in (lowered[_PARENTS], lowered)
-        )
-        turned = (before * Rotation.from_quat(quat_xyzw.reshape(-1, 4)) * after.inv()).as_quat()
-        turned[:, :3] = turned[:, :3] @ self.file_from_world.T
-        return turned.reshape(quat_xyzw.shape)
+        turned = quat_xyzw.copy()
+        lowered = self._lowered()
+        for index, parent in enumerate(_PARENTS):
+            if (lowered[[parent, index]].magnitude() > 0.0).any():
+                turn = Rotation.from_quat(quat_xyzw[:, index])
+                turned[:, index] = (lowered[parent] * turn * lowered[index].inv()).as_quat()
+        turned[..., :3] = turned[..., :3] @ self.file_from_world.T
+        return turned
 
     def _lowered(self) -> Rotation:
         """Rotation of every joint's bones from the T-pose to the rest pose, world axes."""

@@ -47,21 +47,17 @@ def write_results(
         If the folder can't be written to, the disk is full, or a file does not hold what was written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in exports}}
     path = _write(folder / "skeletons.json", skeletons_json.encode(reconstruction))
-    everybody_m = skeletons_json.read_xyz_m(path)
-    far_mm = {
-        "skeletons": [
-            _furthest_mm(path, track.xyz_m, [read_m])
-            for track, read_m in zip(reconstruction.tracks, everybody_m, strict=True)
-        ]
-    }
+    for track, read_m in zip(reconstruction.tracks, skeletons_json.read_xyz_m(path), strict=True):
+        far_mm["skeletons"].append(_furthest_mm(path, track.xyz_m, [read_m]))
     yield path
-    for export in dict.fromkeys(exports):
-        far_mm[export] = []
-        for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
+    for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
+        skeleton_m = forward_kinematics(motion)
+        for export in dict.fromkeys(exports):
             path = folder / f"{motion.name}.{export}"
             _write(path, _encode(export, reconstruction, track, motion, path.name, preset))
-            expected_m = forward_kinematics(motion) if export in _OF_MOTIONS else track.xyz_m
+            expected_m = skeleton_m if export in _OF_MOTIONS else track.xyz_m
             far_mm[export].append(_furthest_mm(path, expected_m, _read(export, path, preset)))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}

@@ -1,21 +1,21 @@
 """``skeletons.json``: all people's joint positions, frame by frame, in the world.
 
 Positions are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN becomes null. The bytes are strict JSON and
-always the same for the same reconstruction.
+always the same for the same reconstruction; each track stands on a line of its own.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Reconstruction, Source, Track3D
+from pipeline.export.blocks import frame_blocks
 
 SCHEMA_VERSION = 1
 
-_BEFORE_TRACKS = b',"tracks":['
 _LETTERS = np.array([source.letter for source in Source])
 
 
@@ -23,27 +23,30 @@ def _dumps(value: object) -> str:
     return json.dumps(value, allow_nan=False, separators=(",", ":"))
 
 
-def _joints_or_null(frame: Float[np.ndarray, "joints *values"], decimals: int) -> list[object]:
-    """One frame's values; null where any of a joint's values is NaN. Adding zero turns -0.0 into 0.0."""
-    known = np.isfinite(frame).reshape(len(frame), -1).all(-1)
-    rounded = (np.round(frame, decimals) + 0.0).tolist()
-    return [value if is_known else None for value, is_known in zip(rounded, known.tolist(), strict=True)]
+def _joints_or_null(values: Float[np.ndarray, "frames joints *values"], decimals: int) -> list[list[object]]:
+    """Some frames' values; null where any of a joint's values is NaN. Adding zero turns -0.0 into 0.0."""
+    known = np.isfinite(values).reshape(*values.shape[:2], -1).all(-1)
+    rounded = (np.round(values, decimals) + 0.0).tolist()
+    return [
+        [value if is_known else None for value, is_known in zip(*frame, strict=True)]
+        for frame in zip(rounded, known.tolist(), strict=True)
+    ]
 
 
 def _track_parts(track: Track3D) -> Iterator[str]:
-    """One track's object, in pieces of one frame: a long capture's numbers never stand in memory as Python objects."""
+    """One track's object, some frames at a time: a long capture's numbers never stand in memory as Python objects."""
     head = {"id": track.track_id, "name": f"person-{track.track_id}", "start_frame": track.start_frame}
     yield _dumps(head).removesuffix("}")
-    series = {
-        "positions_m": (_joints_or_null(frame, 4) for frame in track.xyz_m),
-        "scores": (_joints_or_null(frame, 3) for frame in track.score),
-        "sources": ("".join(_LETTERS[frame]) for frame in track.source),
-        "error_px": (_joints_or_null(frame, 2) for frame in track.error_px),
+    series: dict[str, Callable[[slice], Sequence[object]]] = {
+        "positions_m": lambda rows: _joints_or_null(track.xyz_m[rows], 4),
+        "scores": lambda rows: _joints_or_null(track.score[rows], 3),
+        "sources": lambda rows: ["".join(letters) for letters in _LETTERS[track.source[rows]]],
+        "error_px": lambda rows: _joints_or_null(track.error_px[rows], 2),
     }
-    for name, frames in series.items():
+    for name, frames_of in series.items():
         yield f',"{name}":['
-        for number, frame in enumerate(frames):
-            yield f",{_dumps(frame)}" if number else _dumps(frame)
+        for rows in frame_blocks(track.num_frames):
+            yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
         yield "]"
     yield "}"
 
@@ -59,20 +62,20 @@ def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
         "joint_names": joints.names,
         "bones": joints.bones,
     }
-    yield _dumps(head).removesuffix("}").encode("ascii") + _BEFORE_TRACKS
+    yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
     for number, track in enumerate(reconstruction.tracks):
-        yield b"," if number else b""
+        yield b",\n" if number else b""
         for part in _track_parts(track):
             yield part.encode("ascii")
-    yield b"]}\n"
+    yield b"\n]}\n"
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """World positions of each track in a file that ``encode`` wrote, NaN where null, a person at a time."""
-    content = path.read_text(encoding="ascii")
-    decoder = json.JSONDecoder()
-    at = content.index(_BEFORE_TRACKS.decode("ascii")) + len(_BEFORE_TRACKS)
-    while content[at] != "]":
-        track, at = decoder.raw_decode(content, at + (content[at] == ","))
-        unknown = [np.nan] * 3
-        yield np.array([[xyz_m or unknown for xyz_m in frame] for frame in track["positions_m"]])
+    unknown = [np.nan] * 3
+    with path.open(encoding="ascii") as file:
+        file.readline()
+        for line in file:
+            if line.startswith("{"):
+                track = json.loads(line.rstrip(",\n"))
+                yield np.array([[xyz_m or unknown for xyz_m in frame] for frame in track["positions_m"]])

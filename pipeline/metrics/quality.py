@@ -111,28 +111,24 @@ def _rounded(value: float, decimals: int) -> float | None:
 def _summarise_error(
     errors_px: list[Float[np.ndarray, "_ cameras joints"]], cameras: tuple[Camera, ...], joints: JointSet
 ) -> dict[str, Any]:
-    def percentile_px(arrays: Iterable[np.ndarray], percent: float) -> float | None:
-        return _rounded(np.percentile(_known(arrays), percent), 3)
+    def median_and_p95(arrays: Iterable[np.ndarray]) -> list[float | None]:
+        return [_rounded(value, 3) for value in np.percentile(_known(arrays), (50.0, 95.0), overwrite_input=True)]
 
-    def by_camera(percent: float) -> dict[str, float | None]:
-        return {
-            camera.name: percentile_px((error_px[:, index] for error_px in errors_px), percent)
-            for index, camera in enumerate(cameras)
-        }
-
-    def by_joint(percent: float) -> dict[str, float | None]:
-        return {
-            name: percentile_px((error_px[:, :, index] for error_px in errors_px), percent)
-            for index, name in enumerate(joints.names)
-        }
-
+    overall = median_and_p95(errors_px)
+    by_camera = {
+        camera.name: median_and_p95(error_px[:, index] for error_px in errors_px)
+        for index, camera in enumerate(cameras)
+    }
+    by_joint = {
+        name: median_and_p95(error_px[:, :, index] for error_px in errors_px) for index, name in enumerate(joints.names)
+    }
     return {
-        "median": percentile_px(errors_px, 50.0),
-        "p95": percentile_px(errors_px, 95.0),
-        "by_camera": by_camera(50.0),
-        "p95_by_camera": by_camera(95.0),
-        "by_joint": by_joint(50.0),
-        "p95_by_joint": by_joint(95.0),
+        "median": overall[0],
+        "p95": overall[1],
+        "by_camera": {name: figures[0] for name, figures in by_camera.items()},
+        "p95_by_camera": {name: figures[1] for name, figures in by_camera.items()},
+        "by_joint": {name: figures[0] for name, figures in by_joint.items()},
+        "p95_by_joint": {name: figures[1] for name, figures in by_joint.items()},
         "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
     }
 

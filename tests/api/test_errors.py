@@ -28,6 +28,7 @@ UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
         ("POST", f"/v1/sessions/{UNKNOWN}/jobs", 404, "not_found"),
         ("GET", f"/v1/jobs/{UNKNOWN}/results", 404, "not_found"),
         ("GET", f"/v1/jobs/{UNKNOWN}/results/person-1.bvh", 404, "not_found"),
+        ("GET", f"/v1/jobs/{UNKNOWN}/results.zip", 404, "not_found"),
         ("GET", "/v1/jobs?limit=0", 422, "invalid_request"),
         ("GET", "/v1/jobs?state=asleep", 422, "invalid_request"),
         ("GET", "/v1/sessions?cursor=1", 422, "invalid_request"),

@@ -1,8 +1,12 @@
 import hashlib
+import io
+import json
+import zipfile
+from urllib.parse import unquote
 
 import pytest
 
-from tests.api.conftest import RESULT, Live, problem_of
+from tests.api.conftest import RESULT, Live, form, problem_of
 
 ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
 
@@ -97,6 +101,41 @@ def test_if_none_match(live: Live, path: str, validators: str, status: int) -> N
     if status == 304:
         assert answer.content == b""
         assert answer.headers["etag"] == ETAG
+
+
+def test_all_as_one_archive(live: Live, job_id: str) -> None:
+    address = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["results_zip"]
+    answer = live.client.get(address)
+    assert answer.headers["Content-Type"] == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        assert archive.testzip() is None
+        packed = {name: archive.read(name) for name in archive.namelist()}
+    listed = [result["name"] for result in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]]
+    assert packed == {name: live.client.get(f"/v1/jobs/{job_id}/results/{name}").content for name in listed}
+
+
+@pytest.mark.parametrize("name", ["take", 'Größe "2"; 撮影 / ..\\a', "a" * 100])
+def test_the_archive_bears_the_sessions_name(live: Live, name: str) -> None:
+    manifest = ("manifest", ("manifest.json", json.dumps({"name": name}).encode(), "application/json"))
+    session = live.client.post("/v1/sessions", files=[*form(), manifest])
+    assert session.status_code == 201, session.text
+    job_id = live.client.post(f"/v1/sessions/{session.json()['id']}/jobs", json={}).json()["id"]
+    live.finish(job_id)
+    header = live.client.get(f"/v1/jobs/{job_id}/results.zip").headers["Content-Disposition"]
+    assert header.isascii()
+    assert unquote(header.removeprefix("attachment; filename*=utf-8''")) == f"{name}.zip"
+
+
+def test_no_archive_of_nothing(live: Live) -> None:
+    job_id = live.job_id()
+    problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 409, "not_finished")
+    live.client.post(f"/v1/jobs/{job_id}/cancel")
+    problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 404, "not_found")
+
+
+def test_an_archive_of_removed_files_is_not_begun(live: Live, job_id: str) -> None:
+    live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
+    problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 410, "expired")
 
 
 def test_unknown_name(live: Live, job_id: str) -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,13 +42,17 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
     expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
     expect(job.get_by_text("Done", exact=True)).to_be_visible(timeout=240_000)
-    found = {}
+    found, packed = {}, {}
     for link in job.get_by_role("link").all():
         with page.expect_download() as download:
             link.click()
-        content = download.value.path().read_bytes()
-        found[download.value.suggested_filename] = hashlib.sha256(content).hexdigest()
-    assert found == digests(results)
+        path, name = download.value.path(), download.value.suggested_filename
+        if name.endswith(".zip"):
+            with zipfile.ZipFile(path) as archive:
+                packed = {one: hashlib.sha256(archive.read(one)).hexdigest() for one in archive.namelist()}
+        else:
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert found == packed == digests(results)
 
 
 def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served) -> None:
@@ -58,10 +63,15 @@ def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served
         ("detector", "Detector"),
         ("smoothing", "Smoothing"),
         ("feet", "Feet on the floor"),
+        ("bvh", "BVH is for"),
     ):
         options = page.get_by_label(label).get_by_role("option").evaluate_all("all => all.map(one => one.value)")
         assert sorted(options) == sorted(properties[name]["enum"])
         assert page.get_by_label(label).input_value() == properties[name]["default"]
+    boxes = page.get_by_role("group", name="Files of each person").get_by_role("checkbox")
+    chosen = boxes.evaluate_all("all => all.filter(one => one.checked).map(one => one.value)")
+    assert chosen == properties["exports"]["default"]
+    assert boxes.evaluate_all("all => all.map(one => one.value)") == properties["exports"]["items"]["enum"]
 
 
 def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_path: Path) -> None:
