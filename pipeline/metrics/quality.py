@@ -100,11 +100,11 @@ def encode(report: dict[str, Any]) -> bytes:
 
 def _known(arrays: Iterable[np.ndarray]) -> np.ndarray:
     """All values that are not NaN, flat; one NaN if there are none, so that a mean or a median of them is NaN."""
-    flat = np.concatenate([np.zeros(0), *(array[np.isfinite(array)] for array in arrays)])
+    flat = np.concatenate([np.zeros(0, np.float32), *(array[np.isfinite(array)] for array in arrays)])
     return flat if len(flat) else np.array([np.nan])
 
 
-def _rounded(value: float, decimals: int) -> float | None:
+def _rounded(value: float | np.floating, decimals: int) -> float | None:
     return round(float(value), decimals) if np.isfinite(value) else None
 
 
@@ -216,11 +216,13 @@ def reprojection_error_px(
 ) -> Float[np.ndarray, "frames cameras joints"]:
     """Distance of each observation to the projection of the final position, in pixels of the full image.
 
+    Of single precision: there are as many as observations.
+
     NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
     """
     projected_px = np.stack([project(camera, track.xyz_m) for camera in cameras], axis=1)
     distance_px = np.linalg.norm(projected_px - observations.points_px, axis=-1)
-    return np.where(_counts(observations), distance_px, np.nan)
+    return np.where(_counts(observations), distance_px, np.nan).astype(np.float32)
 
 
 def views_per_joint(track: Track3D, observations: Observations) -> float:
