@@ -2,9 +2,11 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+READERS := tests/e2e/readers
+BLENDER := .venv-blender
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser test check benchmark format lock clean
+.PHONY: help setup demo serve browser readers test verify-exports check benchmark format lock clean
 
 help:  ## Say what there is
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -32,11 +34,33 @@ browser:  ## Install Chromium for the tests of the page, where Debian's packages
 		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium >/dev/null; } \
 		|| echo "There is no Chromium, and it can't be installed here: the tests of the page are skipped."
 
-test: setup browser  ## Run the tests
+readers: $(READERS)/node_modules/.installed  ## Install three.js and the glTF validator for the tests of exports
+
+$(READERS)/node_modules/.installed: $(READERS)/package-lock.json $(VENV)/.installed
+	@mkdir -p $(@D)
+	@$(BIN)/npm ci --prefix $(READERS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
+		|| echo "npm's packages can't be installed here: what needs three.js and the glTF validator is skipped."
+
+$(BLENDER)/.installed: $(READERS)/blender.lock
+	@test "$$(id -u)" != 0 || ! command -v apt-get >/dev/null || { apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+		apt-get install -qq -y --no-install-recommends libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 \
+		libgl1 >/dev/null; }
+	$(PYTHON) -m venv --clear $(BLENDER)
+	$(BLENDER)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+		--only-binary :all: -r $<
+	touch $@
+
+verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender (800 MB), three.js and other software
+	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap samples install
+	MULTICAP_PICTURES=build/exports $(BIN)/python -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
+	@echo "Blender's pictures are in build/exports/."
+
+test: setup browser readers  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark"
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender"
 
 check: setup  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
 	$(BIN)/ruff format --check .
@@ -64,4 +88,4 @@ lock:  ## Pin the dependencies anew (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove what the targets made
-	rm -rf $(VENV) demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(READERS)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

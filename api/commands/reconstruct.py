@@ -28,7 +28,7 @@ from pipeline.config import Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export import results
-from pipeline.export.results import DEFAULT_EXPORTS
+from pipeline.export.results import DEFAULT_EXPORTS, check_exports
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.session import open_session
@@ -179,6 +179,7 @@ def command(
         else:
             named = [*(videos or []), *(more_videos or [])]
             session = open_session(named[0] if len(named) == 1 else named, calibration)
+        check_exports(session.timebase, formats)
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))
         if isinstance(session, KeypointSession):

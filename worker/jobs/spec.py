@@ -8,6 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 _FIELD_DETECTORS = frozenset({"openpose-mobilenet-thin", "human-pose-estimation-0001"})
 
 
+# As in ``pipeline.export.c3d_file``.
+_MAX_C3D_FRAMES = 2**16 - 1
+
+
 class JobSpec(BaseModel):
     """A reconstruction's choices. Unknown fields are refused."""
 
@@ -46,6 +50,17 @@ class JobSpec(BaseModel):
         if len(set(exports)) < len(exports):
             raise ValueError("Name each format once.")
         return exports
+
+    def problems(self, num_frames: int, frame_rate_hz: float) -> dict[str, tuple[str, str]]:
+        """What of this can't be done with a session of so many output frames: code and sentence by field."""
+        found = {}
+        if self.smoothing == "butterworth" and self.cutoff_hz >= frame_rate_hz / 2:
+            message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
+            found["cutoff_hz"] = "cutoff_range", message
+        if "c3d" in self.exports and num_frames > _MAX_C3D_FRAMES:
+            message = f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; the session has {num_frames}."
+            found["exports"] = "too_long_for_c3d", message
+        return found
 
     @property
     def uses_fields(self) -> bool:

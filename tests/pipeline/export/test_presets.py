@@ -1,0 +1,72 @@
+"""What each preset promises: names, axes, unit and rest pose, read by bvhio."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config import Preset
+from pipeline.data import SkeletonMotion
+from pipeline.export import bvh
+from pipeline.export.presets import PRESETS
+from pipeline.skeleton.model import SKELETON, forward_kinematics
+from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
+from tests.pipeline.export.test_bvh import encoded, walk
+
+SOME_NAMES: dict[Preset, set[str]] = {
+    "default": {"Hips", "Chest", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot"},
+    "blender": {"hips", "chest", "upper_arm.L", "forearm.R", "thigh.L", "foot.R"},
+    "unity-humanoid": {"Hips", "Chest", "LeftUpperArm", "RightLowerArm", "LeftUpperLeg", "RightFoot"},
+    "unreal": {"pelvis", "spine_03", "upperarm_l", "lowerarm_r", "thigh_l", "foot_r"},
+    "mixamo": {f"mixamorig:{name}" for name in ("Hips", "Spine2", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot")},
+}
+
+
+def rest(preset: Preset, path: Path) -> dict[str, np.ndarray]:
+    """Rest positions by our names, metres."""
+    path.write_bytes(encoded(walk(1), preset))
+    root = bvhio.readAsHierarchy(str(path)).loadRestPose(recursive=True)
+    found = {joint.Name: np.array(joint.PositionWorld) for joint, _, _ in root.layout()}
+    assert SOME_NAMES[preset] <= set(found)
+    assert len(found) == 19
+    convention = PRESETS[preset]
+    return {
+        joint.name: found[convention.name(joint.name)] / convention.units_per_m
+        for joint in SKELETON
+        if convention.name(joint.name) in found
+    }
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_rest_pose_stands_upright_and_faces_the_right_way(preset: Preset, tmp_path: Path) -> None:
+    at = rest(preset, tmp_path / "person.bvh")
+    up, forward = (2, np.array([0, -1, 0])) if preset == "unreal" else (1, np.array([0, 0, 1]))
+    assert at["Head"][up] - at["Hips"][up] == pytest.approx(0.60, abs=0.15)
+    assert at["Hips"][up] - at["LeftFoot"][up] == pytest.approx(0.82, abs=0.05)
+    left = at["LeftArm"] - at["RightArm"]
+    np.testing.assert_allclose(np.cross(left, np.eye(3)[up]) / np.linalg.norm(left), forward, atol=1e-6)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_arms_are_stretched_out_or_lowered(preset: Preset, tmp_path: Path) -> None:
+    at = rest(preset, tmp_path / "person.bvh")
+    up = 2 if preset == "unreal" else 1
+    for side in ("Left", "Right"):
+        arm = at[f"{side}Hand"] - at[f"{side}Arm"]
+        below_deg = np.degrees(np.arcsin(-arm[up] / np.linalg.norm(arm)))
+        assert below_deg == pytest.approx(45.0 if preset == "unreal" else 0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_our_own_reader_agrees_with_another(preset: Preset, tmp_path: Path) -> None:
+    motion: SkeletonMotion = walk(700, frame_rate_hz=119.88)
+    path = tmp_path / "person.bvh"
+    path.write_bytes(encoded(motion, preset))
+    own_m = np.concatenate(list(bvh.read_xyz_m(path, PRESETS[preset])))
+    np.testing.assert_allclose(own_m, forward_kinematics(motion), atol=2e-4)
+    found = read_with_bvhio(path)
+    for index, joint in enumerate(SKELETON):
+        if not joint.name.endswith("End"):
+            expected = PRESETS[preset].file_from_xyz_m(own_m[:, index])
+            other = found[PRESETS[preset].name(joint.name)]
+            assert np.abs(other - expected).max() < 2e-4 * PRESETS[preset].units_per_m

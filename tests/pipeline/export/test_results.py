@@ -1,0 +1,128 @@
+"""All files of a reconstruction at once: takes that are odd, and files that do not hold what they should."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from pipeline.config import Export, ReconstructionConfig
+from pipeline.data import Reconstruction, Timebase, Track3D
+from pipeline.errors import InputError
+from pipeline.export import csv_table
+from pipeline.export.results import write_results
+from pipeline.joints import COCO_17
+from pipeline.skeleton.animate import animate
+from tests.e2e.foreign import validate_with_khronos
+from tests.pipeline.export.bvh_readers import read_with_bvhio
+from tests.pipeline.metrics.test_quality import CAMERAS, observe
+from tests.pipeline.skeleton.people import track_of, walker
+
+EXPORTS: tuple[Export, ...] = get_args(Export)
+CSV: tuple[Export, ...] = ("csv",)
+LEGS = [index for index, name in enumerate(COCO_17.names) if name.endswith(("knee", "ankle"))]
+
+
+def take(*tracks: Track3D, rate_hz: float = 25.0, num_frames: int = 100) -> Reconstruction:
+    timebase = Timebase(0.0, rate_hz, num_frames)
+    observations = tuple(observe(track) for track in tracks)
+    animation = animate(tracks, observations, CAMERAS, timebase, COCO_17, ReconstructionConfig())
+    return Reconstruction(CAMERAS, COCO_17, timebase, tracks, observations, animation)
+
+
+def without(joints: list[int], num_frames: int = 30) -> np.ndarray:
+    xyz_m = walker(num_frames)
+    xyz_m[:, joints] = np.nan
+    return xyz_m
+
+
+@pytest.mark.parametrize(
+    ("xyz_m", "rate_hz"),
+    [
+        pytest.param(walker(1), 25.0, id="one frame"),
+        pytest.param(walker(2), 25.0, id="two frames"),
+        pytest.param(without(LEGS), 25.0, id="no legs"),
+        pytest.param(without([9]), 25.0, id="a joint that was never seen"),
+        pytest.param(without(list(range(17))), 25.0, id="nothing ever seen"),
+        pytest.param(walker(30), 30000 / 1001, id="29.97"),
+        pytest.param(walker(30), 120000 / 1001, id="119.88"),
+    ],
+)
+def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path: Path) -> None:
+    paths = list(write_results(take(track_of(xyz_m), rate_hz=rate_hz), tmp_path, EXPORTS))
+    assert {path.name for path in paths} == {
+        "skeletons.json",
+        "metrics.json",
+        *(f"person-1.{export}" for export in EXPORTS),
+    }
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths}
+    assert paths[-1].name == "metrics.json"
+    positions = read_with_bvhio(tmp_path / "person-1.bvh")
+    assert all(np.isfinite(found).all() and len(found) == len(xyz_m) for found in positions.values())
+    check = json.loads(paths[-1].read_bytes())["exports"]
+    assert set(check) == {"skeletons", *EXPORTS}
+    for export, figures in check.items():
+        of_joints = export not in {"bvh", "glb"}
+        if of_joints and np.isnan(xyz_m).all():
+            assert figures == {"max_distance_mm": None}
+        else:
+            assert 0.0 <= figures["max_distance_mm"] < 0.5
+    assert validate_with_khronos([tmp_path / "person-1.glb"])[tmp_path / "person-1.glb"]["numErrors"] == 0
+
+
+def test_nobody(tmp_path: Path) -> None:
+    paths = list(write_results(take(), tmp_path, EXPORTS))
+    assert [path.name for path in paths] == ["skeletons.json", "metrics.json"]
+    check = json.loads(paths[-1].read_bytes())["exports"]
+    assert check == {export: {"max_distance_mm": None} for export in ("skeletons", *EXPORTS)}
+
+
+def test_a_take_too_long_for_c3d_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    long = take(num_frames=65536)
+    with pytest.raises(InputError) as refused:
+        list(write_results(long, tmp_path / "out", ("csv", "c3d")))
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("too_long_for_c3d", "exports")
+    assert not (tmp_path / "out").exists()
+    assert list(write_results(long, tmp_path / "out", CSV))
+
+
+@pytest.mark.parametrize("fault", ["a row is lost", "a joint is lost", "a joint is made up"])
+def test_a_file_that_does_not_hold_what_was_written_is_no_result(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encode = csv_table.encode
+
+    def spoilt(*arguments: object) -> Iterator[bytes]:
+        rows = b"".join(encode(*arguments)).splitlines(keepends=True)  # type: ignore[arg-type]
+        cells = rows[5].split(b",")
+        match fault:
+            case "a row is lost":
+                del rows[5]
+            case "a joint is lost":
+                rows[5] = b",".join([*cells[:2], b"", b"", b"", *cells[5:]])
+            case "a joint is made up":
+                rows[5] = b",".join([*cells[:29], b"1.0", b"1.0", b"1.0", *cells[32:]])
+        yield b"".join(rows)
+
+    monkeypatch.setattr(csv_table, "encode", spoilt)
+    with pytest.raises(OSError, match=r"person-1\.csv"):
+        list(write_results(take(track_of(without([9]))), tmp_path, CSV))
+    assert not (tmp_path / "metrics.json").exists()
+
+
+def test_a_joint_beside_its_place_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    encode = csv_table.encode
+
+    def moved(track: Track3D, *arguments: object) -> Iterator[bytes]:
+        xyz_m = track.xyz_m.copy()
+        xyz_m[7, 3, 1] += 0.012
+        return encode(track_of(xyz_m), *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(csv_table, "encode", moved)
+    paths = list(write_results(take(track_of(walker(30))), tmp_path, CSV))
+    check = json.loads(paths[-1].read_bytes())["exports"]
+    assert check["csv"]["max_distance_mm"] == pytest.approx(12.0, abs=0.2)
+    assert check["skeletons"]["max_distance_mm"] < 0.1
