@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from api.settings import GIB, MIB, Settings
-from tests.api.conftest import NO_BROKER
+from tests.api.conftest import NO_BROKER, running
 
 BOUNDARY = "xyz"
 
@@ -72,6 +72,26 @@ def growth_bytes(settings: Settings, num_bytes: int) -> int:
         assert answer.status_code == 201, answer.text
         assert answer.json()["files"][0]["num_bytes"] == num_bytes
         return peak_bytes(process) - before
+
+
+def archive_growth_bytes(settings: Settings, num_bytes: int) -> int:
+    """What a large archive of results adds to the service's memory after a small one."""
+    with running(settings) as live:
+        small = live.job_id()
+        live.finish(small)
+        large = live.job_id()
+        live.finish(large, os.urandom(num_bytes))
+    with serving(settings) as (client, process):
+        assert client.get(f"/v1/jobs/{small}/results.zip").status_code == 200
+        before = peak_bytes(process)
+        with client.stream("GET", f"/v1/jobs/{large}/results.zip") as answer:
+            assert answer.status_code == 200
+            assert sum(len(block) for block in answer.iter_bytes()) > num_bytes
+        return peak_bytes(process) - before
+
+
+def test_archive_takes_no_memory(make_settings: Callable[..., Settings]) -> None:
+    assert archive_growth_bytes(make_settings(), 192 * MIB) <= 12 * MIB
 
 
 def test_upload_takes_no_memory(make_settings: Callable[..., Settings]) -> None:

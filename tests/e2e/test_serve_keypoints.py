@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from api.commands.reconstruct import write_results
-from pipeline.config import Export, Method, ReconstructionConfig, Smoothing
+from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
 from pipeline.keypoints import open_keypoints
 from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
@@ -46,16 +46,25 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
 
 
 @pytest.mark.parametrize(
-    ("method", "smoothing", "exports"),
-    [("tracking", "none", ("bvh",)), ("clustering", "butterworth", ("csv", "c3d", "trc", "bvh"))],
+    ("method", "smoothing", "exports", "preset"),
+    [
+        ("tracking", "none", ("bvh",), "unreal"),
+        ("clustering", "butterworth", ("csv", "c3d", "glb", "trc", "bvh"), "default"),
+    ],
 )
 def test_the_same_files_as_without_the_service(
-    served: Served, capture: Path, tmp_path: Path, method: Method, smoothing: Smoothing, exports: tuple[Export, ...]
+    served: Served,
+    capture: Path,
+    tmp_path: Path,
+    method: Method,
+    smoothing: Smoothing,
+    exports: tuple[Export, ...],
+    preset: Preset,
 ) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
     config = ReconstructionConfig(method=method, smoothing=smoothing, cutoff_hz=5.0)
-    write_results(reconstruct_keypoints(session, config), tmp_path, exports)
-    choices = {"method": method, "smoothing": smoothing, "cutoff_hz": 5.0, "exports": exports}
+    write_results(reconstruct_keypoints(session, config), tmp_path, exports, preset)
+    choices = {"method": method, "smoothing": smoothing, "cutoff_hz": 5.0, "exports": exports, "bvh": preset}
     spec = ("spec", (None, json.dumps(choices)))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
