@@ -174,7 +174,7 @@ def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """World positions of the joints of ``SKELETON`` in the animation of a file that ``encode`` wrote."""
-    file = gltf.GLTF2.load(str(path))
+    file = gltf.GLTF2.load_binary(str(path))
     content = file.binary_blob()
 
     def array(number: int) -> Float[np.ndarray, "rows columns"]:

@@ -1,5 +1,6 @@
 """The files that a reconstruction leaves, by name; the service's results bear the same names."""
 
+import contextlib
 import errno
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
@@ -40,7 +41,7 @@ def write_results(
 ) -> Iterator[Path]:
     """Write all result files into a folder, which is made if it is missing; yields each as soon as it is there.
 
-    Each is written under a temporary name first, so that a half-written file never bears its name, and is read back:
+    Each is written and read back under a temporary name first, so that no file bears its name that is not whole:
     ``metrics.json``, the last one, says how far joints then are from where they should be, at most.
 
     Parameters
@@ -60,27 +61,37 @@ def write_results(
     check_exports(reconstruction.timebase, exports)
     folder.mkdir(parents=True, exist_ok=True)
     far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in exports}}
-    path = _write(folder / "skeletons.json", skeletons_json.encode(reconstruction))
-    for track, read_m in zip(reconstruction.tracks, skeletons_json.read_xyz_m(path), strict=True):
-        far_mm["skeletons"].append(_furthest_mm(path, track.xyz_m, [read_m]))
+    path = folder / "skeletons.json"
+    with _replacing(path, skeletons_json.encode(reconstruction)) as part:
+        for track, read_m in zip(reconstruction.tracks, skeletons_json.read_xyz_m(part), strict=True):
+            far_mm["skeletons"].append(_furthest_mm(path, track.xyz_m, [read_m]))
     yield path
     for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
         skeleton_m = forward_kinematics(motion)
         for export in dict.fromkeys(exports):
             path = folder / f"{motion.name}.{export}"
-            _write(path, _encode(export, reconstruction, track, motion, path.name, preset))
             expected_m = skeleton_m if export in _OF_MOTIONS else track.xyz_m
-            far_mm[export].append(_furthest_mm(path, expected_m, _read(export, path, preset)))
+            with _replacing(path, _encode(export, reconstruction, track, motion, path.name, preset)) as part:
+                far_mm[export].append(_furthest_mm(path, expected_m, _read(export, part, preset)))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
-    yield _write(folder / "metrics.json", [encode_metrics(quality_report(reconstruction) | {"exports": check})])
+    path = folder / "metrics.json"
+    with _replacing(path, [encode_metrics(quality_report(reconstruction) | {"exports": check})]):
+        pass
+    yield path
 
 
-def _write(path: Path, pieces: Iterable[bytes]) -> Path:
+@contextlib.contextmanager
+def _replacing(path: Path, pieces: Iterable[bytes]) -> Iterator[Path]:
+    """Write a file beside ``path``, to be looked at in the block; it gets its name after that, unless that fails."""
     part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
-        file.writelines(pieces)
-    return part.replace(path)
+    try:
+        with part.open("wb") as file:
+            file.writelines(pieces)
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _encode(

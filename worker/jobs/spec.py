@@ -58,7 +58,9 @@ class JobSpec(BaseModel):
             message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
             found["cutoff_hz"] = "cutoff_range", message
         if "c3d" in self.exports and num_frames > _MAX_C3D_FRAMES:
-            message = f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; the session has {num_frames}."
+            message = (
+                f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; the session has {num_frames}. Use trc or csv."
+            )
             found["exports"] = "too_long_for_c3d", message
         return found
 
