@@ -1,5 +1,6 @@
 """Put the web API together."""
 
+import asyncio
 import contextlib
 import shutil
 from collections.abc import AsyncIterator
@@ -10,9 +11,10 @@ from starlette.concurrency import run_in_threadpool
 
 from api import contract, errors
 from api.dependencies import Services
+from api.events import JobChanges
 from api.middleware import ForeignPageGuard, RequestContext
 from api.preflight import Preflight
-from api.routes import health, jobs, page, results, sessions
+from api.routes import events, health, jobs, page, results, sessions
 from api.settings import Settings
 from worker.jobs.artifacts import LocalArtifacts
 from worker.jobs.queue import WorkQueue
@@ -37,7 +39,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
-    for router in (sessions.router, jobs.router, jobs.small, results.router, health.router, page.router):
+    for router in (sessions.router, jobs.router, jobs.small, events.router, results.router, health.router, page.router):
         app.include_router(router)
     errors.install(app)
     app.add_middleware(ForeignPageGuard, allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts)
@@ -49,7 +51,9 @@ def create_app(settings: Settings) -> FastAPI:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     services = await run_in_threadpool(_start, app.state.settings)
     app.state.services = services
+    poller = asyncio.create_task(services.changes.poll())
     yield
+    poller.cancel()
     services.queue.close()
     services.store.close()
 
@@ -72,4 +76,5 @@ def _start(settings: Settings) -> Services:
             settings.max_record_bytes,
         ),
         preflight_limiter=CapacityLimiter(settings.max_parallel_preflights),
+        changes=JobChanges(store),
     )

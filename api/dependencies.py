@@ -7,6 +7,7 @@ from typing import Annotated
 from anyio import CapacityLimiter
 from fastapi import Depends, Path, Query, Request
 
+from api.events import JobChanges
 from api.form import Limits
 from api.preflight import Preflight
 from api.settings import Settings
@@ -29,6 +30,7 @@ class Services:
     preflight: Preflight
     # Checks wait for each other without holding the threads that serve everyone else.
     preflight_limiter: CapacityLimiter
+    changes: JobChanges
 
     @property
     def limits(self) -> Limits:

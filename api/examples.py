@@ -1,5 +1,6 @@
 """Examples of the contract: one capture on its way through the service."""
 
+import json
 from http import HTTPStatus
 from typing import Any
 
@@ -84,6 +85,7 @@ _JOB: dict[str, Any] = {
     "links": {
         "self": f"/v1/jobs/{_JOB_ID}",
         "session": f"/v1/sessions/{_SESSION_ID}",
+        "events": f"/v1/jobs/{_JOB_ID}/events",
         "results": f"/v1/jobs/{_JOB_ID}/results",
         "results_zip": f"/v1/jobs/{_JOB_ID}/results.zip",
         "cancel": f"/v1/jobs/{_JOB_ID}/cancel",
@@ -104,6 +106,8 @@ _RESULTS: dict[str, Any] = {
         }
     ]
 }
+
+EVENT: dict[str, Any] = {"id": "17", "event": "job", "data": json.dumps(_JOB), "retry": 2000}
 
 ANSWERS: dict[str, dict[str, Any]] = {
     "Session": _SESSION,

@@ -155,6 +155,7 @@ class JobLinks(_Answer):
 
     self: str
     session: str
+    events: str
     results: str
     results_zip: str
     cancel: str
@@ -190,6 +191,7 @@ class JobOut(_Answer):
             links=JobLinks(
                 self=address,
                 session=f"/v1/sessions/{job.session_id}",
+                events=f"{address}/events",
                 results=f"{address}/results",
                 results_zip=f"{address}/results.zip",
                 cancel=f"{address}/cancel",

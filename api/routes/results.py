@@ -44,7 +44,7 @@ def list_results(job_id: JobId, services: ServicesDep) -> ResultList:
     responses={
         200: {
             "description": "The files under their names.",
-            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}, "example": "PK..."}},
             "headers": {"Content-Disposition": _HEADERS["Content-Disposition"]},
         },
         **problems(404, 409, 410),

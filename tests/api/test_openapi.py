@@ -27,8 +27,9 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert schema["openapi"].startswith("3.1")
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
-        "cancelJob", "createJob", "createSession", "createSessionAndJob", "deleteJob", "deleteSession", "getHealth",
-        "getJob", "getReadiness", "getResult", "getSession", "listJobs", "listResults", "listSessions", "retryJob",
+        "cancelJob", "createJob", "createSession", "createSessionAndJob", "deleteJob", "deleteSession",
+        "getAllResults", "getHealth", "getJob", "getReadiness", "getResult", "getSession", "listJobs", "listResults",
+        "listSessions", "retryJob", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
 

@@ -160,6 +160,14 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
+class Change:
+    """How far a job has come: the number of the last thing that happened to it, and its units of work that are done."""
+
+    event: int
+    done: int
+
+
+@dataclass(frozen=True, slots=True)
 class Claim:
     """A chunk that a worker holds by a lease; only the holder of ``lease_token`` may report on it."""
 

@@ -1,20 +1,20 @@
 """Sessions, jobs and their results: made, read, canceled, retried, deleted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, select
+from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
 from worker.jobs.artifacts import stage_key
 from worker.jobs.database import Database, now
 from worker.jobs.errors import Conflict, NotFinished, NotFound
-from worker.jobs.model import FINISHED, ChunkState, InputFile, Job, JobState, Result, Session, StagePlan
+from worker.jobs.model import FINISHED, Change, ChunkState, InputFile, Job, JobState, Result, Session, StagePlan
 from worker.jobs.rows import jobs_of, result_of, select_jobs, session_of
 from worker.jobs.spec import JobSpec
-from worker.jobs.tables import artifacts, chunks, jobs, results, sessions
-from worker.jobs.transitions import cancel_chunks, lock_job, move_job, settle_canceling
+from worker.jobs.tables import artifacts, chunks, events, jobs, results, sessions
+from worker.jobs.transitions import cancel_chunks, lock_job, move_job, note, settle_canceling
 
 
 class Records:
@@ -105,7 +105,23 @@ class Records:
                 )
             )
             _insert_chunks(connection, job_id, stages)
+            note(connection, job_id, "state", JobState.QUEUED)
             return _job(connection, job_id)
+
+    def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
+        """How far jobs have come, for whoever looks for what is new; those that are not there are left out."""
+        query = (
+            select(
+                jobs.c.id,
+                select(func.max(events.c.id)).where(events.c.job_id == jobs.c.id).scalar_subquery().label("event"),
+                select(func.sum(chunks.c.done_units))
+                .where(chunks.c.job_id == jobs.c.id)
+                .scalar_subquery()
+                .label("done"),
+            )
+        ).where(jobs.c.id.in_(job_ids))
+        with self._database.reading() as connection:
+            return {row.id: Change(row.event, row.done) for row in connection.execute(query)}
 
     def job(self, job_id: str) -> Job:
         """A job; ``NotFound`` if there is none."""

@@ -117,3 +117,17 @@ artifacts = Table(
     Column("num_bytes", BigInteger, nullable=False),
     Column("sha256", String(64), nullable=False),
 )
+
+# What happened to jobs, in the order in which it did for each of them: whoever adds a row has locked the job. Rows are
+# only ever added, and go with the job.
+events = Table(
+    "events",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
+    Column("created_at", Moment, nullable=False),
+    Column("kind", String(16), nullable=False),  # "state" or "stage": what ``value`` is the new one of
+    Column("value", String(32), nullable=False),
+    Index(None, "job_id", "id"),
+    sqlite_autoincrement=True,  # numbers only grow, also after deletions
+)

@@ -6,13 +6,15 @@ other in a circle. (A heartbeat touches one row and locks nothing else.)
 
 from collections.abc import Collection
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, select, update
+from sqlalchemy import Connection, Row, insert, select, update
 
 from worker.jobs.database import now
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
-from worker.jobs.tables import chunks, jobs
+from worker.jobs.tables import chunks, events, jobs
+
+EventKind = Literal["state", "stage"]
 
 _NO_LEASE = {"lease_token": None, "lease_until": None}
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
@@ -23,6 +25,11 @@ def lock_job(connection: Connection, job_id: str) -> Row[Any] | None:
     return connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
 
 
+def note(connection: Connection, job_id: str, kind: EventKind, value: str) -> None:
+    """Add to what happened to a locked job, or to one that nobody else can see yet."""
+    connection.execute(insert(events).values(job_id=job_id, created_at=now(), kind=kind, value=value))
+
+
 def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
     """Move a job if that is legal from where it is; whether it was moved."""
     sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
@@ -31,6 +38,8 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
     moved = connection.execute(
         update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
     )
+    if moved.rowcount == 1:
+        note(connection, job_id, "state", to)
     return moved.rowcount == 1
 
 
@@ -58,19 +67,20 @@ def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
     if connection.execute(unfinished.limit(1)).first() is not None:
         return False
     waiting = (
-        select(chunks.c.stage_index)
+        select(chunks.c.stage_index, chunks.c.stage)
         .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.WAITING)
         .order_by(chunks.c.stage_index)
     )
-    next_stage = connection.scalar(waiting.limit(1))
+    next_stage = connection.execute(waiting.limit(1)).one_or_none()
     if next_stage is None:
         move_job(connection, job_id, JobState.SUCCEEDED)
         return False
     connection.execute(
         update(chunks)
-        .where(chunks.c.job_id == job_id, chunks.c.stage_index == next_stage)
+        .where(chunks.c.job_id == job_id, chunks.c.stage_index == next_stage.stage_index)
         .values(state=ChunkState.READY)
     )
+    note(connection, job_id, "stage", next_stage.stage)
     return True
 
 

@@ -1,0 +1,104 @@
+"""What is new of jobs, for all event streams of this process: one poller looks for all of them."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+import structlog
+from starlette.concurrency import run_in_threadpool
+
+from worker.jobs.errors import NotFound
+from worker.jobs.model import FINISHED, Change, Job
+from worker.jobs.store import JobStore
+
+_log = structlog.get_logger(__name__)
+
+_INTERVAL_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """A job as it is now, and the number of the last thing that happened to it; no job if it was deleted."""
+
+    job: Job | None
+    event: int | None
+
+
+@dataclass(eq=False, slots=True)
+class _Watch:
+    """One stream's view of a job. Who reads slowly finds the latest news only."""
+
+    job_id: str
+    shown: Change | None
+    news: asyncio.Queue[News] = field(default_factory=lambda: asyncio.Queue(1))
+
+    def tell(self, news: News) -> None:
+        with contextlib.suppress(asyncio.QueueEmpty):
+            self.news.get_nowait()
+        self.news.put_nowait(news)
+
+
+class JobChanges:
+    """Follows jobs that somebody watches.
+
+    Parameters
+    ----------
+    store
+        Where jobs are.
+    """
+
+    def __init__(self, store: JobStore) -> None:
+        self._store = store
+        self._watches: set[_Watch] = set()
+        self._somebody_watches = asyncio.Event()
+
+    async def follow(self, job_id: str, known: Change | None) -> AsyncIterator[News]:
+        """What is new of a job, until it has ended or is gone.
+
+        Parameters
+        ----------
+        known
+            What the client knows already; ``None``: the job as it is now is news.
+        """
+        watch = _Watch(job_id, known)
+        self._watches.add(watch)
+        self._somebody_watches.set()
+        try:
+            while True:
+                news = await watch.news.get()
+                yield news
+                if news.job is None or news.job.state in FINISHED:
+                    return
+        finally:
+            self._watches.discard(watch)
+
+    async def poll(self) -> None:
+        """Look for news as long as somebody watches; runs until it is canceled."""
+        while True:
+            await self._somebody_watches.wait()
+            try:
+                await self._look()
+            except Exception:
+                # The database may be away for a while; streams wait for it.
+                _log.exception("events_not_read")
+            if not self._watches:
+                self._somebody_watches.clear()
+            await asyncio.sleep(_INTERVAL_S)
+
+    async def _look(self) -> None:
+        changes = await run_in_threadpool(self._store.changes, {watch.job_id for watch in self._watches})
+        behind: dict[str, list[_Watch]] = {}
+        for watch in self._watches:
+            if (change := changes.get(watch.job_id)) is None or change != watch.shown:
+                behind.setdefault(watch.job_id, []).append(watch)
+        for job_id, watches in behind.items():
+            change = changes.get(job_id)
+            try:
+                job = await run_in_threadpool(self._store.job, job_id)
+                news = News(job, change.event if change else None)
+            except NotFound:
+                news = News(None, None)
+            for watch in watches:
+                watch.shown = change
+                watch.tell(news)

@@ -1,0 +1,88 @@
+"""What is noted of jobs, and how far they have come."""
+
+import sqlalchemy as sa
+from alembic import command
+from alembic.config import Config
+
+from tests.worker.jobs.conftest import LEASE_S, Bench, stages
+from worker.jobs.model import Problem
+from worker.jobs.tables import events, metadata
+
+
+def noted(jobs: Bench, job_id: str) -> list[tuple[str, str]]:
+    engine = sa.create_engine(jobs.url)
+    with engine.connect() as connection:
+        rows = connection.execute(sa.select(events).where(events.c.job_id == job_id).order_by(events.c.id)).all()
+    engine.dispose()
+    return [(row.kind, row.value) for row in rows]
+
+
+def test_a_life_is_noted_in_its_order(jobs: Bench) -> None:
+    job = jobs.queue(num_chunks=2)
+    jobs.finish_all()
+    assert noted(jobs, job.id) == [
+        ("state", "queued"),
+        ("state", "running"),
+        ("stage", "export"),
+        ("state", "succeeded"),
+    ]
+
+
+def test_cancel_failure_and_retry_are_noted(jobs: Bench) -> None:
+    canceled = jobs.queue()
+    claim = jobs.claim()
+    jobs.store.cancel(canceled.id)
+    jobs.store.cancel(canceled.id)
+    jobs.store.release(claim.chunk_id, claim.lease_token)
+    states = ["queued", "running", "canceling", "canceled"]
+    assert noted(jobs, canceled.id) == [("state", state) for state in states]
+    failed = jobs.queue()
+    claim = jobs.claim()
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.retry(failed.id, stages())
+    assert noted(jobs, failed.id) == [("state", state) for state in ("queued", "running", "failed", "queued")]
+
+
+def test_changes_are_seen_and_nothing_else_is(jobs: Bench) -> None:
+    job, other = jobs.queue(), jobs.queue()
+    queued = jobs.store.changes([job.id, other.id, "nobody"])
+    assert set(queued) == {job.id, other.id}
+    assert jobs.store.changes([job.id]) == {job.id: queued[job.id]}
+    claim = jobs.claim()
+    running = jobs.store.changes([job.id])[job.id]
+    assert running.event > queued[job.id].event
+    assert jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 4, LEASE_S)
+    further = jobs.store.changes([job.id])[job.id]
+    assert (further.event, further.done) == (running.event, 4)
+    assert jobs.store.changes([other.id]) == {other.id: queued[other.id]}
+    assert jobs.store.changes([]) == {}
+
+
+def test_numbers_are_not_used_again(jobs: Bench) -> None:
+    job = jobs.queue()
+    jobs.store.cancel(job.id)
+    last = jobs.store.changes([job.id])[job.id].event
+    jobs.store.delete_job(job.id)
+    assert noted(jobs, job.id) == []
+    assert jobs.store.changes([job.id]) == {}
+    again = jobs.queue()
+    assert jobs.store.changes([again.id])[again.id].event > last
+
+
+def test_jobs_from_before_there_were_events_have_one(jobs: Bench) -> None:
+    job = jobs.queue()
+    jobs.finish_all()
+    engine = sa.create_engine(jobs.url)
+    config = Config()
+    config.set_main_option("script_location", "worker.jobs:migrations")
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
+        assert "events" not in sa.inspect(connection).get_table_names()
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0002")
+    assert set(sa.inspect(engine).get_table_names()) >= set(metadata.tables)
+    engine.dispose()
+    assert noted(jobs, job.id) == [("state", "succeeded")]
+    assert jobs.store.job(job.id).state == "succeeded"
