@@ -1,6 +1,7 @@
 """Requests made from the contract, right and wrong ones: no answer may be one that the contract does not know."""
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis.errors import Unsatisfiable
+from hypothesis.stateful import run_state_machine_as_test
 from schemathesis import GenerationMode
 from schemathesis.core.result import Ok
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
@@ -18,7 +20,7 @@ from tests.api.conftest import Live, running
 
 schema = schemathesis.openapi.from_path(COMMITTED)
 SETTINGS = settings(
-    max_examples=30,
+    max_examples=90,
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],
@@ -44,6 +46,17 @@ def known(service: Live) -> dict[str, str]:
     return {"job_id": job_id, "session_id": service.client.get(f"/v1/jobs/{job_id}").json()["session_id"]}
 
 
+def unsaid_by_schemas(case: schemathesis.Case[Any]) -> list[Any]:
+    """Checks that ask for what no schema can say."""
+    if case.media_type == "multipart/form-data":
+        # Schemathesis gives all files of a form one name, which the service refuses, and sends a number as its digits,
+        # which are a file like any other.
+        return [positive_data_acceptance, negative_data_rejection]
+    # Which cutoff a session's frame rate allows.
+    is_filtered = isinstance(case.body, dict) and case.body.get("smoothing") == "butterworth"
+    return [positive_data_acceptance] if is_filtered else []
+
+
 def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
     cases = 0
 
@@ -52,18 +65,35 @@ def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
         cases += 1
         if cases % 2 and case.method != "DELETE":
             case.path_parameters.update({name: known[name] for name in case.path_parameters if name in known})
-        # Schemathesis gives all files of a form one name, which the service refuses, and sends a number as its digits,
-        # which are a file like any other.
-        is_form = case.media_type == "multipart/form-data"
-        excluded: list[Any] = [positive_data_acceptance, negative_data_rejection] if is_form else []
-        # Which cutoff a session's frame rate allows, no schema can say.
-        if isinstance(case.body, dict) and case.body.get("smoothing") == "butterworth":
-            excluded.append(positive_data_acceptance)
-        case.call_and_validate(base_url=str(service.client.base_url), excluded_checks=excluded)
+        case.call_and_validate(base_url=str(service.client.base_url), excluded_checks=unsaid_by_schemas(case))
 
     for operation in schema.get_all_operations():
         assert isinstance(operation, Ok)
         for mode in GenerationMode:
             with contextlib.suppress(Unsatisfiable):  # there are operations with nothing that could be wrong
                 SETTINGS(given(operation.ok().as_strategy(generation_mode=mode))(check))()
-    assert cases >= 300
+    assert cases >= 2000
+
+
+def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str]) -> None:
+    """Ids out of answers go into further calls: what was deleted is gone, what was canceled is retried."""
+    # A stream of a job that nobody works on does not end, and a form's files mean nothing here.
+    followed = schema.exclude(operation_id=["streamJobEvents", "createSession", "createSessionAndJob"])
+    calls: Counter[str] = Counter()
+
+    class Workflow(followed.as_state_machine()):  # type: ignore[misc]
+        def setup(self) -> None:
+            service.job_id()
+
+        def get_call_kwargs(self, case: schemathesis.Case[Any]) -> dict[str, Any]:
+            return {"base_url": str(service.client.base_url)}
+
+        def validate_response(self, response: Any, case: schemathesis.Case[Any], **options: Any) -> None:
+            calls[f"{case.method} {case.path}"] += 1
+            case.validate_response(response, excluded_checks=unsaid_by_schemas(case))
+
+    run_state_machine_as_test(
+        Workflow, settings=settings(SETTINGS, max_examples=40, stateful_step_count=12, phases=[Phase.generate])
+    )
+    assert sum(calls.values()) >= 300
+    assert {"POST /v1/jobs/{job_id}/cancel", "POST /v1/jobs/{job_id}/retry", "DELETE /v1/jobs/{job_id}"} <= set(calls)

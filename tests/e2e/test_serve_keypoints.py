@@ -1,14 +1,22 @@
 """A session of keypoints through the service: the same files as without it."""
 
+import hashlib
+import importlib
 import io
 import json
+import subprocess
+import sys
+import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 from api.commands.reconstruct import write_results
+from api.openapi import COMMITTED
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
 from pipeline.keypoints import open_keypoints
 from pipeline.run import reconstruct_keypoints
@@ -75,6 +83,58 @@ def test_the_same_files_as_without_the_service(
     assert [stage["name"] for stage in job["stages"]] == [*before, "associate", "fit", "export"]
     assert len(json.loads((tmp_path / "metrics.json").read_bytes())["people"]) >= 2
     assert served.downloads(job["id"]) == digests(tmp_path)
+
+
+@pytest.fixture
+def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The client that somebody else's generator makes of the contract."""
+    config = tmp_path / "config.yaml"
+    config.write_text("post_hooks: []\ncontent_type_overrides: {application/zip: application/octet-stream}\n")
+    package = f"multicap_client_{tmp_path.name}"
+    command = [sys.executable, "-m", "openapi_python_client", "generate", "--path", str(COMMITTED), "--meta", "none"]
+    subprocess.run(
+        [*command, "--output-path", str(tmp_path / package), "--config", str(config)], check=True, capture_output=True
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return importlib.import_module(package)
+
+
+def test_a_generated_client_gets_from_files_to_animations(served: Served, capture: Path, generated: ModuleType) -> None:
+    def part(name: str) -> Any:
+        return importlib.import_module(f"{generated.__name__}.{name}")
+
+    models, types = part("models"), part("types")
+    sent: dict[str, list[Any]] = {}
+    for field, (name, content) in files(capture):
+        sent.setdefault(field, []).append(types.File(payload=io.BytesIO(content), file_name=name))
+    with generated.Client(base_url=str(served.client.base_url), raise_on_unexpected_status=True) as client:
+        job = part("api.jobs.create_session_and_job").sync(
+            client=client,
+            body=models.CreateSessionAndJobBody(
+                calibration=sent["calibration"][0],
+                timestamps=sent["timestamps"][0],
+                keypoints=sent["keypoints"],
+                manifest=models.Manifest(name="Generated"),
+                spec=models.JobSpec.from_dict({"smoothing": "none", "bvh": "blender"}),
+            ),
+        )
+        assert isinstance(job, models.JobOut), job
+        deadline_s = time.monotonic() + 120
+        while job.state not in {"succeeded", "failed"}:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.2)
+            job = part("api.jobs.get_job").sync(job.id, client=client)
+        assert job.state == "succeeded"
+        listed = part("api.results.list_results").sync(job.id, client=client)
+        animations = [result for result in listed.results if result.kind == "bvh"]
+        assert len(animations) >= 2
+        for result in animations:
+            answer = part("api.results.get_result").sync_detailed(job.id, result.name, client=client)
+            assert hashlib.sha256(answer.content).hexdigest() == result.sha256
+            assert b"ROOT hips\n" in answer.content
+        archive = part("api.results.get_all_results").sync_detailed(job.id, client=client)
+        with zipfile.ZipFile(io.BytesIO(archive.content)) as packed:
+            assert set(packed.namelist()) == {result.name for result in listed.results}
 
 
 def test_everything_that_is_wrong_with_archives_at_once(served: Served, capture: Path) -> None:
