@@ -77,9 +77,11 @@ _JOB: dict[str, Any] = {
     ],
     "progress": 0.24,
     "queue_position": None,
+    "eta_s": 19.0,
     "created_at": "2026-03-01T09:31:00Z",
     "started_at": "2026-03-01T09:31:01Z",
     "finished_at": None,
+    "expires_at": None,
     "error": None,
     "warnings": [],
     "links": {

@@ -172,10 +172,14 @@ class JobOut(_Answer):
     attempt: int
     stages: tuple[StageOut, ...]
     progress: float = Field(ge=0, le=1, description="Never goes back within an attempt.")
-    queue_position: int | None = Field(description="How many jobs go before it; null once it runs.")
+    queue_position: int | None = Field(description="Its place in the queue, from 1; null once it runs.")
+    eta_s: float | None = Field(
+        ge=0, description="A guess of the seconds left, from the work that is done; null before any is, and at the end."
+    )
     created_at: AwareDatetime
     started_at: AwareDatetime | None
     finished_at: AwareDatetime | None
+    expires_at: AwareDatetime | None = Field(description="When results go; null if they stay until they are deleted.")
     error: JobError | None
     warnings: tuple[str, ...]
     links: JobLinks

@@ -62,6 +62,9 @@ class Settings(BaseSettings):
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
     max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
 
+    retention_days: float | None = Field(
+        default=None, gt=0, le=36_500, description="How long results are kept; without it until somebody deletes them."
+    )
     chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
 
     preflight_command: tuple[str, ...] = Field(
@@ -86,6 +89,11 @@ class Settings(BaseSettings):
     def resolved_database_url(self) -> str:
         """``database_url``, or SQLite in the data folder."""
         return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
+
+    @property
+    def retention_s(self) -> float | None:
+        """``retention_days`` in seconds."""
+        return None if self.retention_days is None else self.retention_days * 86_400.0
 
     @property
     def artifacts_dir(self) -> Path:

@@ -75,13 +75,22 @@ function sized(numBytes) {
   return `${(numBytes / 1000 ** power).toFixed(power > 1 ? 1 : 0)} ${units[power]}`;
 }
 
+function lasting(seconds) {
+  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
+  return seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${Math.round(seconds / 3600)} h`;
+}
+
 function when(job) {
   const date = new Date(job.created_at).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   const parts = [date];
   if (job.attempt > 1) parts.push(`attempt ${job.attempt}`);
-  if (job.state === "queued" && job.queue_position) parts.push(`${job.queue_position} before it`);
+  if (job.state === "queued" && job.queue_position) parts.push(`number ${job.queue_position} in the queue`);
+  if (job.state === "running" && job.eta_s !== null) parts.push(`about ${lasting(job.eta_s)} left`);
   if (job.started_at && job.finished_at) {
     parts.push(`took ${Math.max(1, Math.round((new Date(job.finished_at) - new Date(job.started_at)) / 1000))} s`);
+  }
+  if (job.state === "succeeded" && job.expires_at) {
+    parts.push(`kept until ${new Date(job.expires_at).toLocaleDateString([], { dateStyle: "medium" })}`);
   }
   return parts.join(" · ");
 }

@@ -142,7 +142,8 @@ def _start(services: Services, session: Session, spec: JobSpec, *field: str) -> 
                 for name, (code, message) in problems.items()
             ]
         )
-    job = services.store.create_job(session.id, spec, plan(session, spec, services.settings.chunk_frames))
+    stages = plan(session, spec, services.settings.chunk_frames)
+    job = services.store.create_job(session.id, spec, stages, services.settings.retention_s)
     # When the broker is away, the reaper makes the message good.
     services.queue.publish()
     return job

@@ -76,7 +76,12 @@ def _attachment(name: str) -> dict[str, str]:
 
 
 def _expired() -> ApiError:
-    return ApiError(410, "expired", "The file was removed.", hint="Retry the job, or start it again.")
+    return ApiError(
+        410,
+        "expired",
+        "The file was removed.",
+        hint="Start the job again: what it had found out of the videos is still there.",
+    )
 
 
 @router.get(

@@ -73,8 +73,9 @@ class Bench:
     def _publish(self) -> None:
         self.published += 1
 
-    def create_job(self) -> Job:
-        return self.store.create_job(self.session.id, JobSpec(), plan(self.session, JobSpec(), CHUNK_FRAMES))
+    def create_job(self, retention_s: float | None = None) -> Job:
+        stages = plan(self.session, JobSpec(), CHUNK_FRAMES)
+        return self.store.create_job(self.session.id, JobSpec(), stages, retention_s)
 
     def result(self, job_id: str) -> bytes:
         (result,) = self.store.results(job_id)

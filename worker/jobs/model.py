@@ -142,7 +142,11 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A reconstruction of a session. ``progress`` never goes back within an attempt."""
+    """A reconstruction of a session.
+
+    ``progress`` never goes back within an attempt. ``eta_s`` is a guess of the time left, as if all units of work that
+    are left took as long as those that were done; ``None`` before any was.
+    """
 
     id: str
     session_id: str
@@ -155,6 +159,8 @@ class Job:
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+    expires_at: datetime | None
+    eta_s: float | None
     problem: Problem | None
     warnings: tuple[str, ...]
 

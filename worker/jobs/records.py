@@ -80,8 +80,15 @@ class Records:
             connection.execute(delete(sessions).where(sessions.c.id == session_id))
         return [*inputs, *left, *shown]
 
-    def create_job(self, session_id: str, spec: JobSpec, stages: Sequence[StagePlan]) -> Job:
+    def create_job(
+        self, session_id: str, spec: JobSpec, stages: Sequence[StagePlan], retention_s: float | None = None
+    ) -> Job:
         """Queue a job: its first stage is ready. The caller publishes that there is work.
+
+        Parameters
+        ----------
+        retention_s
+            How long its results are kept after its end; ``None``: until somebody deletes them.
 
         Raises
         ------
@@ -102,6 +109,7 @@ class Records:
                     attempt=1,
                     created_at=now(),
                     queued_at=now(),
+                    retention_s=retention_s,
                 )
             )
             _insert_chunks(connection, job_id, stages)
@@ -189,12 +197,36 @@ class Records:
         with self._database.writing() as connection:
             job = _locked_job(connection, job_id)
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None}
-            if not move_job(connection, job_id, JobState.QUEUED, started_at=None, finished_at=None, **again):
+            unended = {"started_at": None, "finished_at": None, "expires_at": None}
+            if not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
             connection.execute(delete(results).where(results.c.job_id == job_id))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
             _insert_chunks(connection, job_id, stages)
             return _job(connection, job_id)
+
+    def due(self) -> dict[str, list[str]]:
+        """Jobs whose time is over, and the keys of their results in the artifact store."""
+        query = (
+            select(jobs.c.id, results.c.key)
+            .outerjoin(results)
+            .where(jobs.c.expires_at < now(), jobs.c.state != JobState.EXPIRED)
+            .order_by(jobs.c.id, results.c.name)
+        )
+        found: dict[str, list[str]] = {}
+        with self._database.reading() as connection:
+            for job_id, key in connection.execute(query):
+                found.setdefault(job_id, []).extend([key] if key else [])
+        return found
+
+    def expire(self, job_id: str) -> bool:
+        """Say of a job whose time is over that its results are gone; whether it was there and its time was over."""
+        with self._database.writing() as connection:
+            job = lock_job(connection, job_id)
+            is_due = select(jobs.c.id).where(jobs.c.id == job_id, jobs.c.expires_at < now())
+            if job is None or connection.execute(is_due).first() is None:
+                return False
+            return move_job(connection, job_id, JobState.EXPIRED)
 
     def artifact(self, session_id: str, output_key: str) -> tuple[str, int] | None:
         """SHA-256 and bytes of a chunk's output if any job of the session has finished it."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, case, func, or_, select
 
+from worker.jobs.database import now
 from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, Session, Stage
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import chunks, jobs, sessions
@@ -52,7 +53,10 @@ def select_jobs() -> Select[Any]:
         )
     )
     queue_position = case((jobs.c.state == JobState.QUEUED, place.scalar_subquery()))
-    return select(jobs, sessions.c.preflight, queue_position.label("queue_position")).join(sessions)
+    elapsed_s = now() - jobs.c.started_at
+    return select(
+        jobs, sessions.c.preflight, queue_position.label("queue_position"), elapsed_s.label("elapsed_s")
+    ).join(sessions)
 
 
 def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
@@ -76,9 +80,20 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         created_at=row.created_at,
         started_at=row.started_at,
         finished_at=row.finished_at,
+        expires_at=row.expires_at,
+        eta_s=_eta_s(row, stages),
         problem=None if row.problem is None else Problem(**row.problem),
         warnings=(*row.preflight.get("warnings", ()), *spec.warnings(of_keypoints)),
     )
+
+
+def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
+    if row.state != JobState.RUNNING:
+        return None
+    # What was taken from an earlier job took no time.
+    worked_on = [stage for stage in stages if not stage.reused]
+    done, total = sum(stage.done for stage in worked_on), sum(stage.total for stage in worked_on)
+    return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
 
 
 def _stages(connection: Connection, job_ids: Iterable[str]) -> Mapping[str, tuple[Stage, ...]]:

@@ -67,7 +67,10 @@ jobs = Table(
     Column("queued_at", Moment, nullable=False),  # of this attempt: a retry goes to the end of the queue
     Column("started_at", Moment),
     Column("finished_at", Moment),
+    Column("retention_s", Double),  # how long results are kept after the end; null: until somebody deletes them
+    Column("expires_at", Moment),
     Index(None, "state", "queued_at"),
+    Index(None, "expires_at"),
 )
 
 chunks = Table(

@@ -33,8 +33,8 @@ def note(connection: Connection, job_id: str, kind: EventKind, value: str) -> No
 def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
     """Move a job if that is legal from where it is; whether it was moved."""
     sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
-    if to in FINISHED:
-        values["finished_at"] = now()
+    if to in FINISHED - {JobState.EXPIRED}:
+        values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s}
     moved = connection.execute(
         update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
     )

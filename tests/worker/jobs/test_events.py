@@ -81,7 +81,7 @@ def test_jobs_from_before_there_were_events_have_one(jobs: Bench) -> None:
         assert "events" not in sa.inspect(connection).get_table_names()
     with engine.begin() as connection:
         config.attributes["connection"] = connection
-        command.upgrade(config, "0002")
+        command.upgrade(config, "head")
     assert set(sa.inspect(engine).get_table_names()) >= set(metadata.tables)
     engine.dispose()
     assert noted(jobs, job.id) == [("state", "succeeded")]

@@ -1,0 +1,84 @@
+"""Results whose time is over, and how long a job still takes."""
+
+import time
+
+import pytest
+
+from tests.worker.jobs.conftest import LEASE_S, Bench, result, stages
+from worker.jobs.errors import Conflict
+from worker.jobs.model import Job, JobState, Problem
+from worker.jobs.spec import JobSpec
+
+
+def queue(jobs: Bench, retention_s: float | None) -> Job:
+    return jobs.store.create_job(jobs.session_id, JobSpec(), stages(), retention_s)
+
+
+def test_results_are_kept_for_as_long_as_was_said(jobs: Bench) -> None:
+    job = queue(jobs, 3600.0)
+    assert job.expires_at is None
+    jobs.finish_all()
+    done = jobs.store.job(job.id)
+    assert done.finished_at is not None
+    assert done.expires_at is not None
+    assert (done.expires_at - done.finished_at).total_seconds() == pytest.approx(3600.0, abs=0.1)
+    assert jobs.store.due() == {}
+    assert not jobs.store.expire(job.id)
+    assert jobs.store.job(job.id).state is JobState.SUCCEEDED
+
+
+def test_without_a_time_they_stay(jobs: Bench) -> None:
+    job = queue(jobs, None)
+    jobs.finish_all()
+    assert jobs.store.job(job.id).expires_at is None
+    assert jobs.store.due() == {}
+
+
+def test_a_job_whose_time_is_over_is_due_once(jobs: Bench) -> None:
+    job, other = queue(jobs, 0.01), queue(jobs, None)
+    jobs.finish_all()
+    time.sleep(0.05)
+    assert jobs.store.due() == {job.id: [result(job.id).key]}
+    finished_at = jobs.store.job(job.id).finished_at
+    assert jobs.store.expire(job.id)
+    expired = jobs.store.job(job.id)
+    assert (expired.state, expired.finished_at) == (JobState.EXPIRED, finished_at)
+    assert jobs.store.due() == {}
+    assert not jobs.store.expire(job.id)
+    assert jobs.store.job(other.id).state is JobState.SUCCEEDED
+    with pytest.raises(Conflict):
+        jobs.store.retry(job.id, stages())
+    assert [one.name for one in jobs.store.results(job.id)] == ["person-1.bvh"]
+    assert jobs.store.delete_job(job.id) == [result(job.id).key]
+
+
+def test_what_is_tried_again_is_not_due_meanwhile(jobs: Bench) -> None:
+    job = queue(jobs, 0.01)
+    claim = jobs.claim()
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.retry(job.id, stages())
+    time.sleep(0.05)
+    assert jobs.store.job(job.id).expires_at is None
+    assert jobs.store.due() == {}
+    jobs.store.cancel(job.id)
+    time.sleep(0.05)
+    assert jobs.store.due() == {job.id: []}
+    assert jobs.store.expire(job.id)
+
+
+def test_jobs_that_nobody_has_are_not_expired(jobs: Bench) -> None:
+    assert not jobs.store.expire("nobody")
+
+
+def test_the_time_left_is_guessed_from_the_work_that_was_done(jobs: Bench) -> None:
+    job = queue(jobs, None)
+    assert jobs.store.job(job.id).eta_s is None
+    claim = jobs.claim()
+    time.sleep(0.4)
+    assert jobs.store.job(job.id).eta_s is None
+    jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 5, LEASE_S)
+    # 5 of 40 units in 0.4 s or a little more.
+    assert jobs.store.job(job.id).eta_s == pytest.approx(7 * 0.45, rel=0.3)
+    jobs.finish(claim)
+    jobs.finish_all()
+    assert jobs.store.job(job.id).eta_s is None
