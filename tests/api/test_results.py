@@ -1,12 +1,16 @@
 import hashlib
 import io
 import json
+import time
 import zipfile
+from collections.abc import Callable
 from urllib.parse import unquote
 
 import pytest
 
-from tests.api.conftest import RESULT, Live, form, problem_of
+from api.settings import Settings
+from tests.api.conftest import RESULT, Live, form, problem_of, running
+from worker.reaper import expire
 
 ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
 
@@ -161,6 +165,22 @@ def test_removed_file_is_gone_and_its_key_unsaid(live: Live, path: str, job_id: 
     answer = live.client.get(path)
     problem_of(answer, 410, "expired")
     assert "results" not in answer.json()["detail"]
+
+
+def test_expired_results_are_gone(make_settings: Callable[..., Settings]) -> None:
+    with running(make_settings(retention_days=1e-7)) as live:
+        job_id = live.job_id()
+        live.finish(job_id)
+        kept_until = live.client.get(f"/v1/jobs/{job_id}").json()["expires_at"]
+        assert kept_until is not None
+        time.sleep(0.05)
+        expire(live.services.store, live.services.artifacts)
+        job = live.client.get(f"/v1/jobs/{job_id}").json()
+        assert (job["state"], job["expires_at"]) == ("expired", kept_until)
+        problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 410, "expired")
+        problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 410, "expired")
+        problem_of(live.client.post(f"/v1/jobs/{job_id}/retry"), 409, "conflict")
+        assert live.client.delete(f"/v1/jobs/{job_id}").status_code == 204
 
 
 def test_empty_file(live: Live) -> None:
