@@ -7,6 +7,7 @@ import uvicorn
 
 from api.app import create_app
 from api.settings import Settings
+from worker.logs import configure_logs
 
 # How long open requests may go on after SIGTERM.
 _GRACE_S = 5
@@ -17,6 +18,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m api", description="Serve the web API.")
     parser.add_argument("--fd", type=int, help="An inherited socket that listens, instead of MULTICAP_HOST and _PORT.")
     fd = parser.parse_args().fd
+    configure_logs()
     settings = Settings()
     config = uvicorn.Config(
         create_app(settings),

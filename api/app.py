@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from api import contract, errors
 from api.dependencies import Services
 from api.events import JobChanges
+from api.metrics import RequestMetrics
 from api.middleware import ForeignPageGuard, RequestContext
 from api.preflight import Preflight
 from api.routes import events, health, jobs, page, results, sessions
@@ -38,12 +39,13 @@ def create_app(settings: Settings) -> FastAPI:
         responses=contract.problems(403, 500, 503),
     )
     app.state.settings = settings
+    app.state.metrics = RequestMetrics()
     app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
     for router in (sessions.router, jobs.router, jobs.small, events.router, results.router, health.router, page.router):
         app.include_router(router)
     errors.install(app)
     app.add_middleware(ForeignPageGuard, allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts)
-    app.add_middleware(RequestContext)
+    app.add_middleware(RequestContext, metrics=app.state.metrics)
     return app
 
 

@@ -11,9 +11,11 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, handle, problem_response
+from api.metrics import RequestMetrics
 
 _log = structlog.get_logger(__name__)
 
+_METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 _SAFE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self'; "
@@ -27,10 +29,11 @@ _SAFE_HEADERS = {
 
 
 class RequestContext:
-    """Give a request its id, its answer safe headers, the log a line, and a failure of ours an answer."""
+    """Give a request its id, its answer safe headers, the log a line, and a failure of ours an answer; count it."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
         self._app = app
+        self._metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request."""
@@ -59,8 +62,15 @@ class RequestContext:
                 if status:  # Too late for another answer; the server cuts the connection.
                     raise
                 await handle(Request(scope), error)(scope, receive, send_dressed)
-            seconds = round(time.monotonic() - started_s, 4)
-            _log.info("request", method=scope["method"], path=scope["path"], status=status, seconds=seconds)
+            seconds = time.monotonic() - started_s
+            # Ids in paths, and paths that strangers make up, would be series without end.
+            route = scope["route"].path if "route" in scope else "unknown"
+            self._metrics.count(_known_method(scope["method"]), route, status, seconds)
+            _log.info("request", method=scope["method"], path=scope["path"], status=status, seconds=round(seconds, 4))
+
+
+def _known_method(method: str) -> str:
+    return method if method in _METHODS else "other"
 
 
 class ForeignPageGuard:

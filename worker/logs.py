@@ -1,4 +1,4 @@
-"""One line an event on stderr; whoever runs the process keeps them."""
+"""One JSON object a line and event on stderr; whoever runs the process keeps them."""
 
 import logging
 import sys
@@ -15,7 +15,7 @@ def configure_logs() -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.format_exc_info,
-            structlog.processors.KeyValueRenderer(key_order=["timestamp", "level", "event"]),
+            structlog.processors.JSONRenderer(sort_keys=True),
         ],
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )

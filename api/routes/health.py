@@ -1,16 +1,23 @@
 """Whether the service is alive, and whether it can work."""
 
-from fastapi import APIRouter
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from prometheus_client import CONTENT_TYPE_LATEST
 
 from api.contract import answer
 from api.dependencies import ServicesDep
 from api.errors import ErrorItem, service_away
+from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
 from api.settings import Settings
 from worker.jobs.spec import JobSpec
 
 router = APIRouter(tags=["health"])
 
+_FIGURES: dict[str, Any] = {
+    "text/plain": {"schema": {"type": "string"}, "example": 'multicap_jobs{state="succeeded"} 17.0\n'}
+}
 _MESSAGES = {
     "database": "The database does not answer.",
     "broker": "The broker does not answer.",
@@ -39,6 +46,18 @@ def get_readiness(services: ServicesDep) -> Readiness:
         errors = [ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name]) for name in away]
         raise service_away("not_ready", "A part of the service is away.", errors)
     return Readiness(checks=checks)
+
+
+@router.get(
+    "/metrics",
+    operation_id="getMetrics",
+    response_class=Response,
+    responses={200: {"description": "Figures for Prometheus.", "content": _FIGURES}},
+)
+def get_metrics(request: Request, services: ServicesDep) -> Response:
+    """Say how much is asked, done and waiting, in Prometheus' text format."""
+    metrics: RequestMetrics = request.app.state.metrics
+    return Response(metrics.expose(services.store), media_type=CONTENT_TYPE_LATEST)
 
 
 def _model_is_installed(settings: Settings) -> bool:

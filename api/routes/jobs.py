@@ -3,6 +3,7 @@
 import contextlib
 from typing import Annotated
 
+import structlog
 from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
@@ -21,6 +22,8 @@ from worker.plan import plan
 router = APIRouter(prefix="/v1", tags=["jobs"])
 # One of these routes takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
+
+_log = structlog.get_logger(__name__)
 
 _POLL_AFTER_S = 1
 _ONE = answer("Job")
@@ -144,6 +147,7 @@ def _start(services: Services, session: Session, spec: JobSpec, *field: str) -> 
         )
     stages = plan(session, spec, services.settings.chunk_frames)
     job = services.store.create_job(session.id, spec, stages, services.settings.retention_s)
+    _log.info("job_created", job=job.id, session=session.id)
     # When the broker is away, the reaper makes the message good.
     services.queue.publish()
     return job

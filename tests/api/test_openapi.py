@@ -28,8 +28,8 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
         "cancelJob", "createJob", "createSession", "createSessionAndJob", "deleteJob", "deleteSession",
-        "getAllResults", "getHealth", "getJob", "getReadiness", "getResult", "getSession", "listJobs", "listResults",
-        "listSessions", "retryJob", "streamJobEvents",
+        "getAllResults", "getHealth", "getJob", "getMetrics", "getReadiness", "getResult", "getSession", "listJobs",
+        "listResults", "listSessions", "retryJob", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
 
@@ -56,7 +56,11 @@ def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
     for operation in operations(schema):
         assert {"403", "500", "503"} <= operation["responses"].keys()
         if "{job_id}" in str(operation.get("parameters")) or operation["operationId"].startswith(("get", "delete")):
-            assert "404" in operation["responses"] or operation["operationId"] in {"getHealth", "getReadiness"}
+            assert "404" in operation["responses"] or operation["operationId"] in {
+                "getHealth",
+                "getMetrics",
+                "getReadiness",
+            }
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,14 @@ def upsert(connection: Connection, table: Table, row: Mapping[str, Any]) -> None
     connection.execute(dialect.insert(table).values(**row).on_conflict_do_update(index_elements=keys, set_=values))
 
 
+def add_up(connection: Connection, table: Table, key: Mapping[str, Any], column: str, amount: float) -> None:
+    """Add to a number of the row with a primary key; the row is made if it is missing."""
+    dialect = postgresql if connection.dialect.name == "postgresql" else sqlite
+    row = dialect.insert(table).values(**key, **{column: amount})
+    sum_of_both = {column: table.c[column] + row.excluded[column]}
+    connection.execute(row.on_conflict_do_update(index_elements=list(key), set_=sum_of_both))
+
+
 class Database:
     """One database, SQLite or PostgreSQL; may be shared by threads and carried across a fork.
 

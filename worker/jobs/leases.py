@@ -11,6 +11,7 @@ from worker.jobs.database import Database, now, upsert
 from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, jobs, results
+from worker.jobs.totals import Total, count
 from worker.jobs.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
 
 # Tries that a chunk has: lost leases and failures worth another try count alike.
@@ -134,6 +135,7 @@ class Leases:
             )
             _record_results(connection, job.id, results)
             move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
+            _count_done(connection, chunk, reused)
             if job.state == JobState.CANCELING:
                 settle_canceling(connection, job.id)
                 return False
@@ -173,6 +175,7 @@ class Leases:
             with self._database.writing() as connection:
                 held = _lock_held(connection, chunk_id, lease_token, expired=True)
                 if held is not None:
+                    count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
         ready = (
             select(func.count())
@@ -210,6 +213,7 @@ def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: 
         return False
     if problem.retryable and chunk.attempt < MAX_ATTEMPTS:
         move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1)
+        count(connection, Total.CHUNKS_RETRIED, chunk.stage)
         return True
     fail_job(connection, job.id, chunk.id, problem)
     return False
@@ -218,6 +222,16 @@ def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: 
 def _cancel(connection: Connection, job: Row[Any], chunk: Row[Any]) -> None:
     move_chunk(connection, chunk.id, ChunkState.CANCELED)
     settle_canceling(connection, job.id)
+
+
+def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
+    if reused:
+        count(connection, Total.CHUNKS_REUSED, chunk.stage)
+        return
+    seconds = connection.scalar(select(now() - chunks.c.started_at).where(chunks.c.id == chunk.id)) or 0.0
+    count(connection, Total.CHUNKS_DONE, chunk.stage)
+    count(connection, Total.CHUNK_SECONDS, chunk.stage, max(0.0, seconds))
+    count(connection, Total.CHUNK_UNITS, chunk.stage, chunk.unit_count)
 
 
 def _worker_lost(stage: str) -> Problem:

@@ -174,6 +174,26 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
+class Figures:
+    """What monitoring wants to know of all jobs.
+
+    Parameters
+    ----------
+    totals
+        Sums that only grow, by name and label; see ``worker.jobs.totals``.
+    jobs, chunks
+        How many there are by state; chunks of unfinished jobs only.
+    longest_queued_s
+        For how long the first job in the queue has been there; 0 without one.
+    """
+
+    totals: Mapping[tuple[str, str], float]
+    jobs: Mapping[str, int]
+    chunks: Mapping[str, int]
+    longest_queued_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Claim:
     """A chunk that a worker holds by a lease; only the holder of ``lease_token`` may report on it."""
 

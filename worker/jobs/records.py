@@ -10,10 +10,22 @@ from uuid_utils import uuid7
 from worker.jobs.artifacts import stage_key
 from worker.jobs.database import Database, now
 from worker.jobs.errors import Conflict, NotFinished, NotFound
-from worker.jobs.model import FINISHED, Change, ChunkState, InputFile, Job, JobState, Result, Session, StagePlan
+from worker.jobs.model import (
+    FINISHED,
+    Change,
+    ChunkState,
+    Figures,
+    InputFile,
+    Job,
+    JobState,
+    Result,
+    Session,
+    StagePlan,
+)
 from worker.jobs.rows import jobs_of, result_of, select_jobs, session_of
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, events, jobs, results, sessions
+from worker.jobs.totals import read_figures
 from worker.jobs.transitions import cancel_chunks, lock_job, move_job, note, settle_canceling
 
 
@@ -130,6 +142,11 @@ class Records:
         ).where(jobs.c.id.in_(job_ids))
         with self._database.reading() as connection:
             return {row.id: Change(row.event, row.done) for row in connection.execute(query)}
+
+    def figures(self) -> Figures:
+        """What monitoring wants to know of all jobs."""
+        with self._database.reading() as connection:
+            return read_figures(connection)
 
     def job(self, job_id: str) -> Job:
         """A job; ``NotFound`` if there is none."""

@@ -134,3 +134,12 @@ events = Table(
     Index(None, "job_id", "id"),
     sqlite_autoincrement=True,  # numbers only grow, also after deletions
 )
+
+# What has been counted since the database was made: sums that only grow, also when jobs are deleted.
+totals = Table(
+    "totals",
+    metadata,
+    Column("name", String(32), primary_key=True),
+    Column("label", String(32), primary_key=True),
+    Column("value", Double, nullable=False),
+)

@@ -13,6 +13,7 @@ from sqlalchemy import Connection, Row, insert, select, update
 from worker.jobs.database import now
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
 from worker.jobs.tables import chunks, events, jobs
+from worker.jobs.totals import Total, count
 
 EventKind = Literal["state", "stage"]
 
@@ -40,6 +41,8 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
     )
     if moved.rowcount == 1:
         note(connection, job_id, "state", to)
+        if to in FINISHED:
+            count(connection, Total.JOBS_ENDED, to)
     return moved.rowcount == 1
 
 

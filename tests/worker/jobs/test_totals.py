@@ -1,0 +1,54 @@
+"""What is counted, and that deleting jobs takes nothing back."""
+
+import time
+
+import pytest
+
+from tests.worker.jobs.conftest import EXPIRED_S, UNITS, Bench
+from worker.jobs.model import Problem
+
+
+def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
+    job = jobs.queue(num_chunks=2)
+    before = jobs.store.figures()
+    assert (before.totals, before.jobs, before.chunks) == ({}, {"queued": 1}, {"ready": 2, "waiting": 1})
+    time.sleep(0.1)
+    assert jobs.store.figures().longest_queued_s == pytest.approx(0.1, abs=0.08)
+    claim = jobs.claim()
+    time.sleep(0.2)
+    jobs.finish(claim)
+    second = jobs.claim()
+    jobs.store.finish(second.chunk_id, second.lease_token, "5" * 64, 7, reused=True)
+    half = jobs.store.figures()
+    assert half.longest_queued_s == 0.0
+    assert half.totals.pop(("chunk_seconds", "detect")) == pytest.approx(0.2, abs=0.1)  # type: ignore[attr-defined]
+    assert half.totals == {
+        ("chunks_done", "detect"): 1.0,
+        ("chunks_reused", "detect"): 1.0,
+        ("chunk_units", "detect"): UNITS,
+    }
+    assert half.chunks == {"ready": 1}
+    jobs.finish_all()
+    done = jobs.store.figures()
+    assert done.totals["jobs_ended", "succeeded"] == done.totals["chunks_done", "export"] == 1.0
+    assert (done.jobs, done.chunks) == ({"succeeded": 1}, {})
+    jobs.store.delete_job(job.id)
+    after = jobs.store.figures()
+    assert (after.totals, after.jobs) == (done.totals, {})
+
+
+def test_lost_leases_and_other_tries(jobs: Bench) -> None:
+    jobs.queue(num_chunks=1)
+    jobs.claim(EXPIRED_S)
+    jobs.store.reap()
+    claim = jobs.claim()
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("away", "It is away.", retryable=True))
+    claim = jobs.claim()
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    # A report that nobody wants any more counts nothing.
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    assert jobs.store.figures().totals == {
+        ("leases_lost", "detect"): 1.0,
+        ("chunks_retried", "detect"): 2.0,
+        ("jobs_ended", "failed"): 1.0,
+    }
