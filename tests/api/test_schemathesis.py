@@ -20,7 +20,7 @@ from tests.api.conftest import Live, running
 
 schema = schemathesis.openapi.from_path(COMMITTED)
 SETTINGS = settings(
-    max_examples=90,
+    max_examples=75,
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],

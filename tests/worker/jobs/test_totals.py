@@ -2,8 +2,6 @@
 
 import time
 
-import pytest
-
 from tests.worker.jobs.conftest import EXPIRED_S, UNITS, Bench
 from worker.jobs.model import Problem
 
@@ -13,7 +11,7 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
     before = jobs.store.figures()
     assert (before.totals, before.jobs, before.chunks) == ({}, {"queued": 1}, {"ready": 2, "waiting": 1})
     time.sleep(0.1)
-    assert jobs.store.figures().longest_queued_s == pytest.approx(0.1, abs=0.08)
+    assert 0.05 < jobs.store.figures().longest_queued_s < 60.0
     claim = jobs.claim()
     time.sleep(0.2)
     jobs.finish(claim)
@@ -21,8 +19,8 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
     jobs.store.finish(second.chunk_id, second.lease_token, "5" * 64, 7, reused=True)
     half = jobs.store.figures()
     assert half.longest_queued_s == 0.0
-    assert half.totals.pop(("chunk_seconds", "detect")) == pytest.approx(0.2, abs=0.1)  # type: ignore[attr-defined]
-    assert half.totals == {
+    assert 0.15 < half.totals["chunk_seconds", "detect"] < 60.0
+    assert {key: value for key, value in half.totals.items() if key[0] != "chunk_seconds"} == {
         ("chunks_done", "detect"): 1.0,
         ("chunks_reused", "detect"): 1.0,
         ("chunk_units", "detect"): UNITS,
