@@ -6,7 +6,7 @@ READERS := tests/e2e/readers
 BLENDER := .venv-blender
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers test verify-exports check benchmark format lock clean
+.PHONY: help setup demo serve browser readers test verify-exports soak check benchmark format lock clean
 
 help:  ## Say what there is
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -60,7 +60,10 @@ test: setup browser readers  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender"
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak"
+
+soak: setup  ## Disturb 200 jobs by faults at random moments; half an hour
+	$(BIN)/python -m pytest -s -m soak tests/faults
 
 check: setup  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
 	$(BIN)/ruff format --check .
