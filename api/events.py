@@ -87,18 +87,20 @@ class JobChanges:
             await asyncio.sleep(_INTERVAL_S)
 
     async def _look(self) -> None:
-        changes = await run_in_threadpool(self._store.changes, {watch.job_id for watch in self._watches})
+        # Who comes while the database is asked has to wait for the next look.
+        watches = list(self._watches)
+        changes = await run_in_threadpool(self._store.changes, {watch.job_id for watch in watches})
         behind: dict[str, list[_Watch]] = {}
-        for watch in self._watches:
-            if (change := changes.get(watch.job_id)) is None or change != watch.shown:
+        for watch in watches:
+            if watch.job_id not in changes:
+                watch.tell(News(None, None))
+            elif changes[watch.job_id] != watch.shown:
                 behind.setdefault(watch.job_id, []).append(watch)
-        for job_id, watches in behind.items():
-            change = changes.get(job_id)
+        for job_id, to_be_told in behind.items():
             try:
                 job = await run_in_threadpool(self._store.job, job_id)
-                news = News(job, change.event if change else None)
-            except NotFound:
-                news = News(None, None)
-            for watch in watches:
-                watch.shown = change
-                watch.tell(news)
+            except NotFound:  # it was deleted just now: the next look says so
+                continue
+            for watch in to_be_told:
+                watch.shown = changes[job_id]
+                watch.tell(News(job, changes[job_id].event))

@@ -147,6 +147,26 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
         assert listener.events[-1]["data"]["state"] == "succeeded"
 
 
+def test_who_comes_while_the_database_is_asked_is_told_a_number_too(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look = live.services.store.changes
+
+    def slowly(job_ids: Any) -> Any:
+        found = look(job_ids)
+        time.sleep(0.4)
+        return found
+
+    monkeypatch.setattr(live.services.store, "changes", slowly)
+    listeners = []
+    for _ in range(5):
+        listeners.append(Listener(live, live.job_id()))
+        time.sleep(0.3)
+    for listener in listeners:
+        listener.wait_for(1)
+        assert listener.events[0]["id"].isdigit()
+
+
 def test_who_hangs_up_is_forgotten_and_nobody_is_looked_for_then(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     url = f"http://{live.address[0]}:{live.address[1]}/v1/jobs/{job_id}/events"
