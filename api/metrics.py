@@ -10,18 +10,19 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from worker.jobs.store import JobStore
+from worker.jobs.totals import Total
 
 _PREFIX = "multicap"
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0, 600.0)
-# Of ``worker.jobs.totals``: what a sum's label says, and what the sum is of.
+# What a sum's label says, and what the sum is of.
 _TOTALS = {
-    "leases_lost": ("stage", "Chunks whose worker fell silent."),
-    "chunks_done": ("stage", "Chunks that were worked on and finished."),
-    "chunks_reused": ("stage", "Chunks whose output was there already."),
-    "chunks_retried": ("stage", "Chunks that were given another try."),
-    "chunk_seconds": ("stage", "Time that finished chunks took, from their first try on."),
-    "chunk_units": ("stage", "Units of work (a camera's frames in the stage detect) of finished chunks."),
-    "jobs_ended": ("state", "Jobs that came to an end."),
+    Total.LEASES_LOST: ("stage", "Chunks whose worker fell silent."),
+    Total.CHUNKS_DONE: ("stage", "Chunks that were worked on and finished."),
+    Total.CHUNKS_REUSED: ("stage", "Chunks whose output was there already."),
+    Total.CHUNKS_RETRIED: ("stage", "Chunks that were given another try."),
+    Total.CHUNK_SECONDS: ("stage", "Time that finished chunks took, from their first try on."),
+    Total.CHUNK_UNITS: ("stage", "Units of work (a camera's frames in the stage detect) of finished chunks."),
+    Total.JOBS_ENDED: ("state", "Jobs that came to an end."),
 }
 
 
@@ -64,10 +65,10 @@ class _JobCollector(Collector):
     def collect(self) -> Iterator[Metric]:
         """Ask the database."""
         figures = self._store.figures()
-        for name, (label, text) in _TOTALS.items():
-            family = CounterMetricFamily(f"{_PREFIX}_{name}", text, labels=(label,))
-            for (one, value_of), value in sorted(figures.totals.items()):
-                if one == name:
+        for total, (label, text) in _TOTALS.items():
+            family = CounterMetricFamily(f"{_PREFIX}_{total}", text, labels=(label,))
+            for (name, value_of), value in sorted(figures.totals.items()):
+                if name == total:
                     family.add_metric((value_of,), value)
             yield family
         for name, text, by_state in (

@@ -155,16 +155,14 @@ def _positions(
     positions = np.empty((len(values), len(SKELETON), 3))
     file_from_joint: dict[int, Rotation] = {}
     for index, joint in enumerate(SKELETON):
-        turn = None
+        if joint.parent is None:
+            positions[:, index], file_from_parent = values[:, :3], Rotation.identity()
+        else:
+            parent = INDEX[joint.parent]
+            file_from_parent = file_from_joint[parent]
+            positions[:, index] = positions[:, parent] + file_from_parent.apply(offsets[index])
         if index in order:
             column = 3 + 3 * order.index(index)
             turn = Rotation.from_euler(axes, values[:, column : column + 3], degrees=True)
-        if joint.parent is None:
-            positions[:, index] = values[:, :3]
-        else:
-            parent = INDEX[joint.parent]
-            positions[:, index] = positions[:, parent] + file_from_joint[parent].apply(offsets[index])
-            turn = file_from_joint[parent] * turn if turn is not None else None
-        if turn is not None:
-            file_from_joint[index] = turn
+            file_from_joint[index] = file_from_parent * turn
     return positions
