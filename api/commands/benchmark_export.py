@@ -4,17 +4,16 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 from rich.table import Table
 
-from api.commands.benchmark_takes import peak_rss_mib, to_and_fro
+from api.commands.benchmark_takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
 from api.console import console, emit, reporting
 from pipeline.config import Export, ReconstructionConfig
-from pipeline.data import Animation, Reconstruction, Timebase, Track3D
+from pipeline.data import Animation, Reconstruction, SkeletonMotion, Timebase, Track3D
 from pipeline.export.results import write_results
 from pipeline.simulation.scenes import SCENES, record
 from pipeline.skeleton.animate import animate
@@ -34,43 +33,33 @@ def long_take(num_people: int, num_frames: int) -> Reconstruction:
     )
     track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
     animation = animate([track], [seen], cameras, simulation.timebase, simulation.joints, ReconstructionConfig())
-    longer = partial(to_and_fro, num_frames=num_frames)
-    located: list[Track3D] = []
-    tracks: list[Track3D] = []
-    observations, motions = [], []
-    for number in range(1, num_people + 1):
-        for one, kept in ((track, located), (animation.tracks[0], tracks)):
-            kept.append(
-                replace(
-                    one,
-                    track_id=number,
-                    start_frame=0,
-                    xyz_m=longer(one.xyz_m),
-                    score=longer(one.score),
-                    source=longer(one.source),
-                    error_px=longer(one.error_px),
-                    views=longer(one.views),
-                )
-            )
-        observations.append(replace(seen, track_id=number, points_px=longer(seen.points_px), score=longer(seen.score)))
-        motion = animation.motions[0]
-        motions.append(
-            replace(
-                motion,
-                track_id=number,
-                name=f"person-{number}",
-                start_frame=0,
-                root_m=longer(motion.root_m),
-                parent_from_joint=longer(motion.parent_from_joint),
-            )
-        )
+    numbers = range(1, num_people + 1)
+
+    def everybody(one: Track3D) -> tuple[Track3D, ...]:
+        return tuple(replace(longer_track(one, num_frames), track_id=number, start_frame=0) for number in numbers)
+
     return Reconstruction(
         cameras,
         simulation.joints,
         Timebase(0.0, rate_hz, num_frames),
-        tuple(located),
-        tuple(observations),
-        Animation(tuple(tracks), tuple(motions), animation.floor),
+        everybody(track),
+        tuple(replace(longer_observations(seen, num_frames), track_id=number) for number in numbers),
+        Animation(
+            everybody(animation.tracks[0]),
+            tuple(_longer_motion(animation.motions[0], number, num_frames) for number in numbers),
+            animation.floor,
+        ),
+    )
+
+
+def _longer_motion(motion: SkeletonMotion, number: int, num_frames: int) -> SkeletonMotion:
+    return replace(
+        motion,
+        track_id=number,
+        name=f"person-{number}",
+        start_frame=0,
+        root_m=to_and_fro(motion.root_m, num_frames),
+        parent_from_joint=to_and_fro(motion.parent_from_joint, num_frames),
     )
 
 

@@ -3,13 +3,12 @@
 import time
 import tracemalloc
 from dataclasses import fields, replace
-from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from api.commands.benchmark_takes import to_and_fro
+from api.commands.benchmark_takes import longer_observations, longer_track
 from api.console import console, emit, reporting, show_sizes
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Observations, SkeletonMotion, Timebase, Track3D
@@ -58,16 +57,7 @@ def measure_memory() -> list[dict[str, float]]:
     figures = []
     for minutes in _MINUTES:
         num_frames = round(60 * minutes * rate_hz)
-        longer = partial(to_and_fro, num_frames=num_frames)
-        long_track = replace(
-            track,
-            xyz_m=longer(track.xyz_m),
-            score=longer(track.score),
-            source=longer(track.source),
-            error_px=longer(track.error_px),
-            views=longer(track.views),
-        )
-        long_seen = replace(seen, points_px=longer(seen.points_px), score=longer(seen.score))
+        long_track, long_seen = longer_track(track, num_frames), longer_observations(seen, num_frames)
         timebase = Timebase(0.0, rate_hz, num_frames)
         tracemalloc.start()
         animation = animate([long_track], [long_seen], cameras, timebase, simulation.joints, ReconstructionConfig())

@@ -1,14 +1,34 @@
 """What the benchmarks share: long takes out of short ones, and how much memory there was."""
 
 import resource
+from dataclasses import replace
 
 import numpy as np
+
+from pipeline.data import Observations, Track3D
 
 
 def to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:
     """A take that goes on as itself backwards, and again."""
     period = np.concatenate([values, values[::-1]])
     return np.concatenate([period] * -(-num_frames // len(period)))[:num_frames]
+
+
+def longer_track(track: Track3D, num_frames: int) -> Track3D:
+    """A track that goes on so."""
+    return replace(
+        track,
+        xyz_m=to_and_fro(track.xyz_m, num_frames),
+        score=to_and_fro(track.score, num_frames),
+        source=to_and_fro(track.source, num_frames),
+        error_px=to_and_fro(track.error_px, num_frames),
+        views=to_and_fro(track.views, num_frames),
+    )
+
+
+def longer_observations(seen: Observations, num_frames: int) -> Observations:
+    """Likewise what stands behind a track."""
+    return replace(seen, points_px=to_and_fro(seen.points_px, num_frames), score=to_and_fro(seen.score, num_frames))
 
 
 def peak_rss_mib() -> float:
