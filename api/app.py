@@ -8,19 +8,22 @@ from collections.abc import AsyncIterator
 from anyio import CapacityLimiter
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware.cors import CORSMiddleware
 
 from api import contract, errors
 from api.dependencies import Services
 from api.events import JobChanges
 from api.metrics import RequestMetrics
-from api.middleware import ForeignPageGuard, RequestContext
+from api.middleware import ForeignPageGuard, RequestContext, SlowClientGuard
 from api.preflight import Preflight
-from api.routes import events, health, jobs, page, results, sessions
+from api.rates import Rates
+from api.routes import callers, events, health, jobs, page, results, sessions
 from api.settings import Settings
 from worker.jobs.artifacts import LocalArtifacts
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 
+_EXPOSED_HEADERS = ["Content-Disposition", "Content-Range", "ETag", "Location", "Retry-After", "X-Request-ID"]
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -41,12 +44,40 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.metrics = RequestMetrics()
     app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
-    for router in (sessions.router, jobs.router, jobs.small, events.router, results.router, health.router, page.router):
+    for router in (sessions.router, jobs.router, jobs.small, events.router, results.router):
+        app.include_router(router, responses=contract.problems(401, 429))
+    for router in (callers.router, health.router, page.router):
         app.include_router(router)
     errors.install(app)
-    app.add_middleware(ForeignPageGuard, allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts)
+    # What a browser may do for pages from elsewhere: never with a cookie.
+    app.add_middleware(
+        CORSMiddleware,
+        allow_origins=sorted(settings.allowed_origins),
+        allow_methods=["*"],
+        allow_headers=["*"],
+        expose_headers=_EXPOSED_HEADERS,
+    )
+    app.add_middleware(
+        ForeignPageGuard,
+        allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts | {settings.host},
+        allowed_origins=settings.allowed_origins,
+    )
+    app.add_middleware(SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s)
     app.add_middleware(RequestContext, metrics=app.state.metrics)
     return app
+
+
+class ExposedError(Exception):
+    """Strangers could use the service; the text says what to do."""
+
+
+def refuse_strangers(settings: Settings, store: JobStore) -> None:
+    """Raise ``ExposedError`` if others than this machine may reach a service that asks for no keys."""
+    if settings.is_exposed and not store.has_keys():
+        raise ExposedError(
+            f"{settings.host} can be reached from elsewhere, and there are no keys: anybody could use the service. "
+            "Make one with `multicap keys create NAME`, or listen on 127.0.0.1."
+        )
 
 
 @contextlib.asynccontextmanager
@@ -66,6 +97,7 @@ def _start(settings: Settings) -> Services:
     settings.spool_dir.mkdir(parents=True)
     store = JobStore(settings.resolved_database_url)
     store.migrate()
+    refuse_strangers(settings, store)
     return Services(
         settings=settings,
         store=store,
@@ -79,4 +111,5 @@ def _start(settings: Settings) -> Services:
         ),
         preflight_limiter=CapacityLimiter(settings.max_parallel_preflights),
         changes=JobChanges(store),
+        rates=Rates(settings.max_requests_per_minute),
     )

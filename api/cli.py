@@ -2,7 +2,7 @@
 
 import typer
 
-from api.commands import benchmark, demo, evaluate, models, reconstruct, samples, serve, simulate
+from api.commands import audit, benchmark, demo, evaluate, keys, models, reconstruct, samples, serve, simulate
 from pipeline.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -12,12 +12,14 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_show_locals=False,
 )
+app.command("audit")(audit.command)
 app.command("demo")(demo.command)
 app.command("reconstruct")(reconstruct.command)
 app.command("serve")(serve.command)
 app.command("simulate")(simulate.command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(benchmark.app, name="benchmark")
+app.add_typer(keys.app, name="keys")
 app.add_typer(models.app, name="models")
 app.add_typer(samples.app, name="samples")
 

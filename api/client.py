@@ -48,6 +48,27 @@ class Client:
             files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
             return self._call("POST", "/v1/jobs", files=[manifest, *files])
 
+    def submit_keypoints(
+        self, archives: Mapping[str, bytes], calibration: bytes, timestamps: bytes, spec: Mapping[str, Any]
+    ) -> Json:
+        """Likewise a zip a camera of OpenPose's files, by the cameras' names, and a calibration in our own format."""
+        one_each = [("calibration", "calibration.json", calibration), ("timestamps", "timestamps.csv", timestamps)]
+        zips = [("keypoints", f"{camera}.zip", content) for camera, content in archives.items()]
+        files = [(part, (name, content)) for part, name, content in (*zips, *one_each)]
+        return self._call("POST", "/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))])
+
+    def get(self, path: str) -> Json:
+        """Read anything."""
+        return self._call("GET", path)
+
+    def cancel(self, job: Json) -> None:
+        """Cancel a job."""
+        self._call("POST", job["links"]["cancel"])
+
+    def delete_session(self, job: Json) -> None:
+        """Delete a job's session."""
+        self._call("DELETE", job["links"]["session"])
+
     def follow(self, job: Json, on_job: Callable[[Json], None] = lambda _: None) -> Json:
         """Poll a job until it ends; ``on_job`` is called with every answer.
 
@@ -58,7 +79,7 @@ class Client:
         """
         while job["state"] not in _FINISHED:
             time.sleep(_POLL_S)
-            job = self._call("GET", job["links"]["self"])
+            job = self.get(job["links"]["self"])
             on_job(job)
         if job["state"] != "succeeded":
             raise ServiceError(f"The job {job['state']}. {_words(job['error'] or {})}".strip())
@@ -86,7 +107,7 @@ class Client:
             raise ServiceError(f"The service at {self.url} does not answer.") from error
         if answer.is_error:
             raise _refusal(answer)
-        return dict(answer.json())
+        return dict(answer.json()) if answer.content else {}
 
 
 def _refusal(answer: httpx2.Response) -> ServiceError:

@@ -113,3 +113,9 @@ class StageBars:
         self.seconds[progress.stage] = elapsed_s
         rate = f"{progress.done / elapsed_s:.1f} frames/s" if progress.stage == "detect" and elapsed_s > 1 else ""
         self._bars.update(self._tasks[progress.stage], completed=progress.done, rate=rate)
+
+
+def refusal(sentence: str) -> typer.Exit:
+    """Say what is wrong and what to do; raise what is returned."""
+    console.print(Text.assemble(("error ", "bold red"), sentence), soft_wrap=True)
+    return typer.Exit(EXIT_BAD_INPUT)

@@ -18,14 +18,17 @@ _DOCUMENTS: dict[str, type[BaseModel]] = {"manifest": Manifest, "spec": JobSpec}
 
 _MEANINGS = {
     400: "The request can't be read.",
-    403: "The request comes by a name, or from a page, that may not use the service.",
+    401: "The service asks for a key, and none that is valid came along.",
+    403: "The request comes by a name, from a page, or with a key, that may not do this.",
     404: "There is no such thing.",
+    408: "The request comes too slowly.",
     409: "Its state does not allow it.",
     410: "It was there, and was removed.",
     413: "Larger than the service takes.",
     415: "Not a type of content that is taken here.",
     416: "The file has no such range.",
     422: "All that is wrong with the request.",
+    429: "The tenant has as many jobs as it may have, or makes too many requests.",
     500: "The service failed.",
     503: "A part of the service is away.",
     507: "The service's disk is full; nothing was kept.",

@@ -10,10 +10,12 @@ from fastapi import Depends, Path, Query, Request
 from api.events import JobChanges
 from api.form import Limits
 from api.preflight import Preflight
+from api.rates import Rates
 from api.settings import Settings
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.errors import NotFound
 from worker.jobs.queue import WorkQueue
+from worker.jobs.quotas import Quotas
 from worker.jobs.store import JobStore
 
 _UUID = {"format": "uuid"}
@@ -31,6 +33,16 @@ class Services:
     # Checks wait for each other without holding the threads that serve everyone else.
     preflight_limiter: CapacityLimiter
     changes: JobChanges
+    rates: Rates
+
+    @property
+    def quotas(self) -> Quotas:
+        """How much each tenant may have."""
+        return Quotas(
+            sessions=self.settings.max_tenant_sessions,
+            unfinished_jobs=self.settings.max_tenant_unfinished_jobs,
+            stored_bytes=self.settings.max_tenant_bytes,
+        )
 
     @property
     def limits(self) -> Limits:

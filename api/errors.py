@@ -21,17 +21,20 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from worker.jobs.errors import JobStoreError, NotFinished, NotFound
+from worker.jobs.errors import JobStoreError, NotFinished, NotFound, QuotaExceeded
 
 _log = structlog.get_logger(__name__)
 
 _DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _RETRY_AFTER_S = 5
+# Until a job of a tenant that has as many as it may have is likely to have ended.
+_QUOTA_RETRY_AFTER_S = 30
 
 _CODES: Mapping[int, str] = {
     400: "malformed_request",
     404: "not_found",
     405: "method_not_allowed",
+    408: "client_too_slow",
     413: "content_too_large",
     415: "unsupported_media_type",
 }
@@ -39,6 +42,7 @@ _DETAILS: Mapping[int, str] = {
     400: "The request can't be read.",
     404: "There is nothing at this address.",
     405: "This address does not take that method.",
+    408: "The body comes too slowly. Send it again over a better line.",
     413: "The request is larger than the service takes.",
     415: "The service does not take this type of content here.",
 }
@@ -228,18 +232,29 @@ def _from_validation(error: RequestValidationError) -> ApiError:
 def _from_status(error: HTTPException) -> ApiError:
     status = error.status_code
     code = _CODES.get(status, HTTPStatus(status).name.lower())
-    return ApiError(status, code, _DETAILS.get(status, HTTPStatus(status).phrase), headers=error.headers)
+    detail = _DETAILS.get(status, HTTPStatus(status).phrase)
+    return ApiError(status, code, detail, retryable=status == 408, headers=error.headers)
 
 
 def _from_store(error: JobStoreError) -> ApiError:
     match error:
         case NotFound():
             return ApiError(404, "not_found", str(error))
+        case QuotaExceeded():
+            return _from_quota(error)
         case NotFinished():
             hint = "Ask for the job until its state is succeeded."
             return ApiError(409, "not_finished", str(error), hint=hint, retryable=True)
         case _:
             return ApiError(409, "conflict", str(error))
+
+
+def _from_quota(error: QuotaExceeded) -> ApiError:
+    if error.name == "unfinished_jobs":
+        hint = "Send it again when one of them has ended."
+        headers = {"Retry-After": str(_QUOTA_RETRY_AFTER_S)}
+        return ApiError(429, "quota_exceeded", str(error), hint=hint, retryable=True, headers=headers)
+    return ApiError(403, "quota_exceeded", str(error), hint="Delete sessions that are no longer needed.")
 
 
 def _from_failure(error: Exception) -> ApiError:

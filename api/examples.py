@@ -87,6 +87,7 @@ _JOB: dict[str, Any] = {
     "links": {
         "self": f"/v1/jobs/{_JOB_ID}",
         "session": f"/v1/sessions/{_SESSION_ID}",
+        "attempts": f"/v1/jobs/{_JOB_ID}/attempts",
         "events": f"/v1/jobs/{_JOB_ID}/events",
         "results": f"/v1/jobs/{_JOB_ID}/results",
         "results_zip": f"/v1/jobs/{_JOB_ID}/results.zip",
@@ -109,6 +110,35 @@ _RESULTS: dict[str, Any] = {
     ]
 }
 
+_ATTEMPTS: dict[str, Any] = {
+    "attempts": [
+        {
+            "attempt": 1,
+            "state": "running",
+            "queued_at": "2026-03-01T09:31:00Z",
+            "started_at": "2026-03-01T09:31:01Z",
+            "finished_at": None,
+            "error": None,
+            "failures": [
+                {
+                    "stage": "detect",
+                    "chunk": 2,
+                    "chunk_try": 1,
+                    "failed_at": "2026-03-01T09:31:40Z",
+                    "reason": {
+                        "code": "worker_lost",
+                        "detail": "A worker of the stage detect fell silent.",
+                        "stage": "detect",
+                        "camera": None,
+                        "hint": "It may lack memory.",
+                        "retryable": True,
+                    },
+                }
+            ],
+        }
+    ]
+}
+
 EVENT: dict[str, Any] = {"id": "17", "event": "job", "data": json.dumps(_JOB), "retry": 2000}
 
 ANSWERS: dict[str, dict[str, Any]] = {
@@ -116,7 +146,19 @@ ANSWERS: dict[str, dict[str, Any]] = {
     "SessionPage": {"sessions": [_SESSION], "next_cursor": None},
     "Job": _JOB,
     "JobPage": {"jobs": [_JOB], "next_cursor": None},
+    "AttemptList": _ATTEMPTS,
     "ResultList": _RESULTS,
+    "Caller": {
+        "tenant": "studio-a",
+        "name": "portal",
+        "scopes": ["read", "write"],
+        "expires_at": None,
+        "quotas": {
+            "sessions": {"used": 12, "limit": 100},
+            "unfinished_jobs": {"used": 1, "limit": 4},
+            "stored_bytes": {"used": 52428800000, "limit": None},
+        },
+    },
     "Health": {"status": "ok"},
     "Readiness": {
         "status": "ready",
@@ -126,14 +168,17 @@ ANSWERS: dict[str, dict[str, Any]] = {
 
 _PROBLEMS: dict[int, tuple[str, str]] = {
     400: ("malformed_request", "The request can't be read."),
+    401: ("key_required", "The service asks for a key."),
     403: ("host_not_allowed", "The service does not answer to this name."),
     404: ("not_found", "There is no such job."),
+    408: ("client_too_slow", "The body comes too slowly. Send it again over a better line."),
     409: ("conflict", "The job's state does not allow it."),
     410: ("expired", "The file was removed."),
     413: ("content_too_large", "The session is larger than the service takes."),
     415: ("unsupported_media_type", "A session is sent as multipart/form-data."),
     416: ("range_not_satisfiable", "The file has no such range."),
     422: ("invalid_request", "One thing is wrong with the request."),
+    429: ("too_many_requests", "At most 600 requests a minute are allowed."),
     500: ("internal_error", "The service failed; the log says why."),
     503: ("database_unavailable", "The database is away."),
     507: ("storage_full", "The service's disk is full; nothing was kept."),
@@ -163,6 +208,6 @@ def problem(status: int) -> dict[str, Any]:
         "camera": None,
         "stage": None,
         "hint": None,
-        "retryable": status in {500, 503, 507},
+        "retryable": status in {408, 429, 500, 503, 507},
         "request_id": "01890a60-7f10-7cc3-8d4e-0a1b2c3d4e5f",
     }

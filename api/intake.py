@@ -10,23 +10,27 @@ from typing import Any, TypeVar
 import anyio
 import uuid_utils
 from fastapi import Request
+from opentelemetry import trace
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from api.dependencies import Services
 from api.errors import ErrorItem, unprocessable, validation_items
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, ReceivedFile
-from api.multipart import receive_form
+from api.multipart import announced_bytes, receive_form
 from api.preflight import InvalidFilesError
 from api.schemas import Manifest
-from worker.jobs.artifacts import input_key, record_key
+from worker.jobs.artifacts import input_key, record_key, session_prefix
 from worker.jobs.model import InputFile, Session
+from worker.jobs.records import Records
 from worker.jobs.spec import JobSpec
 
 MANIFEST, SPEC = "manifest", "spec"
 
 # What a file is called in a session where the form's part has another name.
 _KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
+
+_tracer = trace.get_tracer("multicap")
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -39,11 +43,13 @@ class Intake:
     spec: JobSpec
 
 
-async def take_in(request: Request, services: Services, documents: frozenset[str]) -> Intake:
+async def take_in(request: Request, services: Services, records: Records, documents: frozenset[str]) -> Intake:
     """Receive a form, check it with its files, and make it a session.
 
     Parameters
     ----------
+    records
+        Whose session it becomes.
     documents
         JSON parts that the form may have: ``manifest``, ``spec``.
 
@@ -52,6 +58,7 @@ async def take_in(request: Request, services: Services, documents: frozenset[str
     ApiError
         If anything is wrong; then nothing is kept.
     """
+    await run_in_threadpool(records.require_room, announced_bytes(request))
     async with _folder(services.settings.spool_dir) as folder:
         form = await receive_form(request, folder, services.limits, documents)
         manifest, manifest_errors = _document(form, MANIFEST, Manifest)
@@ -61,17 +68,18 @@ async def take_in(request: Request, services: Services, documents: frozenset[str
         record = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
         if not form.errors:
             try:
-                preflight = await anyio.to_thread.run_sync(
-                    services.preflight.check,
-                    _arguments(form, manifest or Manifest()),
-                    record,
-                    limiter=services.preflight_limiter,
-                )
+                with _tracer.start_as_current_span("preflight"):
+                    preflight = await anyio.to_thread.run_sync(
+                        services.preflight.check,
+                        _arguments(form, manifest or Manifest()),
+                        record,
+                        limiter=services.preflight_limiter,
+                    )
             except InvalidFilesError as invalid:
                 errors.extend(_located(item, form) for item in invalid.errors)
         if errors or manifest is None or spec is None:
             raise unprocessable(errors)
-        session = await run_in_threadpool(_keep, services, form, manifest, preflight, record)
+        session = await run_in_threadpool(_keep, services, records, form, manifest, preflight, record)
     return Intake(session, spec)
 
 
@@ -123,17 +131,22 @@ def _located(item: ErrorItem, form: Form) -> ErrorItem:
     return item.model_copy(update={"pointer": pointer})
 
 
-def _keep(services: Services, form: Form, manifest: Manifest, preflight: Mapping[str, Any], record: Path) -> Session:
-    """Move the files to the artifact store, then say so in the database; neither without the other."""
-    session_id = str(uuid_utils.uuid7())
+def _keep(
+    services: Services, records: Records, form: Form, manifest: Manifest, preflight: Mapping[str, Any], record: Path
+) -> Session:
+    """Move the files to the artifact store, then say so in the database; neither without the other.
+
+    Whoever is killed in between has announced them, so that they go.
+    """
+    session_id = services.store.announce_session()
     received = [(_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(form).items()]
     files = [_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(received)]
     with contextlib.ExitStack() as undo:
-        undo.callback(services.artifacts.delete_prefix, f"sessions/{session_id}/")
+        undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
         services.artifacts.put_file(record_key(session_id), record)
-        session = services.store.create_session(manifest.name, files, preflight, session_id)
+        session = records.create_session(manifest.name, files, preflight, session_id)
         undo.pop_all()
     return session
 

@@ -2,10 +2,13 @@
 
 import time
 from collections.abc import Collection
+from http import HTTPStatus
 from urllib.parse import urlsplit
 
+import anyio
 import structlog
 import uuid_utils
+from fastapi import HTTPException
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -66,28 +69,95 @@ class RequestContext:
             # Ids in paths, and paths that strangers make up, would be series without end.
             route = scope["route"].path if "route" in scope else "unknown"
             self._metrics.count(_known_method(scope["method"]), route, status, seconds)
-            _log.info("request", method=scope["method"], path=scope["path"], status=status, seconds=round(seconds, 4))
+            caller = scope["state"].get("caller")
+            key = caller.key if caller else None
+            _log.info(
+                "request",
+                method=scope["method"],
+                path=scope["path"],
+                status=status,
+                seconds=round(seconds, 4),
+                **({"tenant": key.tenant, "key": key.id} if key else {}),
+            )
 
 
 def _known_method(method: str) -> str:
     return method if method in _METHODS else "other"
 
 
+class SlowClientGuard:
+    """Let go of clients that neither send nor take anything for long, or next to nothing on the whole.
+
+    Each of them would keep a file, memory and a connection for as long as it likes. Streams of events are quiet for
+    long, but take what comes at once.
+
+    Parameters
+    ----------
+    idle_s
+        How long the next piece of a body may take to come, or an answer's to be taken.
+    min_bytes_per_s
+        What a body must come to on average, looked at from ``idle_s`` on.
+    """
+
+    def __init__(self, app: ASGIApp, idle_s: float, min_bytes_per_s: float) -> None:
+        self._app = app
+        self._idle_s, self._min_bytes_per_s = idle_s, min_bytes_per_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        started_s = time.monotonic()
+        num_bytes = 0
+        complete = False
+
+        async def receive_in_time() -> Message:
+            nonlocal num_bytes, complete
+            if complete:  # What comes now is that the client has gone.
+                return await receive()
+            try:
+                with anyio.fail_after(self._idle_s):
+                    message = await receive()
+            except TimeoutError:
+                raise _too_slow() from None
+            num_bytes += len(message.get("body", b""))
+            complete = not message.get("more_body", False)
+            elapsed_s = time.monotonic() - started_s
+            if not complete and elapsed_s > self._idle_s and num_bytes < elapsed_s * self._min_bytes_per_s:
+                raise _too_slow()
+            return message
+
+        async def send_in_time(message: Message) -> None:
+            with anyio.fail_after(self._idle_s):
+                await send(message)
+
+        await self._app(scope, receive_in_time, send_in_time)
+
+
+def _too_slow() -> HTTPException:
+    # The framework lets only such an exception through where it reads a body itself.
+    return HTTPException(HTTPStatus.REQUEST_TIMEOUT, headers={"Connection": "close"})
+
+
 class ForeignPageGuard:
     """Refuse what a web page from elsewhere makes a browser send.
 
-    The service has no keys yet, so that any page could use it through the browser of someone at this machine: directly
-    (its ``Origin`` says so), or by a name of its own that resolves to loopback (its ``Host`` says so).
+    Without keys any page could use the service through the browser of someone at this machine: directly (its ``Origin``
+    says so), or by a name of its own that resolves to loopback (its ``Host`` says so).
 
     Parameters
     ----------
     allowed_hosts
         Names by which clients may call the service.
+    allowed_origins
+        Origins whose pages may.
     """
 
-    def __init__(self, app: ASGIApp, allowed_hosts: Collection[str]) -> None:
+    def __init__(self, app: ASGIApp, allowed_hosts: Collection[str], allowed_origins: Collection[str]) -> None:
         self._app = app
         self._allowed_hosts = frozenset(host.lower() for host in allowed_hosts)
+        self._allowed_origins = frozenset(origin.lower() for origin in allowed_origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve or refuse a request."""
@@ -105,9 +175,15 @@ class ForeignPageGuard:
                 "The service does not answer to this name.",
                 hint="Call it by localhost, or add the name to MULTICAP_ALLOWED_HOSTS.",
             )
-        origin = headers.get("origin")
-        if origin is not None and origin.lower().partition("://")[2] != hosts[0].lower():
-            return ApiError(403, "origin_not_allowed", "Pages from elsewhere may not use the service.")
+        origin = headers.get("origin", "").lower()
+        foreign = "origin" in headers and origin not in self._allowed_origins
+        if foreign and origin.partition("://")[2] != hosts[0].lower():
+            return ApiError(
+                403,
+                "origin_not_allowed",
+                "Pages from elsewhere may not use the service.",
+                hint="If it is a page of yours, add its origin to MULTICAP_ALLOWED_ORIGINS.",
+            )
         return None
 
 

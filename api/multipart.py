@@ -69,9 +69,14 @@ def _boundary_of(request: Request) -> str:
     return boundary
 
 
-def _check_announced_length(request: Request, limits: Limits) -> None:
+def announced_bytes(request: Request) -> int:
+    """How long a body is said to be; 0 if nothing is said."""
     announced = request.headers.get("content-length", "")
-    if announced.isdecimal() and int(announced) > limits.max_session_bytes + _ENVELOPE_BYTES:
+    return int(announced) if announced.isdecimal() else 0
+
+
+def _check_announced_length(request: Request, limits: Limits) -> None:
+    if announced_bytes(request) > limits.max_session_bytes + _ENVELOPE_BYTES:
         raise too_large("session", limits.max_session_bytes)
 
 

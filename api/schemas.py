@@ -6,7 +6,8 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from worker.jobs.model import ChunkState, Job, JobState, Problem, Result, Session, Stage
+from worker.jobs.model import Attempt, ChunkState, Failure, Job, JobState, Problem, Result, Scope, Session, Stage, Usage
+from worker.jobs.quotas import Quotas
 from worker.jobs.spec import JobSpec
 
 _UUID = {"format": "uuid"}
@@ -150,11 +151,58 @@ class JobError(_Answer):
         return cls(**_fields(problem, cls))
 
 
+class FailureOut(_Answer):
+    """A try of a piece of work that came to nothing."""
+
+    stage: str
+    chunk: int = Field(description="Which piece of the stage, from 0.")
+    chunk_try: int = Field(description="Which try of it, from 1.")
+    failed_at: AwareDatetime
+    reason: JobError
+
+    @classmethod
+    def of(cls, failure: Failure) -> Self:
+        """Say a failure."""
+        return cls(
+            chunk=failure.chunk_index,
+            reason=JobError.of(failure.problem),
+            **_fields(failure, cls, without=("chunk", "reason")),
+        )
+
+
+class AttemptOut(_Answer):
+    """An attempt of a job: the first one, or a retry."""
+
+    attempt: int
+    state: JobState
+    queued_at: AwareDatetime
+    started_at: AwareDatetime | None
+    finished_at: AwareDatetime | None
+    error: JobError | None = Field(description="Why it failed.")
+    failures: tuple[FailureOut, ...] = Field(description="What was tried again, and what ended it, in order.")
+
+    @classmethod
+    def of(cls, attempt: Attempt) -> Self:
+        """Say an attempt."""
+        return cls(
+            error=JobError.of(attempt.problem) if attempt.problem else None,
+            failures=tuple(FailureOut.of(failure) for failure in attempt.failures),
+            **_fields(attempt, cls, without=("error", "failures")),
+        )
+
+
+class AttemptList(_Answer):
+    """All attempts of a job, the first one first."""
+
+    attempts: tuple[AttemptOut, ...]
+
+
 class JobLinks(_Answer):
     """Where to go from a job."""
 
     self: str
     session: str
+    attempts: str
     events: str
     results: str
     results_zip: str
@@ -195,6 +243,7 @@ class JobOut(_Answer):
             links=JobLinks(
                 self=address,
                 session=f"/v1/sessions/{job.session_id}",
+                attempts=f"{address}/attempts",
                 events=f"{address}/events",
                 results=f"{address}/results",
                 results_zip=f"{address}/results.zip",
@@ -232,6 +281,48 @@ class ResultList(_Answer):
     """All result files of a job."""
 
     results: tuple[ResultOut, ...]
+
+
+class QuotaOut(_Answer):
+    """How much a tenant has of something."""
+
+    used: int
+    limit: int | None = Field(description="How much it may have; null: as much as there is room for.")
+
+
+class QuotasOut(_Answer):
+    """How much a tenant has, and may have."""
+
+    sessions: QuotaOut
+    unfinished_jobs: QuotaOut
+    stored_bytes: QuotaOut = Field(description="Of its sessions' files, with all that came of them.")
+
+    @classmethod
+    def of(cls, usage: Usage, quotas: Quotas) -> Self:
+        """Say what a tenant has."""
+        return cls(
+            **{name: QuotaOut(used=getattr(usage, name), limit=getattr(quotas, name)) for name in cls.model_fields}
+        )
+
+
+class CallerOut(_Answer):
+    """Who calls."""
+
+    tenant: str = Field(description="Whose sessions and jobs the caller sees.")
+    name: str | None = Field(
+        description="The key's; null as long as there are no keys, and everybody may do everything."
+    )
+    scopes: tuple[Scope, ...]
+    expires_at: AwareDatetime | None = Field(description="When the key ends.")
+    quotas: QuotasOut
+
+
+class BrowserSession(BaseModel):
+    """What a browser shows to be let in."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    key: str = Field(max_length=200, description="A key, `mc_...`.")
 
 
 class Health(_Answer):

@@ -3,10 +3,9 @@
 import ipaddress
 import sys
 from pathlib import Path
-from typing import Self
 
 import platformdirs
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from worker.plan import DEFAULT_CHUNK_FRAMES
@@ -44,12 +43,16 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 for a free one.")
     trust_network: bool = Field(
         default=False,
-        description="Allow an address beyond loopback: only where something else keeps strangers out, such as a "
-        "container whose port is published on loopback.",
+        description="Allow an address beyond loopback without keys: only where something else keeps strangers out, "
+        "such as a container whose port is published on loopback.",
     )
     allowed_hosts: frozenset[str] = Field(
         default=frozenset(),
         description="Names besides localhost by which clients may call the service, as a JSON list.",
+    )
+    allowed_origins: frozenset[str] = Field(
+        default=frozenset(),
+        description="Origins, such as https://portal.example, whose pages may call with keys, as a JSON list.",
     )
     readiness_needs_model: bool = Field(
         default=True, description="Whether workers share this machine's networks, so that readiness looks for them."
@@ -61,6 +64,26 @@ class Settings(BaseSettings):
     max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Of a calibration file.")
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
     max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
+
+    max_tenant_sessions: int | None = Field(
+        default=None, ge=0, description="Sessions of a tenant; without it any number."
+    )
+    max_tenant_unfinished_jobs: int | None = Field(
+        default=None, ge=0, description="Jobs of a tenant that wait or run; without it any number."
+    )
+    max_tenant_bytes: int | None = Field(
+        default=None, ge=0, description="Of a tenant's sessions, with all that came of them; without it any number."
+    )
+    max_requests_per_minute: int | None = Field(
+        default=None, gt=0, description="Of a tenant, at each API process; without it any number."
+    )
+
+    client_idle_s: float = Field(
+        default=60.0, gt=0, description="How long a client may neither send nor take anything of a body."
+    )
+    client_min_bytes_per_s: float = Field(
+        default=1000.0, ge=0, description="What a client's body must come to on average, from client_idle_s on."
+    )
 
     retention_days: float | None = Field(
         default=None, gt=0, le=36_500, description="How long results are kept; without it until somebody deletes them."
@@ -78,12 +101,10 @@ class Settings(BaseSettings):
     )
     max_parallel_preflights: int = Field(default=2, gt=0, description="Checks at the same time.")
 
-    @model_validator(mode="after")
-    def _refuse_strangers(self) -> Self:
-        # There are no keys yet: whoever reaches the port may do everything.
-        if not (self.trust_network or is_loopback(self.host)):
-            raise ValueError("host must be a loopback address, such as 127.0.0.1, unless trust_network is set")
-        return self
+    @property
+    def is_exposed(self) -> bool:
+        """Whether others than this machine may reach the service."""
+        return not (self.trust_network or is_loopback(self.host))
 
     @property
     def resolved_database_url(self) -> str:

@@ -6,12 +6,20 @@ the reaper would mend anyway.
 
 import os
 
-from celery import Celery
-from celery.signals import celeryd_init, setup_logging, worker_process_init, worker_shutting_down
+from celery import Celery, Task
+from celery.signals import (
+    celeryd_init,
+    setup_logging,
+    worker_process_init,
+    worker_process_shutdown,
+    worker_shutting_down,
+)
 
-from worker import tasks
+from worker import tasks, tracing
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME
 from worker.logs import configure_logs
+from worker.niceness import stand_back
+from worker.scratch import remove_abandoned
 from worker.settings import WorkerSettings
 
 # Longer than the longest chunk: a reduce of hours of capture.
@@ -42,12 +50,20 @@ def create_celery(settings: WorkerSettings) -> Celery:
             "socket_keepalive": True,
         },
     )
-    celery.task(name=TASK_NAME)(tasks.work)
+    celery.task(name=TASK_NAME, bind=True)(_work)
     setup_logging.connect(_log)
     celeryd_init.connect(_one_thread_a_process)
+    celeryd_init.connect(_stand_back)
     worker_process_init.connect(_load)
+    worker_process_shutdown.connect(_unload)
     worker_shutting_down.connect(_give_back)
     return celery
+
+
+def _work(task: Task) -> None:
+    traceparent = task.request.get("traceparent")
+    with tracing.message_span({"traceparent": traceparent} if traceparent else {}):
+        tasks.work()
 
 
 def _log(**_: object) -> None:
@@ -59,8 +75,18 @@ def _one_thread_a_process(**_: object) -> None:
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
 
 
+def _stand_back(**_: object) -> None:
+    stand_back(WorkerSettings().nice)
+
+
 def _load(**_: object) -> None:
+    tracing.start("multicap-worker")
+    remove_abandoned()
     tasks.process_runner()
+
+
+def _unload(**_: object) -> None:
+    tracing.stop()
 
 
 def _give_back(**_: object) -> None:

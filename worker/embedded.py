@@ -45,7 +45,7 @@ class Place:
 
     @property
     def temporary_dir(self) -> Path:
-        """Folder of what the parts need for a while; emptied at the next start, for a killed part leaves things."""
+        """Folder of what the parts need for a while; emptied at the next start."""
         return self.data_dir / "temporary"
 
     @property

@@ -2,7 +2,7 @@
 
 Frees the leases of workers that fell silent, ends what keeps failing, and publishes when work is ready that no message
 may stand for any more. So a lost message, or a broker that lost all of them, costs a few seconds. Removes results whose
-time is over.
+time is over, and files of what was deleted that are still there.
 """
 
 import contextlib
@@ -14,6 +14,7 @@ import structlog
 
 from worker.jobs.artifacts import ArtifactStore, LocalArtifacts
 from worker.jobs.queue import WorkQueue
+from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
 from worker.settings import WorkerSettings
@@ -21,25 +22,16 @@ from worker.settings import WorkerSettings
 log = structlog.get_logger()
 
 
-def reap(store: JobStore, publish: Callable[[], object]) -> None:
-    """Look once; a database that is away is tried again the next time."""
+def reap(store: JobStore, artifacts: ArtifactStore, publish: Callable[[], object], lease_s: float) -> None:
+    """Look once; what can't be done now, such as with a database that is away, is tried again the next time."""
     try:
-        if store.reap() > 0:
+        if store.reap(lease_s):
             publish()
+        for job_id in store.expire():
+            log.info("job_expired", job=job_id)
+        remove_files(store, artifacts)
     except Exception:
         log.exception("reap_failed")
-
-
-def expire(store: JobStore, artifacts: ArtifactStore) -> None:
-    """Remove results whose time is over. The files go first: whoever dies in between does it again."""
-    try:
-        for job_id, keys in store.due().items():
-            for key in keys:
-                artifacts.delete(key)
-            if store.expire(job_id):
-                log.info("job_expired", job=job_id, files=len(keys))
-    except Exception:
-        log.exception("expire_failed")
 
 
 def main() -> None:
@@ -52,8 +44,7 @@ def main() -> None:
     with contextlib.suppress(KeyboardInterrupt):
         while True:
             time.sleep(settings.reap_interval_s)
-            reap(store, queue.publish)
-            expire(store, artifacts)
+            reap(store, artifacts, queue.publish, settings.lease_s)
 
 
 if __name__ == "__main__":

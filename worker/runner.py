@@ -3,14 +3,15 @@
 import hashlib
 import os
 import socket
-import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import structlog
+from opentelemetry import trace
+from opentelemetry.trace import StatusCode
 
+from worker import tracing
 from worker.execution import ResultFile, Stages, StoppedError, Work
 from worker.jobs.artifacts import ArtifactStore, result_key, stage_key
 from worker.jobs.model import Claim, Result
@@ -18,6 +19,7 @@ from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.plan import EXPORT
 from worker.problems import problem_of
+from worker.scratch import scratch_folder
 
 log = structlog.get_logger()
 
@@ -81,16 +83,22 @@ class Runner:
         return num_run
 
     def _run(self, claim: Claim) -> None:
-        with structlog.contextvars.bound_contextvars(job=claim.job_id, stage=claim.stage, chunk=claim.index):
+        with (
+            structlog.contextvars.bound_contextvars(job=claim.job_id, stage=claim.stage, chunk=claim.index),
+            tracing.chunk_span(claim) as span,
+        ):
             try:
                 lease = self._lease(claim)
                 with lease.held():
                     more = self._finish(claim, lease)
             except StoppedError:
                 log.info("chunk_stopped")
+                span.set_attribute("multicap.stopped", True)
                 more = self._store.release(claim.chunk_id, claim.lease_token)
             except Exception as error:
                 log.exception("chunk_failed", attempt=claim.attempt)
+                span.record_exception(error)
+                span.set_status(StatusCode.ERROR)
                 more = self._store.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
             if more:
                 self._publish()
@@ -109,16 +117,17 @@ class Runner:
         """Run a chunk, or find its output, and record it; returns whether more work became ready."""
         if (found := self._reusable(claim)) is not None:
             log.info("chunk_reused")
+            trace.get_current_span().set_attribute("multicap.reused", True)
             return self._store.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
         started_s = time.monotonic()
-        with tempfile.TemporaryDirectory(prefix="multicap-") as scratch:
+        with scratch_folder() as scratch:
             outcome = self._stages[claim.stage](
                 Work(
                     claim=claim,
                     session=self._store.session(claim.session_id),
                     artifacts=self._artifacts,
                     outputs=partial(self._outputs, claim),
-                    scratch=Path(scratch),
+                    scratch=scratch,
                     on_unit=lease.on_unit,
                 )
             )

@@ -21,6 +21,9 @@ class WorkerSettings(BaseSettings):
     lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
     heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
     reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for what was lost.")
+    nice: int = Field(
+        default=10, ge=0, le=19, description="How far workers stand back for all else on their machine, the API first."
+    )
     claim_for_s: float = Field(default=300.0, gt=0, description="How long one message keeps a worker claiming.")
 
     @property

@@ -19,7 +19,7 @@ _LOOK_S = 0.1
 _FIRST_DELAY_S = 0.5
 _LONGEST_DELAY_S = 30.0
 # A child that lived this long had started well: the next crash counts as the first.
-_HEALTHY_S = 60.0
+_HEALTHY_S = 20.0
 _MAX_LOG_BYTES = 16 * 2**20
 
 

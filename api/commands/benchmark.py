@@ -10,23 +10,25 @@ from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any
 
-import av
 import typer
 from rich.table import Table
 
 from api.client import Json, served
+from api.commands.benchmark_cancel import cancel
 from api.commands.benchmark_clustering import clustering
 from api.commands.benchmark_export import export
 from api.commands.benchmark_fit import fit
+from api.commands.benchmark_load import load
+from api.commands.benchmark_queue import queue
 from api.commands.benchmark_takes import peak_rss_mib
 from api.commands.benchmark_tracking import tracking
+from api.commands.benchmark_videos import loop_video
 from api.commands.reconstruct import write_results
 from api.console import StageBars, console, emit, reporting
 from pipeline import samples
 from pipeline.config import ReconstructionConfig
 from pipeline.detect import models
 from pipeline.detect.detector import open_detector
-from pipeline.errors import ModelError
 from pipeline.run import reconstruct
 from pipeline.samples import Sample
 from pipeline.session import CaptureSession, open_session
@@ -35,9 +37,12 @@ from pipeline.warm_up import warm_up
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
+app.command()(cancel)
 app.command()(clustering)
 app.command()(export)
 app.command()(fit)
+app.command()(load)
+app.command()(queue)
 app.command()(tracking)
 
 
@@ -57,25 +62,6 @@ def network_seconds(session: CaptureSession, detector_name: str) -> float:
             detector.run_network(tensor)
             total_s += time.perf_counter() - started_s
     return total_s
-
-
-def loop_video(source: Path, target: Path, loops: int) -> None:
-    """Write a video that plays ``loops`` times over, without encoding anything anew."""
-    with av.open(str(source)) as head, av.open(str(target), "w") as out:
-        stream_in = head.streams.video[0]
-        stream_out = out.add_stream_from_template(stream_in)
-        length = stream_in.duration
-        if length is None:
-            raise ModelError(f"{source.name} does not say how long it is.")
-        for loop in range(loops):
-            with av.open(str(source)) as again:
-                for packet in again.demux(video=0):
-                    if packet.dts is None or packet.pts is None:
-                        continue
-                    packet.pts += loop * length
-                    packet.dts += loop * length
-                    packet.stream = stream_out
-                    out.mux(packet)
 
 
 @app.command()

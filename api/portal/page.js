@@ -26,22 +26,24 @@ let limit = PAGE;
 let timer = 0;
 
 class Problem extends Error {
-  constructor(body) {
+  constructor(body, status = 0) {
     super(body?.detail ?? "The service does not answer.");
     this.items = body?.errors ?? [];
     this.hint = body?.hint;
+    this.status = status;
   }
 }
 
-async function call(path, method = "GET") {
+async function call(path, method = "GET", sent = undefined) {
   let response;
+  const headers = { Accept: "application/json", ...(sent && { "Content-Type": "application/json" }) };
   try {
-    response = await fetch(path, { method, headers: { Accept: "application/json" } });
+    response = await fetch(path, { method, headers, body: sent && JSON.stringify(sent) });
   } catch {
     throw new Problem(null);
   }
   const body = response.status === 204 ? null : await response.json().catch(() => null);
-  if (!response.ok) throw new Problem(body);
+  if (!response.ok) throw new Problem(body, response.status);
   return body;
 }
 
@@ -214,6 +216,7 @@ async function poll() {
     busy = await refresh();
     at("connection").textContent = "";
   } catch (problem) {
+    if (problem.status === 401) return showEntrance();
     at("connection").textContent = problem.message;
   }
   at("connection").classList.toggle("away", at("connection").textContent !== "");
@@ -228,7 +231,7 @@ function send(form, onProgress, stopped) {
     request.addEventListener("load", () => {
       let body = null;
       try { body = JSON.parse(request.responseText); } catch { /* not from the service */ }
-      if (request.status === 202) resolve(body); else reject(new Problem(body));
+      if (request.status === 202) resolve(body); else reject(new Problem(body, request.status));
     });
     request.addEventListener("error", () => reject(new Problem(null)));
     request.addEventListener("abort", () => resolve(null));
@@ -292,8 +295,56 @@ at("more").addEventListener("click", () => {
   poll();
 });
 
-document.addEventListener("visibilitychange", () => {
-  if (!document.hidden) poll();
+// A service with keys lets nobody in who has not shown one; a cookie remembers it.
+function showEntrance() {
+  clearTimeout(timer);
+  cards.forEach(({ card }) => card.remove());
+  cards.clear();
+  sessionNames.clear();
+  at("inside").hidden = at("caller").hidden = true;
+  at("entrance").hidden = false;
+  at("enter").elements.key.focus();
+}
+
+async function enter() {
+  let caller;
+  try {
+    caller = await call("/v1/caller");
+  } catch (problem) {
+    if (problem.status === 401) return showEntrance();
+    at("connection").textContent = problem.message;
+    at("connection").classList.add("away");
+    timer = setTimeout(enter, IDLE_POLL_MS);
+    return;
+  }
+  at("caller").hidden = caller.name === null;
+  at("caller-name").textContent = `${caller.name}, ${caller.tenant}`;
+  at("sending").hidden = !caller.scopes.includes("write");
+  at("entrance").hidden = true;
+  at("inside").hidden = false;
+  await poll();
+}
+
+at("enter").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const form = event.currentTarget;
+  showProblem(at("refused"), null);
+  try {
+    await call("/v1/browser-session", "POST", { key: form.elements.key.value.trim() });
+    form.reset();
+    await enter();
+  } catch (problem) {
+    showProblem(at("refused"), problem);
+  }
 });
 
-poll();
+at("leave").addEventListener("click", async () => {
+  await call("/v1/browser-session", "DELETE").catch(() => null);
+  showEntrance();
+});
+
+document.addEventListener("visibilitychange", () => {
+  if (!document.hidden && !at("inside").hidden) poll();
+});
+
+enter();

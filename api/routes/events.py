@@ -7,6 +7,7 @@ from fastapi import APIRouter, Header, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from api.auth import RecordsDep
 from api.contract import problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.examples import EVENT
@@ -51,6 +52,7 @@ _STREAM: dict[str, Any] = {"text/event-stream": {"schema": _EVENT, "example": EV
 async def stream_job_events(
     job_id: JobId,
     services: ServicesDep,
+    records: RecordsDep,
     last_event_id: Annotated[str | None, Header(description="The last event that the client has seen.")] = None,
 ) -> Response:
     """Follow a job: an event `job` with the job as it is, at first, whenever it changes, and when it ends.
@@ -59,11 +61,11 @@ async def stream_job_events(
     `Last-Event-ID` a client hears of the job again as soon as there is more than it has seen. An event `gone` says that
     the job was deleted.
     """
-    change = (await run_in_threadpool(services.store.changes, [job_id])).get(job_id)
+    change = (await run_in_threadpool(records.changes, [job_id])).get(job_id)
     if change is None:
         raise NotFound("There is no such job.")
     seen_all = last_event_id == str(change.event)
-    if seen_all and (await run_in_threadpool(services.store.job, job_id)).state in FINISHED:
+    if seen_all and (await run_in_threadpool(records.job, job_id)).state in FINISHED:
         return Response(status_code=204)
     events = _events(services, job_id, change if seen_all else None)
     return EventSourceResponse(

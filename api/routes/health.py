@@ -5,7 +5,8 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from api.contract import answer
+from api.auth import AdminDep
+from api.contract import answer, problems
 from api.dependencies import ServicesDep
 from api.errors import ErrorItem, service_away
 from api.metrics import RequestMetrics
@@ -52,10 +53,10 @@ def get_readiness(services: ServicesDep) -> Readiness:
     "/metrics",
     operation_id="getMetrics",
     response_class=Response,
-    responses={200: {"description": "Figures for Prometheus.", "content": _FIGURES}},
+    responses={200: {"description": "Figures for Prometheus.", "content": _FIGURES}, **problems(401, 429)},
 )
-def get_metrics(request: Request, services: ServicesDep) -> Response:
-    """Say how much is asked, done and waiting, in Prometheus' text format."""
+def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Response:
+    """Say how much is asked, done and waiting, in Prometheus' text format. Needs the scope `admin`."""
     metrics: RequestMetrics = request.app.state.metrics
     return Response(metrics.expose(services.store), media_type=CONTENT_TYPE_LATEST)
 

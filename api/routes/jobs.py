@@ -8,14 +8,18 @@ from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api import examples
+from api.auth import RecordsDep
 from api.bodies import SmallBodyRoute
 from api.contract import Responses, answer, form_body, problems
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import ErrorItem, pointer_to, unprocessable
 from api.intake import MANIFEST, SPEC, take_in
 from api.routes.sessions import remove_session
-from api.schemas import JobOut, JobPage
+from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
+from worker import tracing
 from worker.jobs.model import Job, JobState, Session
+from worker.jobs.records import Records
+from worker.jobs.removals import remove_files
 from worker.jobs.spec import JobSpec
 from worker.plan import plan
 
@@ -47,47 +51,60 @@ _ACCEPTED: Responses = {
 def create_job(
     session_id: SessionId,
     services: ServicesDep,
+    records: RecordsDep,
     response: Response,
     spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["spec"]}})] = JobSpec(),  # noqa: B008 - frozen
 ) -> JobOut:
     """Reconstruct a session."""
-    return _accepted(response, _start(services, services.store.session(session_id), spec))
+    return _accepted(response, _start(services, records, records.session(session_id), spec))
 
 
 @router.post(
     "/jobs",
     operation_id="createSessionAndJob",
     status_code=status.HTTP_202_ACCEPTED,
-    responses={**_ACCEPTED, **problems(400, 413, 415, 422, 507)},
+    responses={**_ACCEPTED, **problems(400, 408, 413, 415, 422, 507)},
     openapi_extra=form_body(MANIFEST, SPEC),
 )
-async def create_session_and_job(request: Request, response: Response, services: ServicesDep) -> JobOut:
+async def create_session_and_job(
+    request: Request, response: Response, services: ServicesDep, records: RecordsDep
+) -> JobOut:
     """Send a session and reconstruct it, in one call."""
-    intake = await take_in(request, services, frozenset({MANIFEST, SPEC}))
+    intake = await take_in(request, services, records, frozenset({MANIFEST, SPEC}))
     with contextlib.ExitStack() as undo:
-        undo.callback(remove_session, services, intake.session.id)
-        job = await run_in_threadpool(_start, services, intake.session, intake.spec, SPEC)
+        undo.callback(remove_session, services, records, intake.session.id)
+        job = await run_in_threadpool(_start, services, records, intake.session, intake.spec, SPEC)
         undo.pop_all()
     return _accepted(response, job)
 
 
 @small.get("/jobs", operation_id="listJobs", responses={200: answer("JobPage"), **problems(422)})
 def list_jobs(
-    services: ServicesDep,
+    records: RecordsDep,
     state: Annotated[JobState | None, Query(description="Only jobs in this state.")] = None,
     limit: Limit = 50,
     cursor: Cursor = None,
 ) -> JobPage:
     """List jobs, the newest first."""
-    jobs = services.store.jobs(state=state, limit=limit, after=str(cursor) if cursor else None)
+    jobs = records.jobs(state=state, limit=limit, after=str(cursor) if cursor else None)
     next_cursor = jobs[-1].id if len(jobs) == limit else None
     return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
 
 
 @small.get("/jobs/{job_id}", operation_id="getJob", responses={200: _ONE, **problems(404)})
-def get_job(job_id: JobId, services: ServicesDep) -> JobOut:
+def get_job(job_id: JobId, records: RecordsDep) -> JobOut:
     """Read a job: its state, its stages, how far they are."""
-    return JobOut.of(services.store.job(job_id))
+    return JobOut.of(records.job(job_id))
+
+
+@small.get(
+    "/jobs/{job_id}/attempts",
+    operation_id="listAttempts",
+    responses={200: answer("AttemptList"), **problems(404)},
+)
+def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
+    """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
+    return AttemptList(attempts=tuple(AttemptOut.of(attempt) for attempt in records.attempts(job_id)))
 
 
 @small.post(
@@ -96,9 +113,9 @@ def get_job(job_id: JobId, services: ServicesDep) -> JobOut:
     status_code=status.HTTP_202_ACCEPTED,
     responses={**_ACCEPTED, **problems(404, 409)},
 )
-def cancel_job(job_id: JobId, services: ServicesDep, response: Response) -> JobOut:
+def cancel_job(job_id: JobId, records: RecordsDep, response: Response) -> JobOut:
     """Cancel a job. What runs of it stops within seconds."""
-    return _accepted(response, services.store.cancel(job_id))
+    return _accepted(response, records.cancel(job_id))
 
 
 @small.post(
@@ -107,11 +124,12 @@ def cancel_job(job_id: JobId, services: ServicesDep, response: Response) -> JobO
     status_code=status.HTTP_202_ACCEPTED,
     responses={**_ACCEPTED, **problems(404, 409)},
 )
-def retry_job(job_id: JobId, services: ServicesDep, response: Response) -> JobOut:
+def retry_job(job_id: JobId, services: ServicesDep, records: RecordsDep, response: Response) -> JobOut:
     """Try a failed or canceled job again. What it had finished is not done again."""
-    job = services.store.job(job_id)
-    session = services.store.session(job.session_id)
-    job = services.store.retry(job_id, plan(session, job.spec, services.settings.chunk_frames))
+    job = records.job(job_id)
+    session = records.session(job.session_id)
+    stages = plan(session, job.spec, services.settings.chunk_frames)
+    job = records.retry(job_id, stages, tracing.current())
     services.queue.publish()
     return _accepted(response, job)
 
@@ -122,13 +140,13 @@ def retry_job(job_id: JobId, services: ServicesDep, response: Response) -> JobOu
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),
 )
-def delete_job(job_id: JobId, services: ServicesDep) -> None:
+def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a finished job with its results."""
-    for key in services.store.delete_job(job_id):
-        services.artifacts.delete(key)
+    records.delete_job(job_id)
+    remove_files(services.store, services.artifacts)
 
 
-def _start(services: Services, session: Session, spec: JobSpec, *field: str) -> Job:
+def _start(services: Services, records: Records, session: Session, spec: JobSpec, *field: str) -> Job:
     """Create a job.
 
     Parameters
@@ -146,7 +164,7 @@ def _start(services: Services, session: Session, spec: JobSpec, *field: str) -> 
             ]
         )
     stages = plan(session, spec, services.settings.chunk_frames)
-    job = services.store.create_job(session.id, spec, stages, services.settings.retention_s)
+    job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
     _log.info("job_created", job=job.id, session=session.id)
     # When the broker is away, the reaper makes the message good.
     services.queue.publish()

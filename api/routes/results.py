@@ -1,13 +1,15 @@
 """Results: what a job made, and the files themselves."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Annotated, Any, BinaryIO
 from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Path, Response
 from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 from zipstream import ZIP_DEFLATED, ZipStream
 
+from api.auth import RecordsDep
 from api.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.contract import answer, problems
 from api.dependencies import JobId, Services, ServicesDep
@@ -31,9 +33,9 @@ _HEADERS = {
 
 
 @router.get("/results", operation_id="listResults", responses={200: answer("ResultList"), **problems(404, 409)})
-def list_results(job_id: JobId, services: ServicesDep) -> ResultList:
+def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
     """List the result files of a finished job."""
-    results = services.store.results(job_id)
+    results = records.results(job_id)
     return ResultList(results=tuple(ResultOut.of(job_id, result) for result in results))
 
 
@@ -50,23 +52,23 @@ def list_results(job_id: JobId, services: ServicesDep) -> ResultList:
         **problems(404, 409, 410),
     },
 )
-def get_all_results(job_id: JobId, services: ServicesDep) -> Response:
+def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Response:
     """Download all result files of a job as one archive."""
-    results = services.store.results(job_id)
+    results = records.results(job_id)
     if not results:
         raise NotFound("The job has no results.")
     if not all(services.artifacts.exists(result.key) for result in results):
         raise _expired()
-    session = services.store.session(services.store.job(job_id).session_id)
+    session = records.session(records.job(job_id).session_id)
     # Made while it is sent, by the API's own processor: the fastest compression, which halves a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
         archive.add(_content(services, result), result.name)
     headers = {"Cache-Control": "private, no-cache", **_attachment(f"{session.name or job_id}.zip")}
-    return StreamingResponse(iter(archive), headers=headers, media_type="application/zip")
+    return _Stream(iter(archive), headers=headers, media_type="application/zip")
 
 
-def _content(services: Services, result: Result) -> Iterator[bytes]:
+def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
     """A file's blocks; it is opened for the first one."""
     yield from _blocks(services.artifacts.open(result.key), ByteRange(0, result.num_bytes))
 
@@ -99,12 +101,13 @@ def get_result(
     job_id: JobId,
     name: Annotated[str, Path(description="Name of a result.", openapi_examples={"bvh": {"value": "person-1.bvh"}})],
     services: ServicesDep,
+    records: RecordsDep,
     range_: Annotated[str | None, Header(alias="Range", description="One range of bytes.")] = None,
     if_range: Annotated[str | None, Header(description="Heed `Range` only for this ETag.")] = None,
     if_none_match: Annotated[str | None, Header(description="ETags that the client has.")] = None,
 ) -> Response:
     """Download a result file, whole or from where an earlier download broke off."""
-    result = services.store.result(job_id, name)
+    result = records.result(job_id, name)
     etag = f'"{result.sha256}"'
     headers = {
         "ETag": etag,
@@ -127,10 +130,25 @@ def get_result(
     headers["Content-Length"] = str(sent.stop - sent.start)
     if wanted:
         headers["Content-Range"] = f"bytes {sent.start}-{sent.stop - 1}/{result.num_bytes}"
-    return StreamingResponse(_blocks(file, sent), 206 if wanted else 200, headers=headers, media_type=result.media_type)
+    return _Stream(_blocks(file, sent), 206 if wanted else 200, headers=headers, media_type=result.media_type)
 
 
-def _blocks(file: BinaryIO, sent: ByteRange) -> Iterator[bytes]:
+class _Stream(StreamingResponse):
+    """Sends what a generator gives, and ends it also if the client goes away in the middle."""
+
+    def __init__(self, content: Generator[bytes, None, None], status_code: int = 200, **options: Any) -> None:
+        super().__init__(content, status_code, **options)
+        self._content = content
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._content.close()
+
+
+def _blocks(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:
     with file:
         file.seek(sent.start)
         left = sent.stop - sent.start

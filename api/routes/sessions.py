@@ -2,10 +2,13 @@
 
 from fastapi import APIRouter, Request, Response, status
 
+from api.auth import RecordsDep
 from api.contract import answer, form_body, problems
 from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.intake import MANIFEST, take_in
 from api.schemas import SessionOut, SessionPage
+from worker.jobs.records import Records
+from worker.jobs.removals import remove_files
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 
@@ -17,31 +20,33 @@ _LOCATION = {"headers": {"Location": {"description": "Address of the session.", 
     "",
     operation_id="createSession",
     status_code=status.HTTP_201_CREATED,
-    responses={201: _ONE | _LOCATION, **problems(400, 413, 415, 422, 507)},
+    responses={201: _ONE | _LOCATION, **problems(400, 408, 413, 415, 422, 507)},
     openapi_extra=form_body(MANIFEST),
 )
-async def create_session(request: Request, response: Response, services: ServicesDep) -> SessionOut:
+async def create_session(
+    request: Request, response: Response, services: ServicesDep, records: RecordsDep
+) -> SessionOut:
     """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
     Every file is checked. The answer says what was found, or all that is wrong.
     """
-    intake = await take_in(request, services, frozenset({MANIFEST}))
+    intake = await take_in(request, services, records, frozenset({MANIFEST}))
     response.headers["Location"] = f"/v1/sessions/{intake.session.id}"
     return SessionOut.of(intake.session)
 
 
 @router.get("", operation_id="listSessions", responses={200: answer("SessionPage"), **problems(422)})
-def list_sessions(services: ServicesDep, limit: Limit = 50, cursor: Cursor = None) -> SessionPage:
+def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> SessionPage:
     """List sessions, the newest first."""
-    sessions = services.store.sessions(limit=limit, after=str(cursor) if cursor else None)
+    sessions = records.sessions(limit=limit, after=str(cursor) if cursor else None)
     next_cursor = sessions[-1].id if len(sessions) == limit else None
     return SessionPage(sessions=tuple(SessionOut.of(session) for session in sessions), next_cursor=next_cursor)
 
 
 @router.get("/{session_id}", operation_id="getSession", responses={200: _ONE, **problems(404)})
-def get_session(session_id: SessionId, services: ServicesDep) -> SessionOut:
+def get_session(session_id: SessionId, records: RecordsDep) -> SessionOut:
     """Read a session."""
-    return SessionOut.of(services.store.session(session_id))
+    return SessionOut.of(records.session(session_id))
 
 
 @router.delete(
@@ -50,13 +55,12 @@ def get_session(session_id: SessionId, services: ServicesDep) -> SessionOut:
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),
 )
-def delete_session(session_id: SessionId, services: ServicesDep) -> None:
+def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a session with its files and its finished jobs."""
-    remove_session(services, session_id)
+    remove_session(services, records, session_id)
 
 
-def remove_session(services: Services, session_id: str) -> None:
+def remove_session(services: Services, records: Records, session_id: str) -> None:
     """Delete a session; its rows first, so that nothing is shown whose files are gone."""
-    for key in services.store.delete_session(session_id):
-        services.artifacts.delete(key)
-    services.artifacts.delete_prefix(f"sessions/{session_id}/")
+    records.delete_session(session_id)
+    remove_files(services.store, services.artifacts)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -134,7 +135,9 @@ def test_a_model_that_nobody_knows(tmp_path: Path) -> None:
     assert "movenet-multipose" in result.stderr
 
 
-@pytest.mark.parametrize("command", ["reconstruct", "demo", "evaluate", "benchmark", "models", "samples"])
+@pytest.mark.parametrize(
+    "command", ["reconstruct", "demo", "audit", "evaluate", "benchmark", "keys", "models", "samples"]
+)
 def test_every_command_says_what_it_does(command: str) -> None:
     result = runner.invoke(app, [command, "--help"])
     assert result.exit_code == 0
@@ -163,3 +166,62 @@ def test_a_take_without_people_leaves_valid_files(tmp_path: Path) -> None:
     assert sorted(path.name for path in paths) == ["metrics.json", "skeletons.json"]
     assert sorted(path.name for path in paths[0].parent.iterdir()) == ["metrics.json", "skeletons.json"]
     assert json.loads((tmp_path / "new/results/skeletons.json").read_text())["tracks"] == []
+
+
+def test_keys_are_made_listed_and_revoked(tmp_path: Path) -> None:
+    data = ["--data", str(tmp_path / "service")]
+    made = runner.invoke(app, ["keys", "create", "portal", "--tenant", "studio", "--days", "7", "--json", *data])
+    key = json.loads(made.stdout)
+    assert key["key"].startswith("mc_")
+    assert (key["tenant"], key["scopes"], key["revoked_at"]) == ("studio", ["read", "write"], None)
+    days = datetime.fromisoformat(key["expires_at"]) - datetime.fromisoformat(key["created_at"])
+    assert days.total_seconds() == pytest.approx(7 * 86_400, abs=1)
+    secret = runner.invoke(app, ["keys", "create", "monitoring", "--scope", "admin", *data]).stdout.strip()
+    assert secret.startswith("mc_")
+    assert runner.invoke(app, ["keys", "revoke", key["id"], *data]).exit_code == 0
+    listed = runner.invoke(app, ["keys", "list", "--json", *data])
+    first, second = json.loads(listed.stdout)["keys"]
+    assert (first["name"], first["revoked_at"] is None) == ("portal", False)
+    assert (second["name"], second["tenant"], second["scopes"]) == ("monitoring", "default", ["admin"])
+    assert "mc_" not in listed.stdout
+    deeds = json.loads(runner.invoke(app, ["audit", "--tenant", "studio", "--json", *data]).stdout)["deeds"]
+    assert [(deed["act"], deed["subject"]) for deed in deeds] == [
+        ("key-revoked", key["id"]),
+        ("key-created", key["id"]),
+    ]
+    assert key["id"] in runner.invoke(app, ["audit", *data]).stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["revoke", "nobody"], "multicap keys list"),
+        (["create", ""], "1 to 200 characters"),
+        (["create", "x", "--tenant", "t" * 65], "1 to 64"),
+        (["create", "x", "--scope", "root"], "read"),
+        (["create", "x", "--days", "0"], "--days"),
+    ],
+)
+def test_keys_that_can_not_be(tmp_path: Path, arguments: list[str], words: str) -> None:
+    result = runner.invoke(app, ["keys", *arguments, "--data", str(tmp_path)])
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_the_service_listens_beyond_this_machine_with_keys_only(tmp_path: Path) -> None:
+    result = runner.invoke(app, ["serve", "--host", "0.0.0.0", "--port", "0", "--data", str(tmp_path)])  # noqa: S104
+    if "multicap models install" in result.stderr:
+        pytest.skip("the default detector is not installed")
+    assert result.exit_code == 2
+    assert "multicap keys create" in result.stderr
+
+
+@pytest.mark.parametrize("url", ["postgresql://nobody:secret@127.0.0.1:1/multicap", "no url", "oracle://x"])
+def test_a_database_that_is_away_is_no_stack_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str) -> None:
+    monkeypatch.setenv("MULTICAP_DATABASE_URL", url)
+    result = runner.invoke(app, ["keys", "list", "--data", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "MULTICAP_DATABASE_URL" in result.stderr
+    assert "secret" not in result.stderr
+    assert "Traceback" not in result.stderr

@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from tests.api.conftest import Live, problem_of
+from worker.jobs.records import Records
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
 
@@ -101,7 +102,7 @@ def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypa
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("/srv/secret/path is gone")
 
-    monkeypatch.setattr(live.services.store, "jobs", fail)
+    monkeypatch.setattr(Records, "jobs", fail)
     answer = live.client.get("/v1/jobs")
     problem = problem_of(answer, 500, "internal_error")
     assert problem["retryable"] is True
@@ -113,7 +114,7 @@ def test_database_away_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> No
     def fail(*_: object, **__: object) -> None:
         raise OperationalError("SELECT secret", {}, sqlite3.OperationalError("unable to open database file"))
 
-    monkeypatch.setattr(live.services.store, "jobs", fail)
+    monkeypatch.setattr(Records, "jobs", fail)
     answer = live.client.get("/v1/jobs")
     problem_of(answer, 503, "database_unavailable")
     assert answer.headers["retry-after"] == "5"

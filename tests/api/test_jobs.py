@@ -6,6 +6,7 @@ import pytest
 
 from tests.api.conftest import Live, form, problem_of
 from worker.jobs.model import Problem
+from worker.jobs.records import Records
 
 
 def test_job_from_its_creation_to_its_end(live: Live) -> None:
@@ -95,7 +96,7 @@ def test_session_goes_when_its_job_can_not_be_made(live: Live, monkeypatch: pyte
     def fail(*_: object) -> None:
         raise RuntimeError
 
-    monkeypatch.setattr(live.services.store, "create_job", fail)
+    monkeypatch.setattr(Records, "create_job", fail)
     problem_of(live.client.post("/v1/jobs", files=form()), 500, "internal_error")
     assert live.kept() == []
     assert live.client.get("/v1/sessions").json()["sessions"] == []
@@ -148,6 +149,26 @@ def test_failed_job_says_why(live: Live) -> None:
         "code": "video_truncated", "detail": "The video ends early.", "stage": "detect", "camera": "cam_1",
         "hint": "Copy it again.", "retryable": False,
     }  # fmt: skip
+
+
+def test_attempts_say_why_each_failed(live: Live) -> None:
+    job_id = live.job_id()
+    claim = live.services.store.claim("worker", 60.0)
+    assert claim is not None
+    again = Problem("internal_error", "It failed inside.", stage="detect", retryable=True)
+    live.services.store.fail(claim.chunk_id, claim.lease_token, again)
+    claim = live.services.store.claim("worker", 60.0)
+    assert claim is not None
+    live.services.store.fail(claim.chunk_id, claim.lease_token, Problem("input_error", "It is broken.", camera="left"))
+    live.client.post(f"/v1/jobs/{job_id}/retry").raise_for_status()
+    link = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["attempts"]
+    first, second = live.client.get(link).raise_for_status().json()["attempts"]
+    assert (first["attempt"], first["state"], first["error"]["camera"]) == (1, "failed", "left")
+    assert [(one["stage"], one["chunk"], one["chunk_try"], one["reason"]["code"]) for one in first["failures"]] == [
+        ("detect", 0, 1, "internal_error"),
+        ("detect", 0, 2, "input_error"),
+    ]
+    assert (second["attempt"], second["state"], second["error"], second["failures"]) == (2, "queued", None, [])
 
 
 def test_delete_waits_for_the_end(live: Live) -> None:

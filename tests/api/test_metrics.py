@@ -31,10 +31,10 @@ def test_requests_are_counted_by_route_not_by_what_strangers_call(live: Live) ->
     odd = requests_to(live, "other", "unknown", "404")
     live.client.get("/no/such/path")
     live.client.get("/nor/this")
-    raw(live.address, b"BREW /pot HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+    raw(live.address, b"PURGE /pot HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
     assert requests_to(live, "GET", "unknown", "404") == unknown + 2
     assert requests_to(live, "other", "unknown", "404") == odd + 1
-    assert not any("no/such" in str(key) or "BREW" in str(key) for key in samples(live))
+    assert not any("no/such" in str(key) or "PURGE" in str(key) for key in samples(live))
 
 
 def test_jobs_are_counted(live: Live) -> None:

@@ -27,9 +27,10 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert schema["openapi"].startswith("3.1")
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
-        "cancelJob", "createJob", "createSession", "createSessionAndJob", "deleteJob", "deleteSession",
-        "getAllResults", "getHealth", "getJob", "getMetrics", "getReadiness", "getResult", "getSession", "listJobs",
-        "listResults", "listSessions", "retryJob", "streamJobEvents",
+        "cancelJob", "closeBrowserSession", "createJob", "createSession", "createSessionAndJob", "deleteJob",
+        "deleteSession", "getAllResults", "getCaller", "getHealth", "getJob", "getMetrics", "getReadiness", "getResult",
+        "getSession", "listAttempts", "listJobs", "listResults", "listSessions", "openBrowserSession", "retryJob",
+        "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
 
@@ -57,6 +58,7 @@ def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
         assert {"403", "500", "503"} <= operation["responses"].keys()
         if "{job_id}" in str(operation.get("parameters")) or operation["operationId"].startswith(("get", "delete")):
             assert "404" in operation["responses"] or operation["operationId"] in {
+                "getCaller",
                 "getHealth",
                 "getMetrics",
                 "getReadiness",
@@ -67,7 +69,8 @@ def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
     ("example", "model"),
     [
         ("Session", "SessionOut"), ("SessionPage", "SessionPage"), ("Job", "JobOut"), ("JobPage", "JobPage"),
-        ("ResultList", "ResultList"), ("Health", "Health"), ("Readiness", "Readiness"),
+        ("AttemptList", "AttemptList"), ("ResultList", "ResultList"), ("Caller", "CallerOut"), ("Health", "Health"),
+        ("Readiness", "Readiness"),
     ],
 )  # fmt: skip
 def test_examples_are_valid(schema: dict[str, Any], example: str, model: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
-from worker.reaper import expire
+from worker.reaper import reap
 
 ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
 
@@ -174,7 +174,7 @@ def test_expired_results_are_gone(make_settings: Callable[..., Settings]) -> Non
         kept_until = live.client.get(f"/v1/jobs/{job_id}").json()["expires_at"]
         assert kept_until is not None
         time.sleep(0.05)
-        expire(live.services.store, live.services.artifacts)
+        reap(live.services.store, live.services.artifacts, lambda: None, 20.0)
         job = live.client.get(f"/v1/jobs/{job_id}").json()
         assert (job["state"], job["expires_at"]) == ("expired", kept_until)
         problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 410, "expired")

@@ -10,6 +10,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
+from worker.jobs.records import Records
 
 
 def test_session_says_what_was_found(live: Live) -> None:
@@ -239,7 +240,7 @@ def test_database_that_fails_keeps_no_files(live: Live, monkeypatch: pytest.Monk
     def fail(*_: object) -> None:
         raise RuntimeError
 
-    monkeypatch.setattr(live.services.store, "create_session", fail)
+    monkeypatch.setattr(Records, "create_session", fail)
     problem_of(live.post_session(), 500, "internal_error")
     assert live.kept() == []
 

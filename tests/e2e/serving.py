@@ -1,18 +1,21 @@
 """`multicap serve` as a process, and what tests do with it."""
 
 import hashlib
+import os
+import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import Popen
+from subprocess import PIPE, Popen
 from typing import Any
 
 import httpx2
 import psutil
 
+from api.commands.serve import READY
 from pipeline.samples import Sample
 
 COMMAND = [sys.executable, "-m", "api.cli", "serve", "--workers", "2"]
@@ -66,6 +69,22 @@ class Served:
     def wait_for_end(self, job_id: str) -> dict[str, Any]:
         wait_for(lambda: self.job(job_id)["state"] in {"succeeded", "failed", "canceled"}, timeout_s=240)
         return self.job(job_id)
+
+
+@contextmanager
+def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
+    """A service of our own on a folder, until the end of the block."""
+    command = [*COMMAND, "--port", "0", "--data", str(data_dir)]
+    with Popen(command, stdout=PIPE, text=True, env=os.environ | environment) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert line.startswith(READY)
+            with httpx2.Client(base_url=line.removeprefix(READY).strip(), timeout=60.0, trust_env=False) as client:
+                yield Served(process, data_dir, client)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:

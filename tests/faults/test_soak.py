@@ -1,39 +1,40 @@
 """Faults at random moments of real jobs on a real service: every job ends as it should, byte by byte.
 
-``make soak`` runs 200 of them; ``MULTICAP_SOAK_RUNS`` and ``MULTICAP_SOAK_SEED`` say else. The seed and a run's number
-decide its fault and its moment.
+A few runs are part of the suite; ``make soak`` makes 200, or ``MULTICAP_SOAK_RUNS``. The seed, ``MULTICAP_SOAK_SEED``,
+and a run's number decide its fault and its moment; every fault has its turn.
 """
 
 import contextlib
 import os
 import random
 import shutil
-import signal
 import sqlite3
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import psutil
 import pytest
+import valkey
 
 from api.commands.reconstruct import write_results
-from api.commands.serve import READY
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.keypoints import open_keypoints
 from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
-from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests, wait_for
+from tests.e2e.serving import NUM_PROCESSES, Served, digests, serving, wait_for
 from tests.e2e.test_serve_keypoints import files
 
-pytestmark = pytest.mark.soak
+pytestmark = pytest.mark.xdist_group("faults")
 
+FEW_RUNS = 12
 RUNS = int(os.environ.get("MULTICAP_SOAK_RUNS", "200"))
 SEED = int(os.environ.get("MULTICAP_SOAK_SEED", "0"))
 METHODS: tuple[Method, ...] = ("tracking", "clustering")
@@ -42,6 +43,10 @@ LONGEST_WAIT_S = 5.0
 # Longer than a lease.
 HELD_S = 5.0
 END_S = 120.0
+# A message that was lost is noticed by then.
+NOTICED_S = 30.0
+# How far the service's clock is from ours, in seconds; see ``clock/sitecustomize.py``.
+CLOCK = "clock"
 ENVIRONMENT = {"MULTICAP_LEASE_S": "3", "MULTICAP_HEARTBEAT_S": "0.5", "MULTICAP_REAP_INTERVAL_S": "1"}
 
 
@@ -78,18 +83,17 @@ def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def served(disk: Path) -> Iterator[Served]:
-    command = [*COMMAND, "--port", "0", "--data", str(disk / "data")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | ENVIRONMENT) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line.startswith(READY)
-            url = line.removeprefix(READY).strip()
-            with httpx2.Client(base_url=url, timeout=60.0, trust_env=False) as client:
-                yield Served(process, disk / "data", client)
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(60)
+    set_clock(disk, 0.0)
+    clock = {"PYTHONPATH": str(Path(__file__).parent / "clock"), "MULTICAP_TEST_CLOCK": str(disk / CLOCK)}
+    with serving(disk / "data", **ENVIRONMENT, **clock) as served:
+        yield served
+
+
+def set_clock(folder: Path, offset_s: float) -> None:
+    """Have the service's clock, but for its monotonic one, show another time than ours."""
+    new = folder / f"{CLOCK}.new"
+    new.write_text(f"{offset_s:.3f}")
+    new.replace(folder / CLOCK)
 
 
 def kill(process: psutil.Process) -> None:
@@ -125,8 +129,19 @@ def lock_database(served: Served, chance: random.Random) -> None:
         database.rollback()
 
 
+def lose_the_message(served: Served, chance: random.Random) -> None:
+    """Whoever has it dies, and the broker forgets it."""
+    kill(served.part("worker"))
+    with valkey.Valkey(unix_socket_path=str(served.data_dir / "broker" / "socket")) as broker:
+        broker.flushall()
+
+
+def set_the_clock(served: Served, chance: random.Random) -> None:
+    set_clock(served.data_dir.parent, chance.uniform(-7200.0, 7200.0))
+
+
 def freeze_worker_beyond_its_lease(served: Served, chance: random.Random) -> None:
-    """Its clock jumps, as far as it can see: it goes on with work that is no longer its own."""
+    """It goes on with work that is no longer its own."""
     children = served.part("worker").children()
     for child in children:
         child.suspend()
@@ -146,7 +161,8 @@ def fill_the_disk(served: Served, chance: random.Random) -> None:
         filler.unlink()
 
 
-FAULTS = [
+Fault = Callable[[Served, random.Random], None]
+FAULTS: list[Fault] = [
     kill_worker_child,
     kill_worker,
     kill_api,
@@ -155,7 +171,16 @@ FAULTS = [
     lock_database,
     freeze_worker_beyond_its_lease,
     fill_the_disk,
+    lose_the_message,
+    set_the_clock,
 ]
+# These come as soon as the job was accepted, the others at any moment.
+AT_ONCE = {lose_the_message}
+
+
+def is_possible(fault: Fault, served: Served) -> bool:
+    """Whether this machine lets us."""
+    return fault is not fill_the_disk or served.data_dir.parent.is_mount()
 
 
 def call(served: Served, method: str, path: str) -> httpx2.Response:
@@ -179,41 +204,65 @@ def wait_for_end(served: Served, job_id: str) -> dict[str, Any]:
 
 
 def one_run(
-    served: Served, content: Sequence[Any], undisturbed: dict[Method, dict[str, str]], chance: random.Random
-) -> tuple[str, str]:
-    """Send a job, disturb it, and look at what came of it; returns the fault and the end."""
-    method, fault = chance.choice(METHODS), chance.choice(FAULTS)
-    moment_s = chance.uniform(0.0, LONGEST_WAIT_S)
-    if fault is fill_the_disk and not served.data_dir.parent.is_mount():
-        return fault.__name__, "skipped"
+    served: Served,
+    content: Sequence[Any],
+    undisturbed: dict[Method, dict[str, str]],
+    fault: Fault,
+    chance: random.Random,
+) -> str:
+    """Send a job, disturb it, and look at what came of it; returns how it ended."""
+    method = chance.choice(METHODS)
+    moment_s = 0.0 if fault in AT_ONCE else chance.uniform(0.0, LONGEST_WAIT_S)
     wait_for(lambda: len(served.tree()) == NUM_PROCESSES, timeout_s=90)
     spec = ("spec", (None, f'{{"method": "{method}"}}'))
     answer = served.client.post("/v1/jobs", files=[*content, spec])
     assert answer.status_code == 202, answer.text
+    job_id, session_id = answer.json()["id"], answer.json()["session_id"]
+    clock_s = time.time() + float((served.data_dir.parent / CLOCK).read_text())
+    assert abs(datetime.fromisoformat(answer.json()["created_at"]).timestamp() - clock_s) < 60
     time.sleep(moment_s)
     fault(served, chance)
-    job = wait_for_end(served, answer.json()["id"])
+    if fault is lose_the_message:
+        wait_for(lambda: call(served, "GET", f"/v1/jobs/{job_id}").json()["state"] != "queued", timeout_s=NOTICED_S)
+    job = wait_for_end(served, job_id)
     end = str(job["state"])
     if end == "failed":
         assert job["error"]["retryable"], job["error"]
         end = f"failed ({job['error']['code']}), succeeded when retried"
-        assert call(served, "POST", f"/v1/jobs/{job['id']}/retry").status_code in {202, 409}
-        job = wait_for_end(served, job["id"])
+        assert call(served, "POST", f"/v1/jobs/{job_id}/retry").status_code in {202, 409}
+        job = wait_for_end(served, job_id)
         assert job["state"] == "succeeded", job
-    names = [one["name"] for one in call(served, "GET", f"/v1/jobs/{job['id']}/results").json()["results"]]
+    names = [one["name"] for one in call(served, "GET", f"/v1/jobs/{job_id}/results").json()["results"]]
     assert sorted(names) == sorted(undisturbed[method])
-    assert served.downloads(job["id"]) == undisturbed[method]
-    assert call(served, "DELETE", f"/v1/sessions/{job['session_id']}").status_code == 204
-    return fault.__name__, end
+    assert served.downloads(job_id) == undisturbed[method]
+    assert [one["id"] for one in call(served, "GET", "/v1/jobs").json()["jobs"]] == [job_id]
+    assert [one["id"] for one in call(served, "GET", "/v1/sessions").json()["sessions"]] == [session_id]
+    assert call(served, "DELETE", f"/v1/sessions/{session_id}").status_code == 204
+    assert [path for path in (served.data_dir / "artifacts").glob("*/*") if path.parent.name != ".incoming"] == []
+    return end
 
 
-def test_soak(served: Served, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
+def disturb(served: Served, capture: Path, undisturbed: dict[Method, dict[str, str]], runs: int) -> None:
+    """Make so many runs, and say what came of them."""
     content = files(capture)
+    print(f"seed {SEED}", flush=True)  # noqa: T201
     ends: Counter[tuple[str, str]] = Counter()
-    for number in range(RUNS):
+    faults = [fault for fault in FAULTS if is_possible(fault, served)]
+    for number in range(runs):
         started_s = time.monotonic()
-        found = one_run(served, content, undisturbed, random.Random(f"{SEED}/{number}"))  # noqa: S311 - no secret
-        ends[found] += 1
-        print(f"{number + 1}/{RUNS}: {found[0]}: {found[1]}, {time.monotonic() - started_s:.1f} s", flush=True)  # noqa: T201
-    for (fault, end), count in sorted(ends.items()):
-        print(f"{count:4d} x {fault}: {end}")  # noqa: T201
+        turn, place = divmod(number, len(faults))
+        fault = random.Random(f"{SEED}/{turn}").sample(faults, len(faults))[place]  # noqa: S311 - no secret
+        end = one_run(served, content, undisturbed, fault, random.Random(f"{SEED}/{number}"))  # noqa: S311
+        ends[fault.__name__, end] += 1
+        print(f"{number + 1}/{runs}: {fault.__name__}: {end}, {time.monotonic() - started_s:.1f} s", flush=True)  # noqa: T201
+    for (name, end), count in sorted(ends.items()):
+        print(f"{count:4d} x {name}: {end}")  # noqa: T201
+
+
+def test_a_few_faults(served: Served, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
+    disturb(served, capture, undisturbed, FEW_RUNS)
+
+
+@pytest.mark.soak
+def test_soak(served: Served, capture: Path, undisturbed: dict[Method, dict[str, str]]) -> None:
+    disturb(served, capture, undisturbed, RUNS)

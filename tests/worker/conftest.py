@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-import uuid_utils
 
 from worker.execution import Outcome, ResultFile, Work
 from worker.jobs.artifacts import LocalArtifacts
@@ -48,6 +47,7 @@ def export(work: Work) -> Outcome:
 class Bench:
     """A store with a session, and runners on it."""
 
+    data_dir: Path
     store: JobStore
     artifacts: LocalArtifacts
     session: Session
@@ -89,7 +89,7 @@ def open_bench(data_dir: Path) -> Bench:
     """Bench with a new session in a data folder."""
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
-    session_id = str(uuid_utils.uuid7())
+    session_id = store.announce_session()
     names = [("left.mp4", "video", "a"), ("rig.toml", "calibration", "c")]
     files = [
         InputFile(name, kind, f"sessions/{session_id}/inputs/{name}", 1, digit * 64) for name, kind, digit in names
@@ -100,7 +100,7 @@ def open_bench(data_dir: Path) -> Bench:
         "warnings": [],
     }
     session = store.create_session("take", files, preflight, session_id)
-    return Bench(store, LocalArtifacts(data_dir / "artifacts"), session)
+    return Bench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
 
 
 @pytest.fixture

@@ -3,12 +3,20 @@
 import time
 
 import pytest
+import sqlalchemy as sa
 
 from tests.worker.conftest import Bench
-from worker.jobs.artifacts import result_key
+from worker.jobs.artifacts import record_key, result_key, stage_key
+from worker.jobs.database import Database
+from worker.jobs.errors import Conflict
 from worker.jobs.model import JobState
+from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
-from worker.reaper import expire, reap
+from worker.jobs.tables import removals
+from worker.plan import DETECT
+from worker.reaper import reap
+
+LEASE_S = 20.0
 
 
 class Publisher:
@@ -23,13 +31,13 @@ class Publisher:
 
 def test_it_publishes_for_ready_work_only(bench: Bench) -> None:
     publish = Publisher()
-    reap(bench.store, publish)
+    reap(bench.store, bench.artifacts, publish, LEASE_S)
     assert publish.count == 0
     bench.create_job()
-    reap(bench.store, publish)
+    reap(bench.store, bench.artifacts, publish, LEASE_S)
     assert publish.count == 1
     bench.runner().work(60.0)
-    reap(bench.store, publish)
+    reap(bench.store, bench.artifacts, publish, LEASE_S)
     assert publish.count == 1
 
 
@@ -39,15 +47,15 @@ def test_it_frees_what_a_silent_worker_held(bench: Bench) -> None:
     assert all(claims)
     publish = Publisher()
     time.sleep(0.1)
-    reap(bench.store, publish)
+    reap(bench.store, bench.artifacts, publish, LEASE_S)
     assert publish.count == 1
     bench.runner().work(60.0)
     assert bench.store.job(job.id).state is JobState.SUCCEEDED
 
 
-def test_it_survives_a_database_that_is_away(capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_survives_a_database_that_is_away(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
-    reap(store, Publisher())
+    reap(store, bench.artifacts, Publisher(), LEASE_S)
     store.close()
     assert "reap_failed" in "".join(capfd.readouterr())
 
@@ -56,7 +64,7 @@ def test_it_removes_results_whose_time_is_over(bench: Bench, capfd: pytest.Captu
     kept, short = bench.create_job(), bench.create_job(retention_s=0.05)
     bench.runner().work(60.0)
     time.sleep(0.1)
-    expire(bench.store, bench.artifacts)
+    reap(bench.store, bench.artifacts, Publisher(), LEASE_S)
     assert bench.store.job(short.id).state is JobState.EXPIRED
     assert not bench.artifacts.exists(result_key(short.id, "person-1.bvh"))
     assert bench.store.job(kept.id).state is JobState.SUCCEEDED
@@ -64,14 +72,57 @@ def test_it_removes_results_whose_time_is_over(bench: Bench, capfd: pytest.Captu
     assert "job_expired" in "".join(capfd.readouterr())
 
 
-def test_removing_begins_again_where_it_was_broken_off(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    job = bench.create_job(retention_s=0.05)
+def test_it_removes_what_was_deleted_by_somebody_who_was_killed_then(bench: Bench) -> None:
+    job = bench.create_job()
     bench.runner().work(60.0)
-    time.sleep(0.1)
+    files = [
+        result_key(job.id, "person-1.bvh"),
+        *(stage_key(bench.session.id, key) for key in bench.store.outputs(job.id, DETECT)),
+    ]
+    assert all(bench.artifacts.exists(key) for key in files)
+    bench.store.delete_session(bench.session.id)
+    reap(bench.store, bench.artifacts, Publisher(), LEASE_S)
+    assert not any(bench.artifacts.exists(key) for key in files)
+    assert bench.store.removals() == []
+
+
+def test_what_can_not_be_removed_is_tried_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job, other = bench.create_job(), bench.create_job()
+    bench.runner().work(60.0)
+    bench.store.delete_job(job.id)
+    bench.store.delete_job(other.id)
+    remove = bench.artifacts.delete_prefix
+
+    def refuse(prefix: str) -> None:
+        if job.id in prefix:
+            raise PermissionError
+        remove(prefix)
+
     with monkeypatch.context() as broken:
-        broken.setattr(bench.store, "expire", lambda job_id: 1 / 0)
-        expire(bench.store, bench.artifacts)
-    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+        broken.setattr(bench.artifacts, "delete_prefix", refuse)
+        remove_files(bench.store, bench.artifacts)
+    assert bench.artifacts.exists(result_key(job.id, "person-1.bvh"))
+    assert not bench.artifacts.exists(result_key(other.id, "person-1.bvh"))
+    assert "removal_failed" in "".join(capfd.readouterr())
+    remove_files(bench.store, bench.artifacts)
     assert not bench.artifacts.exists(result_key(job.id, "person-1.bvh"))
-    expire(bench.store, bench.artifacts)
-    assert bench.store.job(job.id).state is JobState.EXPIRED
+
+
+def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: Bench) -> None:
+    arriving, recorded = bench.store.announce_session(), bench.store.announce_session()
+    for session_id in (arriving, recorded):
+        bench.artifacts.put_bytes(record_key(session_id), b"record")
+    bench.store.create_session("take", [], {}, recorded)
+    remove_files(bench.store, bench.artifacts)
+    assert bench.artifacts.exists(record_key(arriving))
+    database = Database(f"sqlite:///{bench.data_dir / 'multicap.db'}")
+    with database.writing() as connection:
+        connection.execute(sa.update(removals).values(due_at=removals.c.due_at - 86_400.0))
+    database.close()
+    remove_files(bench.store, bench.artifacts)
+    assert not bench.artifacts.exists(record_key(arriving))
+    assert bench.artifacts.exists(record_key(recorded))
+    with pytest.raises(Conflict):
+        bench.store.create_session("take", [], {}, arriving)

@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from types import TracebackType
 from typing import BinaryIO, Protocol
 
 from worker.jobs.errors import NotFound
@@ -29,27 +30,39 @@ _MAX_NAME = 100
 # A temporary file that nobody has written to for so long was left by a process that was killed.
 _ABANDONED_S = 24 * 3600
 
+_ExcInfo = tuple[type[BaseException], BaseException, TracebackType]
+
 _MODE = stat.S_IRUSR | stat.S_IWUSR  # as a new temporary file has it
+
+
+def session_prefix(session_id: str) -> str:
+    """What the keys of all that a session has begin with, but for its jobs' results."""
+    return f"sessions/{session_id}/"
+
+
+def job_prefix(job_id: str) -> str:
+    """What the keys of a job's results begin with."""
+    return f"jobs/{job_id}/"
 
 
 def input_key(session_id: str, number: int, name: str) -> str:
     """Where a session's file is; what a client calls it is kept as far as keys allow."""
-    return f"sessions/{session_id}/inputs/{number}-{_UNSAFE.sub('_', name)[-_MAX_NAME:]}"
+    return f"{session_prefix(session_id)}inputs/{number}-{_UNSAFE.sub('_', name)[-_MAX_NAME:]}"
 
 
 def record_key(session_id: str) -> str:
     """Where that is which the preflight found in a session's files, for the workers."""
-    return f"sessions/{session_id}/record"
+    return f"{session_prefix(session_id)}record"
 
 
 def stage_key(session_id: str, output_key: str) -> str:
     """Where a chunk's output is."""
-    return f"sessions/{session_id}/stages/{output_key}"
+    return f"{session_prefix(session_id)}stages/{output_key}"
 
 
 def result_key(job_id: str, name: str) -> str:
     """Where a job's result file is."""
-    return f"jobs/{job_id}/results/{name}"
+    return f"{job_prefix(job_id)}results/{name}"
 
 
 class ArtifactStore(Protocol):
@@ -77,9 +90,6 @@ class ArtifactStore(Protocol):
 
     def exists(self, key: str) -> bool:
         """Whether a file is there."""
-
-    def delete(self, key: str) -> None:
-        """Remove a file, if it is there."""
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove every file whose key begins with ``prefix``, which ends with a slash."""
@@ -148,17 +158,11 @@ class LocalArtifacts:
         """Whether a file is there."""
         return self._path(key).is_file()
 
-    def delete(self, key: str) -> None:
-        """Remove a file, if it is there."""
-        if self.exists(key):
-            self._path(key).unlink(missing_ok=True)
-
     def delete_prefix(self, prefix: str) -> None:
         """Remove a folder with all that is in it."""
         if not prefix.endswith("/"):
             raise ValueError(f"{prefix!r} does not end with a slash")
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            shutil.rmtree(self._path(prefix.removesuffix("/")))
+        shutil.rmtree(self._path(prefix.removesuffix("/")), onerror=_unless_gone)
 
     def ping(self) -> bool:
         """Whether files can be kept now."""
@@ -196,6 +200,12 @@ class LocalArtifacts:
         temporary.replace(target)
         for folder in [target.parent, *(made.parent for made in missing)]:
             _sync(folder)
+
+
+def _unless_gone(function: object, path: str, error: _ExcInfo) -> None:
+    """Go on where another process has removed something in the meantime."""
+    if not isinstance(error[1], FileNotFoundError | NotADirectoryError):
+        raise error[1]
 
 
 def _sync(path: Path) -> None:

@@ -57,6 +57,13 @@ def add_up(connection: Connection, table: Table, key: Mapping[str, Any], column:
     connection.execute(row.on_conflict_do_update(index_elements=list(key), set_=sum_of_both))
 
 
+def lock(connection: Connection, name: str) -> None:
+    """Keep others who lock a name waiting until the transaction, one that writes, ends."""
+    # In SQLite whoever writes is alone.
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))"), {"name": name})
+
+
 class Database:
     """One database, SQLite or PostgreSQL; may be shared by threads and carried across a fork.
 
@@ -68,6 +75,8 @@ class Database:
 
     def __init__(self, url: str) -> None:
         self._url = make_url(url)
+        if self._url.drivername in {"postgres", "postgresql"}:  # without a driver's name it is the one that we have
+            self._url = self._url.set(drivername="postgresql+psycopg")
         self._engine = _create_engine(self._url.render_as_string(hide_password=False))
         self._inherited: list[Engine] = []
         _databases.add(self)

@@ -4,8 +4,9 @@
 
     JobStoreError            a sentence for a person
     ├── NotFound             there is no such session, job, result or artifact
-    └── Conflict             not in this state
-        └── NotFinished      results were asked of a job that is still at work
+    ├── Conflict             not in this state
+    │   └── NotFinished      results were asked of a job that is still at work
+    └── QuotaExceeded        the tenant has as much as it may have
 """
 
 
@@ -23,3 +24,11 @@ class Conflict(JobStoreError):  # noqa: N818
 
 class NotFinished(Conflict):
     """The job is still at work."""
+
+
+class QuotaExceeded(JobStoreError):  # noqa: N818
+    """The tenant has as much as it may have of ``name``, a field of ``Quotas``."""
+
+    def __init__(self, name: str, limit: int, used: int) -> None:
+        self.name, self.limit, self.used = name, limit, used
+        super().__init__(f"At most {limit} {name.replace('_', ' ')} are allowed here; there are {used}.")

@@ -1,12 +1,13 @@
 """Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
+from worker.jobs.attempts import note_failure
 from worker.jobs.database import Database, now, upsert
 from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result
 from worker.jobs.spec import JobSpec
@@ -32,16 +33,9 @@ class Leases:
 
     def claim(self, worker: str, lease_s: float) -> Claim | None:
         """Take the next ready chunk of the oldest job that has one; ``None`` if no job has."""
-        ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY)
-        oldest = (
-            select(jobs.c.id)
-            .where(jobs.c.state.in_(_AT_WORK), ready.exists())
-            .order_by(jobs.c.queued_at, jobs.c.id)
-            .limit(1)
-        )
         while True:
             with self._database.reading() as connection:
-                job_id = connection.scalar(oldest)
+                job_id = _oldest_with_work(connection)
             if job_id is None:
                 return None
             if (claim := self._claim_of(job_id, worker, lease_s)) is not None:
@@ -87,6 +81,7 @@ class Leases:
             spec=JobSpec.model_validate(job.spec),
             lease_token=chunk.lease_token,
             attempt=chunk.attempt,
+            trace=job.trace,
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
@@ -160,12 +155,43 @@ class Leases:
             move_chunk(connection, chunk.id, ChunkState.READY)
             return True
 
-    def reap(self) -> int:
-        """Take back chunks whose workers have fallen silent; how many chunks are ready for a worker now.
+    def artifact(self, session_id: str, output_key: str) -> tuple[str, int] | None:
+        """SHA-256 and bytes of a chunk's output if any job of the session has finished it."""
+        query = select(artifacts.c.sha256, artifacts.c.num_bytes).where(
+            artifacts.c.session_id == session_id, artifacts.c.output_key == output_key
+        )
+        with self._database.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else (row.sha256, row.num_bytes)
+
+    def outputs(self, job_id: str, stage: str) -> list[str]:
+        """Output keys of a job's stage, in the order of its chunks."""
+        query = (
+            select(chunks.c.output_key)
+            .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
+            .order_by(chunks.c.chunk_index)
+        )
+        with self._database.reading() as connection:
+            return list(connection.scalars(query))
+
+    def reap(self, lease_s: float) -> bool:
+        """Take back chunks whose workers have fallen silent; whether a chunk is ready for a worker now.
 
         Such a chunk is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled
         ends when its last running chunk is taken back.
+
+        Parameters
+        ----------
+        lease_s
+            For how long workers hold chunks. Where the clock was put back, a lease would last for as much longer; it
+            is shortened.
         """
+        with self._database.writing() as connection:
+            connection.execute(
+                update(chunks)
+                .where(chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until > now() + lease_s)
+                .values(lease_until=now() + lease_s)
+            )
         expired = select(chunks.c.id, chunks.c.lease_token).where(
             chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
         )
@@ -177,13 +203,20 @@ class Leases:
                 if held is not None:
                     count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
-        ready = (
-            select(func.count())
-            .select_from(chunks.join(jobs))
-            .where(chunks.c.state == ChunkState.READY, jobs.c.state.in_(_AT_WORK))
-        )
         with self._database.reading() as connection:
-            return connection.scalar(ready) or 0
+            return _oldest_with_work(connection) is not None
+
+
+def _oldest_with_work(connection: Connection) -> str | None:
+    """The oldest job that has a ready chunk: all running ones are older than any that is still queued."""
+    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY)
+    for state in (JobState.RUNNING, JobState.QUEUED):
+        # A state at a time: the index has the jobs of one in their order, so that a long queue is not sorted.
+        oldest = select(jobs.c.id).where(jobs.c.state == state, ready.exists()).order_by(jobs.c.queued_at, jobs.c.id)
+        job_id: str | None = connection.scalar(oldest.limit(1))
+        if job_id is not None:
+            return job_id
+    return None
 
 
 def _is_held(lease_token: str) -> Any:
@@ -211,10 +244,13 @@ def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: 
     if job.state == JobState.CANCELING:
         _cancel(connection, job, chunk)
         return False
+    note_failure(connection, job, chunk, problem)
     if problem.retryable and chunk.attempt < MAX_ATTEMPTS:
         move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1)
         count(connection, Total.CHUNKS_RETRIED, chunk.stage)
         return True
+    if problem.retryable:
+        problem = replace(problem, detail=f"{problem.detail} It was the last of {MAX_ATTEMPTS} tries.")
     fail_job(connection, job.id, chunk.id, problem)
     return False
 
@@ -237,9 +273,9 @@ def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
 def _worker_lost(stage: str) -> Problem:
     return Problem(
         "worker_lost",
-        f"The workers of the stage {stage} ended without a word, {MAX_ATTEMPTS} times.",
+        f"A worker of the stage {stage} fell silent.",
         stage=stage,
-        hint="They may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
+        hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
         retryable=True,
     )
 

@@ -58,6 +58,46 @@ JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
 FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})
 
 
+class Scope(StrEnum):
+    """What a key is good for; none includes another."""
+
+    READ = "read"  # see the tenant's sessions, jobs and results
+    WRITE = "write"  # make, change and delete them
+    ADMIN = "admin"  # see figures of the whole service
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """Who may use the service. Everything that comes with it belongs to ``tenant``."""
+
+    id: str
+    tenant: str
+    name: str
+    scopes: frozenset[Scope]
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True)
+class Actor:
+    """Who does something: by which key, if one was needed, in which request; neither at the command line."""
+
+    key_id: str | None = None
+    request_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """What somebody did to a session, a job or a key, whose id is ``subject``. ``act`` as in ``worker.jobs.audit``."""
+
+    done_at: datetime
+    tenant: str
+    actor: Actor
+    act: str
+    subject: str
+
+
 @dataclass(frozen=True, slots=True)
 class InputFile:
     """A file of a session, in the artifact store under ``key``."""
@@ -166,6 +206,47 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
+class Failure:
+    """A try of a chunk that came to nothing. ``chunk_try`` counts from 1; it was begun again unless its job ended."""
+
+    stage: str
+    chunk_index: int
+    chunk_try: int
+    problem: Problem
+    failed_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """An attempt of a job: the first one, or a retry. ``problem`` says why it failed, ``failures`` what went before."""
+
+    attempt: int
+    state: JobState
+    problem: Problem | None
+    queued_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    failures: tuple[Failure, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """How much a tenant has."""
+
+    sessions: int
+    unfinished_jobs: int
+    stored_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """Files of the artifact store, by their keys' prefix, that nobody needs any more."""
+
+    id: int
+    prefix: str
+
+
+@dataclass(frozen=True, slots=True)
 class Change:
     """How far a job has come: the number of the last thing that happened to it, and its units of work that are done."""
 
@@ -208,3 +289,4 @@ class Claim:
     spec: JobSpec
     lease_token: str
     attempt: int  # of the chunk: 1 at first
+    trace: str | None  # W3C traceparent of who asked for the job

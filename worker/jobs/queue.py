@@ -2,11 +2,16 @@
 
 from celery import Celery
 from kombu.exceptions import OperationalError
+from opentelemetry import trace
+from opentelemetry.propagate import inject
+from opentelemetry.trace import SpanKind
 
 QUEUE_NAME = "multicap"
 TASK_NAME = "multicap.work"
 
 _TIMEOUT_S = 2.0
+
+_tracer = trace.get_tracer("multicap")
 
 
 class WorkQueue:
@@ -32,11 +37,14 @@ class WorkQueue:
 
     def publish(self) -> bool:
         """Wake a worker. ``False`` if the broker is away: the reaper wakes one later."""
-        try:
-            self._celery.send_task(TASK_NAME, queue=QUEUE_NAME, retry=False)
-        except (OperationalError, OSError):
-            return False
-        return True
+        with _tracer.start_as_current_span("publish", kind=SpanKind.PRODUCER):
+            headers: dict[str, str] = {}
+            inject(headers)
+            try:
+                self._celery.send_task(TASK_NAME, queue=QUEUE_NAME, headers=headers, retry=False)
+            except (OperationalError, OSError):
+                return False
+            return True
 
     def ping(self) -> bool:
         """Whether the broker answers."""

@@ -4,42 +4,83 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select
+from sqlalchemy import ColumnElement, Connection, Row, Table, delete, func, insert, select, true
 from uuid_utils import uuid7
 
-from worker.jobs.artifacts import stage_key
-from worker.jobs.database import Database, now
+from worker.jobs.artifacts import job_prefix, session_prefix
+from worker.jobs.attempts import attempts_of, keep_attempt
+from worker.jobs.audit import Act, note_deed
+from worker.jobs.database import Database, lock, now
 from worker.jobs.errors import Conflict, NotFinished, NotFound
 from worker.jobs.model import (
     FINISHED,
+    Actor,
+    Attempt,
     Change,
     ChunkState,
-    Figures,
     InputFile,
     Job,
     JobState,
     Result,
     Session,
     StagePlan,
+    Usage,
 )
+from worker.jobs.quotas import Quotas, read_usage, require_room
+from worker.jobs.removals import keep, remove_later
 from worker.jobs.rows import jobs_of, result_of, select_jobs, session_of
 from worker.jobs.spec import JobSpec
-from worker.jobs.tables import artifacts, chunks, events, jobs, results, sessions
-from worker.jobs.totals import read_figures
-from worker.jobs.transitions import cancel_chunks, lock_job, move_job, note, settle_canceling
+from worker.jobs.tables import DEFAULT_TENANT, chunks, events, jobs, results, sessions
+from worker.jobs.transitions import cancel_chunks, move_job, note, settle_canceling
+
+_NO_QUOTAS = Quotas()
+_COMMAND_LINE = Actor()
 
 
 class Records:
-    """The clients' side of the store. Lists begin with the newest; ``after`` is the last id of the page before."""
+    """The clients' side of the store. Lists begin with the newest; ``after`` is the last id of the page before.
 
-    def __init__(self, database: Database) -> None:
+    Parameters
+    ----------
+    tenant
+        Whose sessions and jobs these are: another's are not there. ``None``: everybody's.
+    quotas
+        How much the tenant may have.
+    actor
+        Who does what is done here.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        tenant: str | None = None,
+        quotas: Quotas = _NO_QUOTAS,
+        actor: Actor = _COMMAND_LINE,
+    ) -> None:
         self._database = database
+        self._tenant = tenant
+        self._quotas = quotas
+        self._actor = actor
+
+    def _mine(self, table: Table) -> ColumnElement[bool]:
+        return true() if self._tenant is None else table.c.tenant == self._tenant
 
     def create_session(
         self, name: str, files: Sequence[InputFile], preflight: Mapping[str, Any], session_id: str
     ) -> Session:
-        """Record a session whose files are in the artifact store."""
+        """Record a session whose files are in the artifact store; ``announce_session`` has made its id.
+
+        Raises
+        ------
+        Conflict
+            Its files took too long, and are gone.
+        QuotaExceeded
+        """
+        num_bytes = sum(file.num_bytes for file in files)
         with self._database.writing() as connection:
+            self._require_room(connection, sessions=1, stored_bytes=num_bytes)
+            if not keep(connection, session_prefix(session_id)):
+                raise Conflict("The session's files took too long to arrive; send them again.")
             connection.execute(
                 insert(sessions).values(
                     id=session_id,
@@ -47,29 +88,41 @@ class Records:
                     created_at=now(),
                     files=[asdict(file) for file in files],
                     preflight=dict(preflight),
+                    num_bytes=num_bytes,
+                    tenant=self._tenant or DEFAULT_TENANT,
                 )
             )
-            return _session(connection, session_id)
+            note_deed(connection, self._actor, self._tenant or DEFAULT_TENANT, Act.SESSION_CREATED, session_id)
+            return self._session(connection, session_id)
+
+    def require_room(self, num_bytes: int) -> None:
+        """Raise ``QuotaExceeded`` if there may be no more session of so many bytes; before they are sent."""
+        if self._quotas == _NO_QUOTAS:
+            return
+        with self._database.reading() as connection:
+            used = read_usage(connection, self._tenant or DEFAULT_TENANT)
+        require_room(self._quotas, used, sessions=1, stored_bytes=num_bytes)
+
+    def usage(self) -> Usage:
+        """How much the tenant has."""
+        with self._database.reading() as connection:
+            return read_usage(connection, self._tenant or DEFAULT_TENANT)
 
     def session(self, session_id: str) -> Session:
         """A session; ``NotFound`` if there is none."""
         with self._database.reading() as connection:
-            return _session(connection, session_id)
+            return self._session(connection, session_id)
 
     def sessions(self, limit: int = 50, after: str | None = None) -> list[Session]:
         """Sessions, the newest first."""
-        query = select(sessions).order_by(sessions.c.id.desc()).limit(limit)
+        query = select(sessions).where(self._mine(sessions)).order_by(sessions.c.id.desc()).limit(limit)
         if after is not None:
             query = query.where(sessions.c.id < after)
         with self._database.reading() as connection:
             return [session_of(row) for row in connection.execute(query)]
 
-    def delete_session(self, session_id: str) -> list[str]:
-        """Forget a session and its jobs.
-
-        Returns
-        -------
-            Keys of what they have in the artifact store.
+    def delete_session(self, session_id: str) -> None:
+        """Forget a session and its jobs, and note their files for removal.
 
         Raises
         ------
@@ -77,23 +130,23 @@ class Records:
         Conflict
             A job of it is unfinished.
         """
-        of_session = jobs.c.session_id == session_id
         with self._database.writing() as connection:
-            _lock_session(connection, session_id)
-            unfinished = select(jobs.c.id).where(of_session, jobs.c.state.not_in(FINISHED)).limit(1)
-            if connection.execute(unfinished).first() is not None:
-                raise Conflict("A job of this session is unfinished.")
-            inputs = [file.key for file in _session(connection, session_id).files]
-            outputs = select(artifacts.c.output_key).where(artifacts.c.session_id == session_id)
-            # What a worker left whose report never came is known by its chunk alone.
-            planned = select(chunks.c.output_key).join(jobs).where(of_session)
-            left = [stage_key(session_id, key) for key in connection.scalars(outputs.union(planned))]
-            shown = connection.scalars(select(results.c.key).join(jobs).where(of_session)).all()
+            tenant = self._lock_session(connection, session_id)
+            of_session = connection.execute(select(jobs.c.id, jobs.c.state).where(jobs.c.session_id == session_id))
+            for job in of_session.all():
+                _require_finished(job.state, Conflict("A job of this session is unfinished."))
+                remove_later(connection, job_prefix(job.id))
+            remove_later(connection, session_prefix(session_id))
+            note_deed(connection, self._actor, tenant, Act.SESSION_DELETED, session_id)
             connection.execute(delete(sessions).where(sessions.c.id == session_id))
-        return [*inputs, *left, *shown]
 
     def create_job(
-        self, session_id: str, spec: JobSpec, stages: Sequence[StagePlan], retention_s: float | None = None
+        self,
+        session_id: str,
+        spec: JobSpec,
+        stages: Sequence[StagePlan],
+        retention_s: float | None = None,
+        trace: str | None = None,
     ) -> Job:
         """Queue a job: its first stage is ready. The caller publishes that there is work.
 
@@ -101,32 +154,39 @@ class Records:
         ----------
         retention_s
             How long its results are kept after its end; ``None``: until somebody deletes them.
+        trace
+            W3C traceparent of who asks for it, for the workers.
 
         Raises
         ------
         NotFound
             There is no such session.
+        QuotaExceeded
         ValueError
             There is no stage, or one without chunks: such a job would never end.
         """
         job_id = str(uuid7())
         with self._database.writing() as connection:
-            _lock_session(connection, session_id)
+            self._require_room(connection, unfinished_jobs=1)
+            tenant = self._lock_session(connection, session_id)
             connection.execute(
                 insert(jobs).values(
                     id=job_id,
                     session_id=session_id,
+                    tenant=tenant,
                     state=JobState.QUEUED,
                     spec=spec.model_dump(mode="json"),
                     attempt=1,
                     created_at=now(),
                     queued_at=now(),
                     retention_s=retention_s,
+                    trace=trace,
                 )
             )
             _insert_chunks(connection, job_id, stages)
             note(connection, job_id, "state", JobState.QUEUED)
-            return _job(connection, job_id)
+            note_deed(connection, self._actor, tenant, Act.JOB_CREATED, job_id)
+            return self._job(connection, job_id)
 
     def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
         """How far jobs have come, for whoever looks for what is new; those that are not there are left out."""
@@ -139,23 +199,18 @@ class Records:
                 .scalar_subquery()
                 .label("done"),
             )
-        ).where(jobs.c.id.in_(job_ids))
+        ).where(jobs.c.id.in_(job_ids), self._mine(jobs))
         with self._database.reading() as connection:
             return {row.id: Change(row.event, row.done) for row in connection.execute(query)}
-
-    def figures(self) -> Figures:
-        """What monitoring wants to know of all jobs."""
-        with self._database.reading() as connection:
-            return read_figures(connection)
 
     def job(self, job_id: str) -> Job:
         """A job; ``NotFound`` if there is none."""
         with self._database.reading() as connection:
-            return _job(connection, job_id)
+            return self._job(connection, job_id)
 
     def jobs(self, state: JobState | None = None, limit: int = 50, after: str | None = None) -> list[Job]:
         """Jobs, the newest first."""
-        query = select_jobs().order_by(jobs.c.id.desc()).limit(limit)
+        query = select_jobs().where(self._mine(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
             query = query.where(jobs.c.state == state)
         if after is not None:
@@ -163,12 +218,8 @@ class Records:
         with self._database.reading() as connection:
             return jobs_of(connection, connection.execute(query).all())
 
-    def delete_job(self, job_id: str) -> list[str]:
-        """Forget a job; its stages' outputs stay with the session.
-
-        Returns
-        -------
-            Keys of its results in the artifact store.
+    def delete_job(self, job_id: str) -> None:
+        """Forget a job, and note its results for removal; its stages' outputs stay with the session.
 
         Raises
         ------
@@ -177,10 +228,11 @@ class Records:
             It is unfinished.
         """
         with self._database.writing() as connection:
-            _require_finished(_locked_job(connection, job_id), Conflict("The job is unfinished; cancel it first."))
-            keys = connection.scalars(select(results.c.key).where(results.c.job_id == job_id)).all()
+            job = self._job_row(connection, job_id, lock=True)
+            _require_finished(job.state, Conflict("The job is unfinished; cancel it first."))
+            remove_later(connection, job_prefix(job_id))
+            note_deed(connection, self._actor, job.tenant, Act.JOB_DELETED, job_id)
             connection.execute(delete(jobs).where(jobs.c.id == job_id))
-        return list(keys)
 
     def cancel(self, job_id: str) -> Job:
         """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
@@ -192,77 +244,45 @@ class Records:
             It is finished.
         """
         with self._database.writing() as connection:
-            job = _locked_job(connection, job_id)
+            job = self._job_row(connection, job_id, lock=True)
             if job.state in FINISHED:
                 raise Conflict(f"The job is {job.state} already.")
-            move_job(connection, job_id, JobState.CANCELING)
+            if move_job(connection, job_id, JobState.CANCELING):
+                note_deed(connection, self._actor, job.tenant, Act.JOB_CANCELED, job_id)
             cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY))
             settle_canceling(connection, job_id)
-            return _job(connection, job_id)
+            return self._job(connection, job_id)
 
-    def retry(self, job_id: str, stages: Sequence[StagePlan]) -> Job:
+    def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> Job:
         """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
 
-        Workers take outputs that are there already (``artifact``) for done.
+        Workers take outputs that are there already (``artifact``) for done. ``trace`` as in ``create_job``.
 
         Raises
         ------
         NotFound
         Conflict
             It has neither failed nor been canceled.
+        QuotaExceeded
         """
         with self._database.writing() as connection:
-            job = _locked_job(connection, job_id)
-            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None}
+            self._require_room(connection, unfinished_jobs=1)
+            job = self._job_row(connection, job_id, lock=True)
+            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
             if not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
+            note_deed(connection, self._actor, job.tenant, Act.JOB_RETRIED, job_id)
+            keep_attempt(connection, job)
             connection.execute(delete(results).where(results.c.job_id == job_id))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
             _insert_chunks(connection, job_id, stages)
-            return _job(connection, job_id)
+            return self._job(connection, job_id)
 
-    def due(self) -> dict[str, list[str]]:
-        """Jobs whose time is over, and the keys of their results in the artifact store."""
-        query = (
-            select(jobs.c.id, results.c.key)
-            .outerjoin(results)
-            .where(jobs.c.expires_at < now(), jobs.c.state != JobState.EXPIRED)
-            .order_by(jobs.c.id, results.c.name)
-        )
-        found: dict[str, list[str]] = {}
+    def attempts(self, job_id: str) -> list[Attempt]:
+        """A job's attempts, the first one first, each with what went wrong in it; ``NotFound`` without a job."""
         with self._database.reading() as connection:
-            for job_id, key in connection.execute(query):
-                found.setdefault(job_id, []).extend([key] if key else [])
-        return found
-
-    def expire(self, job_id: str) -> bool:
-        """Say of a job whose time is over that its results are gone; whether it was there and its time was over."""
-        with self._database.writing() as connection:
-            job = lock_job(connection, job_id)
-            is_due = select(jobs.c.id).where(jobs.c.id == job_id, jobs.c.expires_at < now())
-            if job is None or connection.execute(is_due).first() is None:
-                return False
-            return move_job(connection, job_id, JobState.EXPIRED)
-
-    def artifact(self, session_id: str, output_key: str) -> tuple[str, int] | None:
-        """SHA-256 and bytes of a chunk's output if any job of the session has finished it."""
-        query = select(artifacts.c.sha256, artifacts.c.num_bytes).where(
-            artifacts.c.session_id == session_id, artifacts.c.output_key == output_key
-        )
-        with self._database.reading() as connection:
-            row = connection.execute(query).one_or_none()
-        return None if row is None else (row.sha256, row.num_bytes)
-
-    def outputs(self, job_id: str, stage: str) -> list[str]:
-        """Output keys of a job's stage, in the order of its chunks."""
-        query = (
-            select(chunks.c.output_key)
-            .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
-            .order_by(chunks.c.chunk_index)
-        )
-        with self._database.reading() as connection:
-            return list(connection.scalars(query))
+            return attempts_of(connection, self._job_row(connection, job_id))
 
     def results(self, job_id: str) -> list[Result]:
         """A finished job's results, by name: none if it has failed.
@@ -274,10 +294,10 @@ class Records:
         """
         query = select(results).where(results.c.job_id == job_id).order_by(results.c.name)
         with self._database.reading() as connection:
-            job = connection.execute(select(jobs).where(jobs.c.id == job_id)).one_or_none()
-            if job is None:
-                raise NotFound("There is no such job.")
-            _require_finished(job, NotFinished("The job is unfinished; its results come with its end."))
+            _require_finished(
+                self._job_row(connection, job_id).state,
+                NotFinished("The job is unfinished; its results come with its end."),
+            )
             return [result_of(row) for row in connection.execute(query)]
 
     def result(self, job_id: str, name: str) -> Result:
@@ -287,37 +307,45 @@ class Records:
                 return result
         raise NotFound("The job has no result of this name.")
 
+    def _require_room(self, connection: Connection, **more: int) -> None:
+        if self._quotas == _NO_QUOTAS:
+            return
+        tenant = self._tenant or DEFAULT_TENANT
+        lock(connection, f"quotas of {tenant}")  # so that two at once don't each take the last place
+        require_room(self._quotas, read_usage(connection, tenant), **more)
 
-def _session(connection: Connection, session_id: str) -> Session:
-    row = connection.execute(select(sessions).where(sessions.c.id == session_id)).one_or_none()
-    if row is None:
-        raise NotFound("There is no such session.")
-    return session_of(row)
+    def _session(self, connection: Connection, session_id: str) -> Session:
+        query = select(sessions).where(sessions.c.id == session_id, self._mine(sessions))
+        row = connection.execute(query).one_or_none()
+        if row is None:
+            raise NotFound("There is no such session.")
+        return session_of(row)
+
+    def _lock_session(self, connection: Connection, session_id: str) -> str:
+        """Keep a session from being deleted, or jobs from being added to it, until the transaction ends; its tenant."""
+        query = select(sessions.c.tenant).where(sessions.c.id == session_id, self._mine(sessions)).with_for_update()
+        tenant: str | None = connection.scalar(query)
+        if tenant is None:
+            raise NotFound("There is no such session.")
+        return tenant
+
+    def _job(self, connection: Connection, job_id: str) -> Job:
+        query = select_jobs().where(jobs.c.id == job_id, self._mine(jobs))
+        found = jobs_of(connection, connection.execute(query).all())
+        if not found:
+            raise NotFound("There is no such job.")
+        return found[0]
+
+    def _job_row(self, connection: Connection, job_id: str, lock: bool = False) -> Row[Any]:
+        query = select(jobs).where(jobs.c.id == job_id, self._mine(jobs))
+        row = connection.execute(query.with_for_update() if lock else query).one_or_none()
+        if row is None:
+            raise NotFound("There is no such job.")
+        return row
 
 
-def _lock_session(connection: Connection, session_id: str) -> None:
-    """Keep a session from being deleted, or jobs from being added to it, until the transaction ends."""
-    query = select(sessions.c.id).where(sessions.c.id == session_id).with_for_update()
-    if connection.execute(query).first() is None:
-        raise NotFound("There is no such session.")
-
-
-def _job(connection: Connection, job_id: str) -> Job:
-    found = jobs_of(connection, connection.execute(select_jobs().where(jobs.c.id == job_id)).all())
-    if not found:
-        raise NotFound("There is no such job.")
-    return found[0]
-
-
-def _locked_job(connection: Connection, job_id: str) -> Row[Any]:
-    row = lock_job(connection, job_id)
-    if row is None:
-        raise NotFound("There is no such job.")
-    return row
-
-
-def _require_finished(job: Row[Any], error: Conflict) -> None:
-    if job.state not in FINISHED:
+def _require_finished(state: str, error: Conflict) -> None:
+    if state not in FINISHED:
         raise error
 
 

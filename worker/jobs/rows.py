@@ -1,10 +1,11 @@
 """Rows of the tables as the model's records."""
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, case, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
 from worker.jobs.database import now
 from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, Session, Stage
@@ -38,6 +39,8 @@ def result_of(row: Row[Any]) -> Result:
     )
 
 
+# Clients ask for jobs all the time, and to put a query together takes longer than to run it: once is enough.
+@functools.cache
 def select_jobs() -> Select[Any]:
     """Jobs with their sessions' preflight and their places in the queue, for ``jobs_of``."""
     ahead = jobs.alias("ahead")
@@ -96,8 +99,16 @@ def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
     return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
 
 
-def _stages(connection: Connection, job_ids: Iterable[str]) -> Mapping[str, tuple[Stage, ...]]:
-    rows = connection.execute(
+def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[Stage, ...]]:
+    rows = connection.execute(_select_stages(), {"job_ids": job_ids})
+    return {
+        job_id: tuple(_stage(row) for row in of_job) for job_id, of_job in groupby(rows, key=lambda row: row.job_id)
+    }
+
+
+@functools.cache
+def _select_stages() -> Select[Any]:
+    return (
         select(
             chunks.c.job_id,
             chunks.c.stage,
@@ -109,13 +120,10 @@ def _stages(connection: Connection, job_ids: Iterable[str]) -> Mapping[str, tupl
             func.min(chunks.c.started_at).label("started_at"),
             func.max(chunks.c.finished_at).label("finished_at"),
         )
-        .where(chunks.c.job_id.in_(job_ids))
+        .where(chunks.c.job_id.in_(bindparam("job_ids", expanding=True)))
         .group_by(chunks.c.job_id, chunks.c.stage_index, chunks.c.stage)
         .order_by(chunks.c.job_id, chunks.c.stage_index)
     )
-    return {
-        job_id: tuple(_stage(row) for row in of_job) for job_id, of_job in groupby(rows, key=lambda row: row.job_id)
-    }
 
 
 def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:

@@ -3,16 +3,24 @@
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
+from worker.jobs.audit import Audit
 from worker.jobs.database import Database
+from worker.jobs.keys import Keys
 from worker.jobs.leases import MAX_ATTEMPTS, Leases
+from worker.jobs.model import Actor, Figures
+from worker.jobs.quotas import Quotas
 from worker.jobs.records import Records
+from worker.jobs.removals import Removals
 from worker.jobs.tables import sessions
+from worker.jobs.totals import read_figures
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 
 
-class JobStore(Records, Leases):
-    """Sessions, jobs and chunks in a database: ``Records`` for clients, ``Leases`` for workers.
+class JobStore(Records, Leases, Removals, Keys, Audit):
+    """Sessions, jobs and chunks in a database.
+
+    ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Removals`` of files, ``Keys`` and ``Audit``.
 
     Every method is one transaction. A store may be shared by threads and carried across a fork.
 
@@ -28,6 +36,15 @@ class JobStore(Records, Leases):
     def migrate(self) -> None:
         """Bring the schema up to date; several processes may try at once."""
         self._database.migrate()
+
+    def figures(self) -> Figures:
+        """What monitoring wants to know of all jobs."""
+        with self._database.reading() as connection:
+            return read_figures(connection)
+
+    def of(self, tenant: str, quotas: Quotas, actor: Actor) -> Records:
+        """The clients' side, of one tenant."""
+        return Records(self._database, tenant, quotas, actor)
 
     def ping(self) -> bool:
         """Whether the database answers, and has the schema."""

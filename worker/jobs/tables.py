@@ -44,6 +44,9 @@ metadata = MetaData(
     }
 )
 
+# Everything belongs to it as long as there are no keys.
+DEFAULT_TENANT = "default"
+
 sessions = Table(
     "sessions",
     metadata,
@@ -52,6 +55,9 @@ sessions = Table(
     Column("created_at", Moment, nullable=False),
     Column("files", JSON, nullable=False),
     Column("preflight", JSON, nullable=False),
+    Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files
+    Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
+    Index(None, "tenant", "id"),
 )
 
 jobs = Table(
@@ -69,6 +75,9 @@ jobs = Table(
     Column("finished_at", Moment),
     Column("retention_s", Double),  # how long results are kept after the end; null: until somebody deletes them
     Column("expires_at", Moment),
+    Column("trace", String(55)),  # W3C traceparent of who asked for this attempt
+    Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # its session's
+    Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
     Index(None, "expires_at"),
 )
@@ -94,7 +103,7 @@ chunks = Table(
     Column("started_at", Moment),
     Column("finished_at", Moment),
     UniqueConstraint("job_id", "stage_index", "chunk_index"),
-    Index(None, "state"),
+    Index(None, "state", "job_id"),
     sqlite_autoincrement=True,  # a retry replaces a job's chunks: an old number must not come to mean a new chunk
 )
 
@@ -135,6 +144,45 @@ events = Table(
     sqlite_autoincrement=True,  # numbers only grow, also after deletions
 )
 
+# Attempts of jobs that were followed by another one; the last one stands in ``jobs``.
+attempts = Table(
+    "attempts",
+    metadata,
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("attempt", Integer, primary_key=True),
+    Column("state", String(16), nullable=False),
+    Column("problem", JSON(none_as_null=True)),
+    Column("queued_at", Moment, nullable=False),
+    Column("started_at", Moment),
+    Column("finished_at", Moment),
+)
+
+# Tries of chunks that came to nothing, and why: a reason for each time that a chunk was begun again, or ended its job.
+failures = Table(
+    "failures",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
+    Column("attempt", Integer, nullable=False),  # of the job
+    Column("stage", String(32), nullable=False),
+    Column("chunk_index", Integer, nullable=False),
+    Column("chunk_try", Integer, nullable=False),
+    Column("problem", JSON, nullable=False),
+    Column("failed_at", Moment, nullable=False),
+    Index(None, "job_id", "id"),
+    sqlite_autoincrement=True,
+)
+
+# What has to go from the artifact store, and when: noted in the transaction that forgets whose it was.
+removals = Table(
+    "removals",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("prefix", String, nullable=False, index=True),
+    Column("due_at", Moment, nullable=False, index=True),
+    sqlite_autoincrement=True,
+)
+
 # What has been counted since the database was made: sums that only grow, also when jobs are deleted.
 totals = Table(
     "totals",
@@ -142,4 +190,41 @@ totals = Table(
     Column("name", String(32), primary_key=True),
     Column("label", String(32), primary_key=True),
     Column("value", Double, nullable=False),
+)
+
+keys = Table(
+    "keys",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant", String(64), nullable=False),
+    Column("name", String(200), nullable=False),
+    Column("scopes", JSON, nullable=False),
+    Column("sha256", String(64), nullable=False, unique=True),  # of the secret, which nobody keeps
+    Column("created_at", Moment, nullable=False),
+    Column("expires_at", Moment),
+    Column("revoked_at", Moment),
+)
+
+# Browsers that have shown a key, and have a cookie for it.
+browser_sessions = Table(
+    "browser_sessions",
+    metadata,
+    Column("sha256", String(64), primary_key=True),  # of the cookie's secret
+    Column("key_id", ForeignKey("keys.id", ondelete="CASCADE"), nullable=False),
+    Column("expires_at", Moment, nullable=False),
+)
+
+# Who did what. Rows are only ever added, and outlive what they tell of.
+audit = Table(
+    "audit",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("done_at", Moment, nullable=False),
+    Column("tenant", String(64), nullable=False),
+    Column("key_id", String(36)),  # null: nobody needed one, or it was done at the command line
+    Column("request_id", String(36)),  # null: it was done at the command line
+    Column("act", String(32), nullable=False),
+    Column("subject", String(36), nullable=False),  # id of a session, a job or a key
+    Index(None, "tenant", "id"),
+    sqlite_autoincrement=True,
 )

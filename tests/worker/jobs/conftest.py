@@ -9,11 +9,10 @@ import pytest
 import sqlalchemy as sa
 import uuid_utils
 
+from tests.postgres import POSTGRES_VARIABLE, running_postgres
 from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Result, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
-
-POSTGRES_VARIABLE = "MULTICAP_TEST_POSTGRES_URL"
 
 LEASE_S = 60.0
 EXPIRED_S = -1.0  # a lease that ended before it began
@@ -65,7 +64,7 @@ class Bench:
 
 
 def new_session(store: JobStore) -> str:
-    session_id = str(uuid_utils.uuid7())
+    session_id = store.announce_session()
     files = [
         InputFile("cam one.mp4", "video", f"sessions/{session_id}/inputs/0-cam_one.mp4", 3_000_000_000, "1" * 64),
         InputFile("rig.toml", "calibration", f"sessions/{session_id}/inputs/1-rig.toml", 200, "2" * 64),
@@ -75,16 +74,24 @@ def new_session(store: JobStore) -> str:
     return session_id
 
 
+@pytest.fixture(scope="session")
+def postgres_url() -> Iterator[str]:
+    """A server that others have started, or one of our own."""
+    if url := os.environ.get(POSTGRES_VARIABLE):
+        yield url
+        return
+    with running_postgres() as server:
+        yield server.url
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
 def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
     """An empty database of our own."""
     if request.param == "sqlite":
         yield f"sqlite:///{tmp_path / 'jobs.db'}"
         return
-    server_url = os.environ.get(POSTGRES_VARIABLE)
-    if server_url is None:
-        pytest.skip(f"{POSTGRES_VARIABLE} names no PostgreSQL")
-    url = sa.make_url(server_url).set(database=f"multicap_test_{uuid_utils.uuid4().hex}")
+    server_url = sa.make_url(request.getfixturevalue("postgres_url")).set(drivername="postgresql+psycopg")
+    url = server_url.set(database=f"multicap_test_{uuid_utils.uuid4().hex}")
     server = sa.create_engine(server_url, isolation_level="AUTOCOMMIT")
     with server.connect() as connection:
         connection.execute(sa.text(f"CREATE DATABASE {url.database}"))

@@ -95,16 +95,6 @@ def test_what_is_not_there_is_not_found(artifacts: ArtifactStore, key: str) -> N
     with pytest.raises(NotFound), artifacts.local_path(key):
         pass
     assert not artifacts.exists(key)
-    artifacts.delete(key)
-
-
-def test_delete(artifacts: ArtifactStore) -> None:
-    artifacts.put_bytes(KEY, b"pose")
-    artifacts.put_bytes(KEY + ".json", b"{}")
-    artifacts.delete(KEY)
-    assert not artifacts.exists(KEY)
-    assert artifacts.exists(KEY + ".json")
-    artifacts.delete(KEY)
 
 
 def test_delete_prefix_takes_all_below_and_nothing_beside(artifacts: ArtifactStore) -> None:
@@ -150,7 +140,6 @@ def test_other_keys_are_refused(artifacts: ArtifactStore, key: str, tmp_path: Pa
         lambda: artifacts.open(key),
         lambda: artifacts.size(key),
         lambda: artifacts.exists(key),
-        lambda: artifacts.delete(key),
         lambda: artifacts.delete_prefix(f"{key}/"),
     ]
     for act in acts:

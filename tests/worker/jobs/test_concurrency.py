@@ -108,7 +108,7 @@ def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
         for job_id in job_ids[::2]:
             with contextlib.suppress(Conflict):
                 store.cancel(job_id)
-            store.reap()
+            store.reap(LEASE_S)
 
     with ThreadPoolExecutor(NUM_WORKERS) as pool:
         workers = [pool.submit(work, new_store()) for _ in range(NUM_WORKERS - 1)]

@@ -28,6 +28,7 @@ def test_a_claim_says_all_that_a_worker_needs(jobs: Bench) -> None:
         spec=JobSpec(),
         lease_token=claim.lease_token,
         attempt=1,
+        trace=None,
     )
 
 
@@ -78,7 +79,7 @@ REPORTS: dict[str, Report] = {
 def test_only_the_holder_is_heard(jobs: Bench, report: Report) -> None:
     job_id = jobs.queue(num_chunks=1).id
     lost = jobs.claim(EXPIRED_S)
-    jobs.store.reap()
+    jobs.store.reap(LEASE_S)
     holder = jobs.claim()
     assert holder.chunk_id == lost.chunk_id
     before = jobs.store.job(job_id)
@@ -98,17 +99,28 @@ def test_a_heartbeat_keeps_the_lease(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(EXPIRED_S)
     assert jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
-    assert jobs.store.reap() == 0
+    assert not jobs.store.reap(LEASE_S)
     assert jobs.finish(claim)
 
 
 def test_a_lease_ends_by_the_clock(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(lease_s=0.3)
-    assert jobs.store.reap() == 0
+    assert not jobs.store.reap(LEASE_S)
     time.sleep(0.4)
-    assert jobs.store.reap() == 1
+    assert jobs.store.reap(LEASE_S)
     assert not jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+
+
+def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: Bench) -> None:
+    jobs.queue(num_chunks=2)
+    lost, held = jobs.claim(lease_s=3600.0), jobs.claim(lease_s=3600.0)  # as if it had been an hour later
+    assert not jobs.store.reap(0.2)
+    assert jobs.store.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
+    time.sleep(0.3)
+    assert jobs.store.reap(LEASE_S)
+    assert not jobs.store.heartbeat(lost.chunk_id, lost.lease_token, 1, LEASE_S)
+    assert jobs.store.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
 
 
 def test_a_late_finish_counts_while_nobody_has_taken_the_chunk_back(jobs: Bench) -> None:
@@ -125,7 +137,7 @@ def test_progress_never_goes_back(jobs: Bench) -> None:
         jobs.store.heartbeat(claim.chunk_id, claim.lease_token, done_units, EXPIRED_S)
         seen.append(jobs.store.job(job_id).progress)
     assert seen == [4 / total, 4 / total, 7 / total, 10 / total]
-    jobs.store.reap()
+    jobs.store.reap(LEASE_S)
     claim = jobs.claim()
     jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
     assert jobs.store.job(job_id).progress == 10 / total
@@ -140,7 +152,14 @@ def test_a_failure_worth_another_try_gets_it(jobs: Bench) -> None:
     claim = jobs.claim()
     assert not jobs.store.fail(claim.chunk_id, claim.lease_token, PROBLEM)
     job = jobs.store.job(job_id)
-    assert (job.state, job.problem) == (JobState.FAILED, PROBLEM)
+    last = replace(PROBLEM, detail=f"{PROBLEM.detail} It was the last of {MAX_ATTEMPTS} tries.")
+    assert (job.state, job.problem) == (JobState.FAILED, last)
+    (whole,) = jobs.store.attempts(job_id)
+    assert (whole.attempt, whole.state, whole.problem) == (1, JobState.FAILED, last)
+    assert [(one.stage, one.chunk_index, one.chunk_try) for one in whole.failures] == [
+        ("detect", 0, number) for number in range(1, MAX_ATTEMPTS + 1)
+    ]
+    assert {one.problem for one in whole.failures} == {PROBLEM}
 
 
 def test_another_failure_ends_the_job_and_stops_its_workers(jobs: Bench) -> None:
@@ -155,7 +174,7 @@ def test_another_failure_ends_the_job_and_stops_its_workers(jobs: Bench) -> None
     assert not jobs.store.heartbeat(other.chunk_id, other.lease_token, 1, LEASE_S)
     assert not jobs.finish(other)
     assert jobs.store.claim("worker", LEASE_S) is None
-    assert jobs.store.reap() == 0
+    assert not jobs.store.reap(LEASE_S)
 
 
 def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
@@ -167,16 +186,18 @@ def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
     assert jobs.store.job(job_id).state == JobState.RUNNING
 
 
-def test_reap_counts_what_is_ready(jobs: Bench) -> None:
-    assert jobs.store.reap() == 0
-    jobs.queue(num_chunks=3)
+def test_reap_says_whether_anything_is_ready(jobs: Bench) -> None:
+    assert not jobs.store.reap(LEASE_S)
+    jobs.queue(num_chunks=1)
     canceled = jobs.queue(num_chunks=2)
-    assert jobs.store.reap() == 5
-    jobs.store.cancel(canceled.id)
+    assert jobs.store.reap(LEASE_S)
     jobs.claim()
-    assert jobs.store.reap() == 2
+    assert jobs.store.reap(LEASE_S)  # of the other job
+    jobs.store.cancel(canceled.id)
+    assert not jobs.store.reap(LEASE_S)
+    jobs.queue(num_chunks=1)
     jobs.claim(EXPIRED_S)
-    assert jobs.store.reap() == 2
+    assert jobs.store.reap(LEASE_S)
 
 
 def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: Bench) -> None:
@@ -184,12 +205,12 @@ def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: Bench) -> None
     for attempt in range(1, MAX_ATTEMPTS + 1):
         assert jobs.store.job(job_id).state in {JobState.QUEUED, JobState.RUNNING}
         assert jobs.claim(EXPIRED_S).attempt == attempt
-        jobs.store.reap()
+        jobs.store.reap(LEASE_S)
     job = jobs.store.job(job_id)
     assert job.state == JobState.FAILED
     assert job.problem is not None
     assert (job.problem.code, job.problem.stage) == ("worker_lost", "detect")
-    assert jobs.store.reap() == 0
+    assert not jobs.store.reap(LEASE_S)
 
 
 def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: Bench) -> None:
@@ -197,7 +218,7 @@ def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: Bench) -> None:
     jobs.claim(EXPIRED_S)
     jobs.claim(EXPIRED_S)
     assert jobs.store.cancel(job_id).state == JobState.CANCELING
-    assert jobs.store.reap() == 0
+    assert not jobs.store.reap(LEASE_S)
     assert jobs.store.job(job_id).state == JobState.CANCELED
 
 

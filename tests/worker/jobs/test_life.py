@@ -66,7 +66,7 @@ class Life(RuleBasedStateMachine):
 
     @rule()
     def reap(self) -> None:
-        self._store.reap()
+        self._store.reap(LEASE_S)
 
     @rule(which=st.integers(0, 1))
     def cancel_or_retry(self, which: int) -> None:

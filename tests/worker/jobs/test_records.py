@@ -156,6 +156,24 @@ def test_retry_starts_over_and_keeps_finished_outputs(jobs: Bench) -> None:
     assert not jobs.finish(broken)
 
 
+def test_attempts_say_what_became_of_each(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    claim = jobs.claim()
+    jobs.store.fail(claim.chunk_id, claim.lease_token, BROKEN)
+    jobs.store.retry(job_id, stages(1))
+    jobs.store.cancel(job_id)
+    jobs.store.retry(job_id, stages(1))
+    jobs.finish_all()
+    first, second, third = jobs.store.attempts(job_id)
+    assert (first.attempt, first.state, first.problem) == (1, JobState.FAILED, BROKEN)
+    assert [(one.chunk_try, one.problem) for one in first.failures] == [(1, BROKEN)]
+    assert (second.attempt, second.state, second.problem, second.failures) == (2, JobState.CANCELED, None, ())
+    assert second.started_at is None
+    assert (third.attempt, third.state, third.problem, third.failures) == (3, JobState.SUCCEEDED, None, ())
+    moments = [moment for one in (first, second, third) for moment in (one.queued_at, one.finished_at) if moment]
+    assert (len(moments), moments) == (6, sorted(moments))
+
+
 def test_retry_goes_to_the_end_of_the_queue(jobs: Bench) -> None:
     first, second = jobs.queue(1), jobs.queue(1)
     jobs.store.cancel(first.id)
@@ -191,33 +209,32 @@ def test_a_failed_job_has_no_results(jobs: Bench) -> None:
     assert jobs.store.results(job_id) == []
 
 
-def test_delete_job_names_its_results_and_leaves_the_session(jobs: Bench) -> None:
+def due(jobs: Bench) -> list[str]:
+    return [removal.prefix for removal in jobs.store.removals()]
+
+
+def test_delete_job_leaves_the_session(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     with pytest.raises(Conflict):
         jobs.store.delete_job(job_id)
     jobs.finish_all()
-    assert jobs.store.delete_job(job_id) == [f"jobs/{job_id}/results/person-1.bvh"]
+    assert due(jobs) == []
+    jobs.store.delete_job(job_id)
+    assert due(jobs) == [f"jobs/{job_id}/"]
     assert jobs.store.artifact(jobs.session_id, "detect-0") is not None
     with pytest.raises(NotFound):
         jobs.store.job(job_id)
 
 
-def test_delete_session_names_all_that_it_has(jobs: Bench) -> None:
+def test_delete_session_takes_its_jobs_along(jobs: Bench) -> None:
     done = jobs.queue(num_chunks=1)
     jobs.finish_all()
     canceled = jobs.queue(num_chunks=2)
     with pytest.raises(Conflict):
         jobs.store.delete_session(jobs.session_id)
     jobs.store.cancel(canceled.id)
-    session = f"sessions/{jobs.session_id}"
-    assert sorted(jobs.store.delete_session(jobs.session_id)) == [
-        f"jobs/{done.id}/results/person-1.bvh",
-        f"{session}/inputs/0-cam_one.mp4",
-        f"{session}/inputs/1-rig.toml",
-        f"{session}/stages/detect-0",
-        f"{session}/stages/detect-1",
-        f"{session}/stages/export",
-    ]
+    jobs.store.delete_session(jobs.session_id)
+    assert sorted(due(jobs)) == sorted([f"jobs/{done.id}/", f"jobs/{canceled.id}/", f"sessions/{jobs.session_id}/"])
     assert jobs.store.sessions() == []
     assert jobs.store.jobs() == []
     assert jobs.store.artifact(jobs.session_id, "detect-0") is None

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from tests.worker.jobs.conftest import LEASE_S, Bench, result, stages
+from tests.worker.jobs.conftest import LEASE_S, Bench, stages
 from worker.jobs.errors import Conflict
 from worker.jobs.model import Job, JobState, Problem
 from worker.jobs.spec import JobSpec
@@ -22,8 +22,7 @@ def test_results_are_kept_for_as_long_as_was_said(jobs: Bench) -> None:
     assert done.finished_at is not None
     assert done.expires_at is not None
     assert (done.expires_at - done.finished_at).total_seconds() == pytest.approx(3600.0, abs=0.1)
-    assert jobs.store.due() == {}
-    assert not jobs.store.expire(job.id)
+    assert jobs.store.expire() == []
     assert jobs.store.job(job.id).state is JobState.SUCCEEDED
 
 
@@ -31,25 +30,24 @@ def test_without_a_time_they_stay(jobs: Bench) -> None:
     job = queue(jobs, None)
     jobs.finish_all()
     assert jobs.store.job(job.id).expires_at is None
-    assert jobs.store.due() == {}
+    assert jobs.store.expire() == []
 
 
 def test_a_job_whose_time_is_over_is_due_once(jobs: Bench) -> None:
     job, other = queue(jobs, 0.01), queue(jobs, None)
     jobs.finish_all()
     time.sleep(0.05)
-    assert jobs.store.due() == {job.id: [result(job.id).key]}
     finished_at = jobs.store.job(job.id).finished_at
-    assert jobs.store.expire(job.id)
+    assert jobs.store.expire() == [job.id]
+    assert [removal.prefix for removal in jobs.store.removals()] == [f"jobs/{job.id}/"]
     expired = jobs.store.job(job.id)
     assert (expired.state, expired.finished_at) == (JobState.EXPIRED, finished_at)
-    assert jobs.store.due() == {}
-    assert not jobs.store.expire(job.id)
+    assert jobs.store.expire() == []
     assert jobs.store.job(other.id).state is JobState.SUCCEEDED
     with pytest.raises(Conflict):
         jobs.store.retry(job.id, stages())
     assert [one.name for one in jobs.store.results(job.id)] == ["person-1.bvh"]
-    assert jobs.store.delete_job(job.id) == [result(job.id).key]
+    jobs.store.delete_job(job.id)
 
 
 def test_what_is_tried_again_is_not_due_meanwhile(jobs: Bench) -> None:
@@ -59,15 +57,10 @@ def test_what_is_tried_again_is_not_due_meanwhile(jobs: Bench) -> None:
     jobs.store.retry(job.id, stages())
     time.sleep(0.05)
     assert jobs.store.job(job.id).expires_at is None
-    assert jobs.store.due() == {}
+    assert jobs.store.expire() == []
     jobs.store.cancel(job.id)
     time.sleep(0.05)
-    assert jobs.store.due() == {job.id: []}
-    assert jobs.store.expire(job.id)
-
-
-def test_jobs_that_nobody_has_are_not_expired(jobs: Bench) -> None:
-    assert not jobs.store.expire("nobody")
+    assert jobs.store.expire() == [job.id]
 
 
 def test_the_time_left_is_guessed_from_the_work_that_was_done(jobs: Bench) -> None:

@@ -2,7 +2,7 @@
 
 import time
 
-from tests.worker.jobs.conftest import EXPIRED_S, UNITS, Bench
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench
 from worker.jobs.model import Problem
 
 
@@ -38,7 +38,7 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
 def test_lost_leases_and_other_tries(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     jobs.claim(EXPIRED_S)
-    jobs.store.reap()
+    jobs.store.reap(LEASE_S)
     claim = jobs.claim()
     jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("away", "It is away.", retryable=True))
     claim = jobs.claim()

@@ -50,7 +50,7 @@ ACTIONS: dict[str, Action] = {
     "cancel": lambda store, job_id, *_: store.cancel(job_id),
     "retry": lambda store, job_id, *_: store.retry(job_id, stages(1)),
     "claim": lambda store, *_: store.claim("worker", LEASE_S),
-    "reap": lambda store, *_: store.reap(),
+    "reap": lambda store, *_: store.reap(LEASE_S),
     "heartbeat": lambda store, _, chunk_id, token: store.heartbeat(chunk_id, token, 1, LEASE_S),
     "finish": lambda store, _, chunk_id, token: store.finish(chunk_id, token, "0" * 64, 1),
     "release": lambda store, _, chunk_id, token: store.release(chunk_id, token),

@@ -1,0 +1,41 @@
+"""`multicap audit`: who did what."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Column, Table
+
+from api.commands.store import store_in
+from api.console import console, emit
+
+
+def command(
+    tenant: Annotated[str | None, typer.Option(help="Of one tenant; without it of all.")] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many at most, the last ones.")] = 100,
+    data: Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """List who made, changed or deleted what in the service, the last one first."""
+    with store_in(data) as store:
+        deeds = store.deeds(tenant, limit)
+        names = {key.id: key.name for key in store.list_keys()}
+    if as_json:
+        listed = [
+            {
+                "done_at": deed.done_at.isoformat(),
+                "tenant": deed.tenant,
+                "key_id": deed.actor.key_id,
+                "request_id": deed.actor.request_id,
+                "act": deed.act,
+                "subject": deed.subject,
+            }
+            for deed in deeds
+        ]
+        emit({"deeds": listed})
+        return
+    table = Table("when", "tenant", "key", "did", Column("to", no_wrap=True, min_width=36))
+    for deed in deeds:
+        who = names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else ""
+        table.add_row(f"{deed.done_at:%Y-%m-%d %H:%M:%S}", deed.tenant, who, deed.act, deed.subject)
+    console.print(table)

@@ -1,0 +1,86 @@
+"""`multicap keys`: who may use the service, as which tenant, and for what."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Column, Table
+
+from api.commands.store import store_in
+from api.console import console, emit, refusal
+from worker.jobs.errors import NotFound
+from worker.jobs.model import Key, Scope
+from worker.jobs.tables import DEFAULT_TENANT
+
+app = typer.Typer(help="Keys of the service: make, list, revoke.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Data = Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")]
+
+_DAY_S = 86_400.0
+
+
+def _document(key: Key) -> dict[str, Any]:
+    times = {name: getattr(key, name) for name in ("created_at", "expires_at", "revoked_at")}
+    return {
+        "id": key.id,
+        "tenant": key.tenant,
+        "name": key.name,
+        "scopes": sorted(key.scopes),
+        **{name: moment.isoformat() if moment else None for name, moment in times.items()},
+    }
+
+
+@app.command()
+def create(
+    name: Annotated[str, typer.Argument(help="For people: who or what it is for.")],
+    tenant: Annotated[str, typer.Option(help="Whose sessions and jobs it sees. Without keys all was `default`'s.")] = (
+        DEFAULT_TENANT
+    ),
+    scope: Annotated[list[Scope], typer.Option(help="What it is good for; more than once for several.")] = [  # noqa: B006
+        Scope.READ,
+        Scope.WRITE,
+    ],
+    days: Annotated[float | None, typer.Option(min=1 / 1440, help="How long; without it until it is revoked.")] = None,
+    data: Data = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a key and print it; it can't be read again. After the first one nobody comes in without."""
+    if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
+        raise refusal("A name has 1 to 200 characters, a tenant's 1 to 64. Choose others.")
+    with store_in(data) as store:
+        key, secret = store.create_key(tenant, name, set(scope), None if days is None else days * _DAY_S)
+    if as_json:
+        emit({**_document(key), "key": secret})
+        return
+    console.print(f"Key {key.id} of {key.tenant}. Keep it; it is not shown again:")
+    typer.echo(secret)
+
+
+@app.command("list")
+def list_(data: Data = None, as_json: AsJson = False) -> None:
+    """List all keys, without their secrets."""
+    with store_in(data) as store:
+        found = store.list_keys()
+    if as_json:
+        emit({"keys": [_document(key) for key in found]})
+        return
+    table = Table(Column("id", no_wrap=True, min_width=36), "tenant", "name", "scopes", "until")
+    for key in found:
+        until = (
+            "revoked" if key.revoked_at else f"{key.expires_at:%Y-%m-%d %H:%M}" if key.expires_at else "revoked only"
+        )
+        table.add_row(key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), until)
+    console.print(table)
+
+
+@app.command()
+def revoke(
+    key_id: Annotated[str, typer.Argument(metavar="ID", help="Of `multicap keys list`.")], data: Data = None
+) -> None:
+    """End a key at once and for good."""
+    with store_in(data) as store:
+        try:
+            key = store.revoke_key(key_id)
+        except NotFound:
+            raise refusal("There is no such key. `multicap keys list` says which there are.") from None
+    console.print(f"Key {key.id} ({key.name}) is revoked.")

@@ -1,0 +1,71 @@
+"""Who calls, and browsers that have shown a key."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request, Response, status
+
+from api.auth import COOKIE, AnyCallerDep
+from api.bodies import SmallBodyRoute
+from api.contract import answer, problems
+from api.dependencies import ServicesDep
+from api.errors import ApiError
+from api.schemas import BrowserSession, CallerOut, QuotasOut
+from worker.jobs.model import Actor
+
+router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
+
+_LIFETIME_S = 12 * 3600
+
+
+@router.get("/caller", operation_id="getCaller", responses={200: answer("Caller"), **problems(401, 429)})
+def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
+    """Say who calls, by the key or the browser's session that came along, and how much their tenant has."""
+    key = caller.key
+    return CallerOut(
+        tenant=caller.tenant,
+        name=key.name if key else None,
+        scopes=tuple(sorted(caller.scopes)),
+        expires_at=key.expires_at if key else None,
+        quotas=QuotasOut.of(services.store.of(caller.tenant, services.quotas, Actor()).usage(), services.quotas),
+    )
+
+
+@router.post(
+    "/browser-session",
+    operation_id="openBrowserSession",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses={
+        204: {"headers": {"Set-Cookie": {"description": "For this browser.", "schema": {"type": "string"}}}},
+        **problems(400, 401, 413, 422),
+    },
+)
+def open_browser_session(
+    shown: Annotated[BrowserSession, Body(openapi_examples={"default": {"value": {"key": "mc_..."}}})],
+    request: Request,
+    response: Response,
+    services: ServicesDep,
+) -> None:
+    """Let a browser in that shows a key: event streams and downloads of a page send no headers of its own."""
+    key = services.store.find_key(shown.key)
+    if key is None:
+        raise ApiError(401, "key_required", "This key is not known, has expired or was revoked.")
+    response.set_cookie(
+        COOKIE,
+        services.store.open_browser_session(key, _LIFETIME_S, request.state.request_id),
+        max_age=_LIFETIME_S,
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+
+
+@router.delete(
+    "/browser-session",
+    operation_id="closeBrowserSession",
+    status_code=status.HTTP_204_NO_CONTENT,
+)
+def close_browser_session(request: Request, response: Response, services: ServicesDep) -> None:
+    """Forget this browser."""
+    if COOKIE in request.cookies:
+        services.store.close_browser_session(request.cookies[COOKIE])
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")

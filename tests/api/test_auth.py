@@ -1,0 +1,269 @@
+"""Keys: every route of the contract with keys that are missing, wrong, too weak, or another tenant's."""
+
+import json
+import re
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import httpx2
+import pytest
+
+from api.app import ExposedError, create_app, refuse_strangers
+from api.openapi import COMMITTED
+from api.settings import Settings
+from tests.api.conftest import Live, form, problem_of, running
+from worker.jobs.model import Key, Scope
+
+CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
+OPERATIONS = [
+    (method.upper(), path)
+    for path, item in CONTRACT["paths"].items()
+    for method in item
+    if method in {"get", "post", "put", "patch", "delete"}
+]
+# These say who may come in, or that the service is alive: nobody's data.
+OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("POST", "/v1/browser-session"), ("DELETE", "/v1/browser-session")}
+GUARDED = [one for one in OPERATIONS if one not in OPEN]
+OWNED = [one for one in GUARDED if "{" in one[1]]
+ADMIN = ("GET", "/metrics")
+ANY_KEY = ("GET", "/v1/caller")
+
+ALL = frozenset(Scope)
+USUAL = frozenset({Scope.READ, Scope.WRITE})
+
+
+@dataclass
+class Guarded:
+    """A service with keys, and a session with a finished and an unfinished job of the tenant ``theirs``."""
+
+    live: Live
+    ids: dict[str, str]
+    theirs: str
+    mine: str
+
+    def key(self, scopes: frozenset[Scope], tenant: str = "theirs", lifetime_s: float | None = None) -> tuple[Key, str]:
+        return self.live.services.store.create_key(tenant, "test", scopes, lifetime_s)
+
+    def ask(self, method: str, path: str, secret: str | None, **options: Any) -> httpx2.Response:
+        headers = {"Authorization": f"Bearer {secret}"} if secret is not None else {}
+        address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
+        if (method, path) in {("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
+            options.setdefault("files", form())
+        return self.live.client.request(method, address, headers=headers, **options)
+
+
+@pytest.fixture(scope="module")
+def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
+    with running(make_settings(max_json_bytes=64 * 1024)) as live:
+        _, theirs = live.services.store.create_key("theirs", "portal", USUAL)
+        _, mine = live.services.store.create_key("mine", "portal", ALL)
+        live.client.headers["Authorization"] = f"Bearer {theirs}"
+        job_id = live.job_id()
+        live.finish(job_id)
+        session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
+        del live.client.headers["Authorization"]
+        ids = {"session_id": session_id, "job_id": job_id, "name": "person-1.bvh"}
+        yield Guarded(live, ids, theirs, mine)
+
+
+def test_the_contract_says_which_calls_want_a_key() -> None:
+    for method, path in OPERATIONS:
+        operation = CONTRACT["paths"][path][method.lower()]
+        assert ("401" in operation["responses"]) == ((method, path) not in OPEN - {("POST", "/v1/browser-session")})
+        assert bool(operation.get("security")) == ((method, path) not in OPEN)
+
+
+@pytest.mark.parametrize(("method", "path"), GUARDED)
+def test_without_a_valid_key_there_is_nothing(guarded: Guarded, method: str, path: str) -> None:
+    revoked, revoked_secret = guarded.key(ALL)
+    guarded.live.services.store.revoke_key(revoked.id)
+    _, expired_secret = guarded.key(ALL, lifetime_s=-1.0)
+    for secret in (None, revoked_secret, expired_secret, "mc_unknown", "x" * 5000):
+        answer = guarded.ask(method, path, secret)
+        problem_of(answer, 401, "key_required")
+        assert answer.headers["www-authenticate"] == "Bearer"
+
+
+@pytest.mark.parametrize(("method", "path"), [one for one in GUARDED if one != ANY_KEY])
+def test_a_key_that_is_too_weak_is_refused(guarded: Guarded, method: str, path: str) -> None:
+    wanted = Scope.ADMIN if (method, path) == ADMIN else Scope.READ if method == "GET" else Scope.WRITE
+    _, weak = guarded.key(ALL - {wanted})
+    problem_of(guarded.ask(method, path, weak), 403, "scope_missing")
+
+
+@pytest.mark.parametrize(("method", "path"), OWNED)
+def test_what_is_another_tenant_s_is_not_found(guarded: Guarded, method: str, path: str) -> None:
+    problem_of(guarded.ask(method, path, guarded.mine), 404, "not_found")
+
+
+@pytest.mark.parametrize(("method", "path"), [one for one in OWNED if one[0] == "GET" and "events" not in one[1]])
+def test_the_tenant_s_own_is_found(guarded: Guarded, method: str, path: str) -> None:
+    assert guarded.ask(method, path, guarded.theirs).status_code == 200
+
+
+def test_lists_show_the_caller_s_own(guarded: Guarded) -> None:
+    for path, name in (("/v1/sessions", "sessions"), ("/v1/jobs", "jobs")):
+        assert guarded.ask("GET", path, guarded.mine).json()[name] == []
+        assert len(guarded.ask("GET", path, guarded.theirs).json()[name]) == 1
+    answer = guarded.ask("POST", "/v1/sessions", guarded.mine)
+    assert answer.status_code == 201
+    assert (
+        guarded.live.client.get(
+            answer.headers["location"], headers={"Authorization": f"Bearer {guarded.theirs}"}
+        ).status_code
+        == 404
+    )
+    assert guarded.ask("DELETE", answer.headers["location"], guarded.mine).status_code == 204
+
+
+def test_an_upload_without_a_key_is_refused_before_it_is_sent(guarded: Guarded) -> None:
+    head = (
+        b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\n"
+        b"Content-Length: 100000\r\nConnection: close\r\n\r\n"
+    )
+    with socket.create_connection(guarded.live.address[:2], timeout=10) as connection:
+        connection.sendall(head)
+        assert connection.recv(65536).split(b"\r\n")[0].split()[1] == b"401"
+
+
+@pytest.mark.parametrize("header", ["Basic bWM6eA==", "Bearer", "mc_x", "Bearer a b"])
+def test_other_ways_to_authorize_are_refused(guarded: Guarded, header: str) -> None:
+    answer = guarded.live.client.get("/v1/jobs", headers={"Authorization": header})
+    problem_of(answer, 401, "key_required")
+
+
+def test_caller(guarded: Guarded) -> None:
+    caller = guarded.ask("GET", "/v1/caller", guarded.mine).json()
+    assert caller.pop("quotas")["sessions"] == {"used": 0, "limit": None}
+    assert caller == {
+        "tenant": "mine",
+        "name": "portal",
+        "scopes": ["admin", "read", "write"],
+        "expires_at": None,
+    }
+
+
+def test_without_keys_everybody_may_do_everything(live: Live) -> None:
+    caller = live.client.get("/v1/caller").json()
+    del caller["quotas"]
+    assert caller == {
+        "tenant": "default",
+        "name": None,
+        "scopes": ["admin", "read", "write"],
+        "expires_at": None,
+    }
+    problem_of(live.client.get("/v1/jobs", headers={"Authorization": "Bearer mc_x"}), 401, "key_required")
+
+
+class TestBrowser:
+    """A browser that has shown a key has a cookie instead."""
+
+    @pytest.fixture
+    def browser(self, guarded: Guarded) -> Iterator[httpx2.Client]:
+        with httpx2.Client(base_url=guarded.live.client.base_url) as client:
+            client.headers["Origin"] = f"http://{client.base_url.host}:{client.base_url.port}"
+            client.post("/v1/browser-session", json={"key": guarded.theirs}).raise_for_status()
+            yield client
+
+    def test_the_cookie_is_for_this_service_alone(self, guarded: Guarded) -> None:
+        answer = guarded.live.client.post("/v1/browser-session", json={"key": guarded.theirs})
+        guarded.live.client.cookies.clear()
+        attributes = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}
+        assert {"httponly", "samesite=strict", "path=/", "max-age=43200"} <= attributes
+
+    def test_it_does_what_its_key_does(self, guarded: Guarded, browser: httpx2.Client) -> None:
+        assert browser.get("/v1/caller").json()["tenant"] == "theirs"
+        assert browser.get(f"/v1/jobs/{guarded.ids['job_id']}/results/person-1.bvh").status_code == 200
+        session = browser.post("/v1/sessions", files=form()).raise_for_status().json()
+        assert browser.delete(f"/v1/sessions/{session['id']}").status_code == 204
+
+    @pytest.mark.parametrize("origin", [None, "null", "http://localhost", "http://evil.example"])
+    def test_other_pages_change_nothing_by_it(
+        self, guarded: Guarded, browser: httpx2.Client, origin: str | None
+    ) -> None:
+        del browser.headers["Origin"]
+        headers = {} if origin is None else {"Origin": origin}
+        answer = browser.delete(f"/v1/sessions/{guarded.ids['session_id']}", headers=headers)
+        assert answer.status_code == 403
+        assert answer.json()["code"] in {"cross_site_request", "origin_not_allowed"}
+
+    def test_it_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
+        cookies = dict(browser.cookies)
+        assert browser.delete("/v1/browser-session").status_code == 204
+        assert not browser.cookies
+        browser.cookies.update(cookies)
+        problem_of(browser.get("/v1/jobs"), 401, "key_required")
+
+    def test_it_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
+        key, secret = guarded.key(USUAL)
+        browser.post("/v1/browser-session", json={"key": secret}).raise_for_status()
+        assert browser.get("/v1/jobs").status_code == 200
+        guarded.live.services.store.revoke_key(key.id)
+        problem_of(browser.get("/v1/jobs"), 401, "key_required")
+
+    def test_wrong_keys_open_nothing(self, guarded: Guarded) -> None:
+        for key in ("", "mc_", guarded.theirs[:-1]):
+            answer = guarded.live.client.post("/v1/browser-session", json={"key": key})
+            problem_of(answer, 401, "key_required")
+            assert "set-cookie" not in answer.headers
+
+
+def test_pages_of_allowed_origins_may_call(make_settings: Callable[..., Settings]) -> None:
+    portal = "https://portal.example"
+    with running(make_settings(allowed_origins=frozenset({portal}))) as live:
+        asked = {"Origin": portal, "Access-Control-Request-Method": "GET"}
+        answer = live.client.options("/v1/jobs", headers=asked | {"Access-Control-Request-Headers": "authorization"})
+        assert answer.status_code == 200
+        assert answer.headers["access-control-allow-origin"] == portal
+        assert "authorization" in answer.headers["access-control-allow-headers"].lower()
+        assert "access-control-allow-credentials" not in answer.headers
+        answer = live.client.get("/v1/jobs", headers={"Origin": portal})
+        assert (answer.status_code, answer.headers["access-control-allow-origin"]) == (200, portal)
+        problem_of(live.client.get("/v1/jobs", headers={"Origin": "https://else.example"}), 403, "origin_not_allowed")
+
+
+def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[..., Settings]) -> None:
+    settings = make_settings()
+    exposed = settings.model_copy(update={"host": "0.0.0.0"})  # noqa: S104
+    with running(settings) as live:
+        store = live.services.store
+        refuse_strangers(settings, store)
+        with pytest.raises(ExposedError, match="multicap keys create"):
+            refuse_strangers(exposed, store)
+        refuse_strangers(exposed.model_copy(update={"trust_network": True}), store)
+        key, _ = store.create_key("mine", "portal", USUAL)
+        refuse_strangers(exposed, store)
+        store.revoke_key(key.id)
+        refuse_strangers(exposed, store)  # nobody comes in, but nobody comes in unasked
+
+
+def test_the_log_says_who_did_what(
+    guarded: Guarded, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[dict[str, Any]] = []
+    monkeypatch.setattr("api.middleware._log.info", lambda event, **fields: seen.append(fields), raising=False)
+    guarded.ask("GET", "/v1/jobs", guarded.mine)
+    guarded.ask("GET", "/v1/jobs", None)
+    known, unknown = seen
+    assert known["tenant"] == "mine"
+    assert guarded.mine not in str(seen)
+    assert "key" not in unknown
+
+
+def test_the_app_can_be_made_without_touching_anything(make_settings: Callable[..., Settings]) -> None:
+    settings = make_settings(host="0.0.0.0")  # noqa: S104
+    create_app(settings)
+    assert not settings.data_dir.exists()
+
+
+def test_the_audit_says_by_which_key_and_request(guarded: Guarded) -> None:
+    answer = guarded.ask("POST", "/v1/sessions", guarded.mine)
+    session_id = answer.json()["id"]
+    problem_of(guarded.live.client.delete(f"/v1/sessions/{session_id}"), 401, "key_required")
+    deed = guarded.live.services.store.deeds("mine", limit=1)[0]
+    key = guarded.live.services.store.find_key(guarded.mine)
+    assert key is not None
+    assert (deed.act, deed.subject) == ("session-created", session_id)
+    assert (deed.actor.key_id, deed.actor.request_id) == (key.id, answer.headers["x-request-id"])

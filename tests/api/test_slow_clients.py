@@ -1,0 +1,101 @@
+"""Clients that neither send nor take, and those that drip."""
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from api.settings import MIB, Settings
+from tests.api.conftest import Live, form, running
+
+IDLE_S = 1.0
+
+
+@pytest.fixture(scope="module")
+def strict(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+    with running(make_settings(client_idle_s=IDLE_S, client_min_bytes_per_s=500.0)) as live:
+        yield live
+
+
+def head(path: str, length: int, content_type: str = "multipart/form-data; boundary=x") -> bytes:
+    lines = [f"POST {path} HTTP/1.1", "Host: localhost", f"Content-Type: {content_type}", f"Content-Length: {length}"]
+    return "\r\n".join([*lines, "", ""]).encode()
+
+
+def answer_of(connection: socket.socket) -> bytes:
+    """All that comes until the service closes."""
+    received = b""
+    while block := connection.recv(65536):
+        received += block
+    return received
+
+
+@pytest.mark.parametrize(
+    ("path", "content_type"),
+    [("/v1/sessions", "multipart/form-data; boundary=x"), ("/v1/browser-session", "application/json")],
+)
+def test_who_stops_in_the_middle_is_let_go(strict: Live, path: str, content_type: str) -> None:
+    with socket.create_connection(strict.address[:2], timeout=30) as connection:
+        connection.sendall(head(path, 900, content_type) + b"--x\r\n")
+        answer = answer_of(connection)
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert b"client_too_slow" in answer
+    assert strict.kept() == []
+
+
+def test_who_drips_is_let_go(strict: Live) -> None:
+    with socket.create_connection(strict.address[:2], timeout=30) as connection:
+        connection.sendall(head("/v1/sessions", 90_000) + b"--x\r\n")
+        connection.settimeout(0.1)
+        deadline_s = time.monotonic() + 30
+        answer = b""
+        while not answer:
+            assert time.monotonic() < deadline_s
+            connection.sendall(b"x")
+            try:
+                answer = connection.recv(65536)
+            except TimeoutError:
+                continue
+    assert answer.startswith(b"HTTP/1.1 408 ")
+
+
+def test_who_is_slow_but_steady_is_served(strict: Live) -> None:
+    sized = strict.client.build_request("POST", "/v1/sessions", files=form(1, b"v" * 40_000))
+    body = sized.read()
+
+    def slowly() -> Iterator[bytes]:
+        for start in range(0, len(body), 10_000):
+            time.sleep(IDLE_S / 2)
+            yield body[start : start + 10_000]
+
+    headers = {"Content-Type": sized.headers["content-type"]}
+    assert strict.client.post("/v1/sessions", content=slowly(), headers=headers).status_code == 201
+
+
+def test_who_takes_nothing_is_cut_off(strict: Live) -> None:
+    content = b"B" * (64 * MIB)  # more than any buffer on the way
+    job_id = strict.job_id()
+    strict.finish(job_id, content)
+    request = f"GET /v1/jobs/{job_id}/results/person-1.bvh HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    with socket.create_connection(strict.address[:2], timeout=30) as connection:
+        connection.sendall(request.encode())
+        time.sleep(3 * IDLE_S)
+        received = 0
+        try:
+            while block := connection.recv(2**20):
+                received += len(block)
+        except ConnectionResetError:
+            pass
+    assert 0 < received < len(content)
+    assert len(strict.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").content) == len(content)
+
+
+def test_who_only_listens_is_not_slow(strict: Live) -> None:
+    job_id = strict.job_id()
+    with strict.client.stream("GET", f"/v1/jobs/{job_id}/events") as events:
+        lines = events.iter_lines()
+        assert next(lines)
+        time.sleep(2 * IDLE_S)
+        strict.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
+        assert any('"state":"canceled"' in line.replace(" ", "") for line in lines)

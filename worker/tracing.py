@@ -1,0 +1,79 @@
+"""Traces by OpenTelemetry, from a request to the chunks of its job; off unless somebody collects them.
+
+The standard variables say where to: ``OTEL_EXPORTER_OTLP_ENDPOINT`` turns traces on; ``OTEL_SERVICE_NAME``,
+``OTEL_TRACES_SAMPLER`` and the others mean what they mean everywhere.
+"""
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+
+from opentelemetry import trace
+from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+from opentelemetry.propagate import extract, inject
+from opentelemetry.sdk.resources import SERVICE_NAME, Resource
+from opentelemetry.sdk.trace import TracerProvider
+from opentelemetry.sdk.trace.export import BatchSpanProcessor
+from opentelemetry.trace import Link, Span, SpanKind
+
+from worker.jobs.model import Claim
+
+_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
+
+_tracer = trace.get_tracer("multicap")
+
+
+def is_wanted() -> bool:
+    """Whether somebody collects traces."""
+    return any(os.environ.get(name) for name in _ENDPOINTS)
+
+
+def start(service_name: str) -> None:
+    """Send this process's spans from now on, if somebody collects them. After a fork each process calls it."""
+    if is_wanted():
+        named = "OTEL_SERVICE_NAME" in os.environ
+        resource = Resource.create() if named else Resource.create({SERVICE_NAME: service_name})
+        provider = TracerProvider(resource=resource)
+        provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+        trace.set_tracer_provider(provider)
+
+
+def stop() -> None:
+    """Send what is left."""
+    provider = trace.get_tracer_provider()
+    if isinstance(provider, TracerProvider):
+        provider.shutdown()
+
+
+def current() -> str | None:
+    """W3C traceparent of what this thread is doing; ``None`` if that is part of no trace."""
+    carrier: dict[str, str] = {}
+    inject(carrier)
+    return carrier.get("traceparent")
+
+
+@contextlib.contextmanager
+def message_span(headers: Mapping[str, str]) -> Iterator[None]:
+    """Trace the work that a message causes, as a part of the trace that published it."""
+    with _tracer.start_as_current_span("work", context=extract(headers), kind=SpanKind.CONSUMER):
+        yield
+
+
+@contextlib.contextmanager
+def chunk_span(claim: Claim) -> Iterator[Span]:
+    """Trace a chunk, as a part of the trace that made its job, with a link to the message that woke the worker."""
+    woken_by = trace.get_current_span().get_span_context()
+    with _tracer.start_as_current_span(
+        claim.stage,
+        context=extract({"traceparent": claim.trace} if claim.trace else {}),
+        links=[Link(woken_by)] if woken_by.is_valid else [],
+        attributes={
+            "multicap.session": claim.session_id,
+            "multicap.job": claim.job_id,
+            "multicap.stage": claim.stage,
+            "multicap.chunk": claim.index,
+            "multicap.chunk_try": claim.attempt,
+            "multicap.units": claim.unit_count,
+        },
+    ) as span:
+        yield span
