@@ -1,7 +1,11 @@
 """The page at ``/`` in a real browser: the real sample from the form to the downloaded files."""
 
+import contextlib
 import hashlib
+import json
 import shutil
+import subprocess
+import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +14,7 @@ import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
 from pipeline.samples import Sample
-from tests.e2e.serving import Served, digests
+from tests.e2e.serving import Served, digests, serving
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -18,20 +22,27 @@ pytestmark = pytest.mark.xdist_group("sample")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
 
 
-@pytest.fixture
-def page(served: Served) -> Iterator[Page]:
+@contextlib.contextmanager
+def opened(url: str) -> Iterator[Page]:
+    """The page in a new browser; in the end that no script has failed."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("there is no chromium (`make browser` installs it on Debian)")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = browser.new_page(base_url=str(served.client.base_url))
+        page = browser.new_page(base_url=url)
         complaints: list[str] = []
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.goto("/")
         yield page
         browser.close()
     assert complaints == []
+
+
+@pytest.fixture
+def page(served: Served) -> Iterator[Page]:
+    with opened(str(served.client.base_url)) as page:
+        yield page
 
 
 def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, results: Path) -> None:
@@ -42,6 +53,8 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
     expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
     expect(job.get_by_text("Done", exact=True)).to_be_visible(timeout=240_000)
+    # The files of a job that is done are asked for then: they stand there an answer later.
+    expect(job.get_by_role("link", name="All as ZIP")).to_be_visible()
     found, packed = {}, {}
     for link in job.get_by_role("link").all():
         with page.expect_download() as download:
@@ -86,3 +99,36 @@ def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_pat
     expect(problems).to_contain_text("broken.mp4", timeout=60_000)
     expect(problems).to_contain_text("calibration.toml")
     expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
+
+
+def make_key(data_dir: Path, *options: str) -> str:
+    command = [sys.executable, "-m", "api.cli", "keys", "create", "portal", "--tenant", "studio", "--json"]
+    made = subprocess.run([*command, "--data", str(data_dir), *options], capture_output=True, text=True, check=True)
+    return str(json.loads(made.stdout)["key"])
+
+
+def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
+    secret, reading = make_key(tmp_path), make_key(tmp_path, "--scope", "read")
+    with serving(tmp_path) as served, opened(str(served.client.base_url)) as page:
+        sending = page.get_by_role("heading", name="New capture")
+        expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+        expect(sending).to_be_hidden()
+        page.get_by_label("Key").fill("mc_wrong")
+        page.get_by_role("button", name="Sign in").click()
+        expect(page.get_by_role("alert")).to_contain_text("not known")
+        page.get_by_label("Key").fill(secret)
+        page.get_by_role("button", name="Sign in").click()
+        expect(sending).to_be_visible()
+        expect(page.get_by_text("portal, studio")).to_be_visible()
+        expect(page.get_by_text("No jobs yet")).to_be_visible()
+        page.reload()
+        expect(sending).to_be_visible()
+        assert page.evaluate("document.cookie") == ""
+        page.get_by_role("button", name="Sign out").click()
+        expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+        page.reload()
+        expect(sending).to_be_hidden()
+        page.get_by_label("Key").fill(reading)
+        page.get_by_role("button", name="Sign in").click()
+        expect(page.get_by_text("No jobs yet")).to_be_visible()
+        expect(sending).to_be_hidden()
