@@ -1,6 +1,8 @@
 """A migrated store on each database, and jobs of two stages on it."""
 
+import contextlib
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,20 +87,71 @@ def postgres_url() -> Iterator[str]:
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """An empty database of our own."""
-    if request.param == "sqlite":
-        yield f"sqlite:///{tmp_path / 'jobs.db'}"
-        return
-    server_url = sa.make_url(request.getfixturevalue("postgres_url")).set(drivername="postgresql+psycopg")
-    url = server_url.set(database=f"multicap_test_{uuid_utils.uuid4().hex}")
-    server = sa.create_engine(server_url, isolation_level="AUTOCOMMIT")
+def backend(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="session")
+def postgres(postgres_url: str) -> Iterator[sa.Engine]:
+    """The server, for who makes databases and drops them."""
+    url = sa.make_url(postgres_url).set(drivername="postgresql+psycopg")
+    server = sa.create_engine(url, isolation_level="AUTOCOMMIT")
+    yield server
+    server.dispose()
+
+
+@contextlib.contextmanager
+def postgres_database(server: sa.Engine, template: str = "template1") -> Iterator[str]:
+    """A database of our own, a copy of another."""
+    url = server.url.set(database=f"multicap_test_{uuid_utils.uuid4().hex}")
     with server.connect() as connection:
-        connection.execute(sa.text(f"CREATE DATABASE {url.database}"))
+        connection.execute(sa.text(f"CREATE DATABASE {url.database} TEMPLATE {template}"))
     yield url.render_as_string(hide_password=False)
     with server.connect() as connection:
         connection.execute(sa.text(f"DROP DATABASE {url.database} WITH (FORCE)"))
-    server.dispose()
+
+
+def migrate(url: str) -> None:
+    store = JobStore(url)
+    store.migrate()
+    store.close()
+
+
+@pytest.fixture(scope="session")
+def migrated_postgres(postgres: sa.Engine) -> Iterator[str]:
+    """Name of a database with the schema and nothing in it: a copy is made faster than all migrations."""
+    with postgres_database(postgres) as url:
+        migrate(url)
+        yield str(sa.make_url(url).database)
+
+
+@pytest.fixture(scope="session")
+def migrated_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Likewise a file."""
+    path = tmp_path_factory.mktemp("migrated") / "jobs.db"
+    migrate(f"sqlite:///{path}")
+    return path
+
+
+@pytest.fixture
+def empty_database_url(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """A database of our own without anything."""
+    if backend == "sqlite":
+        yield f"sqlite:///{tmp_path / 'empty.db'}"
+        return
+    with postgres_database(request.getfixturevalue("postgres")) as url:
+        yield url
+
+
+@pytest.fixture
+def database_url(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """A database of our own with the schema."""
+    if backend == "sqlite":
+        yield f"sqlite:///{shutil.copy(request.getfixturevalue('migrated_sqlite'), tmp_path / 'jobs.db')}"
+        return
+    server, template = request.getfixturevalue("postgres"), request.getfixturevalue("migrated_postgres")
+    with postgres_database(server, template) as url:
+        yield url
 
 
 @pytest.fixture
@@ -118,5 +171,4 @@ def new_store(database_url: str) -> Iterator[Callable[[], JobStore]]:
 @pytest.fixture
 def jobs(database_url: str, new_store: Callable[[], JobStore]) -> Bench:
     store = new_store()
-    store.migrate()
     return Bench(database_url, store, new_session(store))

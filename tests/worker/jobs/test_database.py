@@ -1,5 +1,4 @@
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,18 +28,21 @@ def test_migrating_again_keeps_what_is_there(jobs: Bench) -> None:
     assert jobs.store.job(job.id) == job
 
 
-def test_several_may_migrate_at_once(new_store: Callable[[], JobStore]) -> None:
-    stores = [new_store() for _ in range(6)]
+def test_several_may_migrate_at_once(empty_database_url: str) -> None:
+    stores = [JobStore(empty_database_url) for _ in range(6)]
     with ThreadPoolExecutor(len(stores)) as pool:
         list(pool.map(JobStore.migrate, stores))
     assert all(store.ping() for store in stores)
+    for store in stores:
+        store.close()
 
 
-def test_ping_wants_the_schema(new_store: Callable[[], JobStore]) -> None:
-    store = new_store()
+def test_ping_wants_the_schema(empty_database_url: str) -> None:
+    store = JobStore(empty_database_url)
     assert not store.ping()
     store.migrate()
     assert store.ping()
+    store.close()
 
 
 def test_ping_of_a_database_that_is_away(tmp_path: Path) -> None:
