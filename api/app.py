@@ -14,16 +14,21 @@ from api import contract, errors
 from api.dependencies import Services
 from api.events import JobChanges
 from api.metrics import RequestMetrics
-from api.middleware import ForeignPageGuard, RequestContext, SlowClientGuard
+from api.middleware import ForeignPageGuard, RequestContext, SlowClientGuard, TusProtocol
 from api.preflight import Preflight
 from api.rates import Rates
-from api.routes import callers, events, health, jobs, page, results, sessions
+from api.routes import callers, events, health, jobs, page, results, sessions, uploads
 from api.settings import Settings
+from api.uploads import UploadSpool
 from worker.jobs.artifacts import LocalArtifacts
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 
-_EXPOSED_HEADERS = ["Content-Disposition", "Content-Range", "ETag", "Location", "Retry-After", "X-Request-ID"]
+_EXPOSED_HEADERS = [
+    *("Content-Disposition", "Content-Range", "ETag", "Location", "Retry-After", "X-Request-ID"),
+    *("Tus-Checksum-Algorithm", "Tus-Extension", "Tus-Max-Size", "Tus-Resumable", "Tus-Version"),
+    *("Upload-Expires", "Upload-Length", "Upload-Metadata", "Upload-Offset"),
+]
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -44,9 +49,9 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.metrics = RequestMetrics()
     app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
-    for router in (sessions.router, jobs.router, jobs.small, events.router, results.router):
+    for router in (uploads.router, sessions.router, jobs.router, jobs.small, events.router, results.router):
         app.include_router(router, responses=contract.problems(401, 429))
-    for router in (callers.router, health.router, page.router):
+    for router in (uploads.described, callers.router, health.router, page.router):
         app.include_router(router)
     errors.install(app)
     # What a browser may do for pages from elsewhere: never with a cookie.
@@ -62,6 +67,7 @@ def create_app(settings: Settings) -> FastAPI:
         allowed_hosts=_LOOPBACK_NAMES | settings.allowed_hosts | {settings.host},
         allowed_origins=settings.allowed_origins,
     )
+    app.add_middleware(TusProtocol, prefix="/v1/uploads", version=uploads.VERSION)
     app.add_middleware(SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s)
     app.add_middleware(RequestContext, metrics=app.state.metrics)
     return app
@@ -84,9 +90,13 @@ def refuse_strangers(settings: Settings, store: JobStore) -> None:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     services = await run_in_threadpool(_start, app.state.settings)
     app.state.services = services
-    poller = asyncio.create_task(services.changes.poll())
+    tasks = [
+        asyncio.create_task(services.changes.poll()),
+        asyncio.create_task(services.uploads.sweep_forever(services.store)),
+    ]
     yield
-    poller.cancel()
+    for task in tasks:
+        task.cancel()
     services.queue.close()
     services.store.close()
 
@@ -98,10 +108,13 @@ def _start(settings: Settings) -> Services:
     store = JobStore(settings.resolved_database_url)
     store.migrate()
     refuse_strangers(settings, store)
+    uploads = UploadSpool(settings.uploads_dir)
+    uploads.remove_pieces()
     return Services(
         settings=settings,
         store=store,
         artifacts=LocalArtifacts(settings.artifacts_dir),
+        uploads=uploads,
         queue=WorkQueue(settings.broker_url),
         preflight=Preflight(
             settings.preflight_command,

@@ -1,5 +1,6 @@
 """What the routes declare of themselves in OpenAPI: their errors, their forms."""
 
+from collections.abc import Collection
 from typing import Any
 
 from fastapi import FastAPI
@@ -10,7 +11,7 @@ from pydantic.json_schema import JsonSchemaMode
 from api import examples
 from api.errors import ErrorItem, ProblemDetails
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS
-from api.schemas import Manifest
+from api.schemas import Manifest, UploadedCapture, UploadedSession
 from worker.jobs.spec import JobSpec
 
 _SCHEMA_REF = "#/components/schemas/{model}"
@@ -24,14 +25,17 @@ _MEANINGS = {
     408: "The request comes too slowly.",
     409: "Its state does not allow it.",
     410: "It was there, and was removed.",
+    412: "Not the version of the upload protocol that is spoken here.",
     413: "Larger than the service takes.",
     415: "Not a type of content that is taken here.",
     416: "The file has no such range.",
     422: "All that is wrong with the request.",
+    423: "Another request writes to it.",
+    460: "The piece is not what it was when it was sent.",
     429: "The tenant has as many jobs as it may have, or makes too many requests.",
     500: "The service failed.",
     503: "A part of the service is away.",
-    507: "The service's disk is full; nothing was kept.",
+    507: "The service's disk is full; of a form nothing was kept.",
 }
 
 Responses = dict[int | str, dict[str, Any]]
@@ -47,8 +51,8 @@ def problems(*statuses: int) -> Responses:
     return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
 
 
-def form_body(*documents: str) -> dict[str, Any]:
-    """Declare a form of videos or keypoints, a calibration and some JSON parts."""
+def session_body(*documents: str) -> dict[str, Any]:
+    """Declare a form of videos or keypoints, a calibration and some JSON parts, or JSON that names uploads instead."""
     # The way of OpenAPI 3.0, which generators of clients know; 3.1's says the same to others.
     file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
     parts = {part: {"$ref": _SCHEMA_REF.format(model=_DOCUMENTS[part].__name__)} for part in documents}
@@ -81,10 +85,22 @@ def form_body(*documents: str) -> dict[str, Any]:
                         CALIBRATION: "calibration.toml",
                         **{part: examples.DOCUMENTS[part] for part in documents},
                     },
-                }
+                },
+                "application/json": {
+                    "schema": {"$ref": _SCHEMA_REF.format(model=_uploaded(documents).__name__)},
+                    "example": {
+                        VIDEOS: examples.UPLOAD_IDS[:2],
+                        CALIBRATION: examples.UPLOAD_IDS[2],
+                        **{part: examples.DOCUMENTS[part] for part in documents},
+                    },
+                },
             },
         }
     }
+
+
+def _uploaded(documents: Collection[str]) -> type[BaseModel]:
+    return UploadedCapture if "spec" in documents else UploadedSession
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
@@ -95,7 +111,8 @@ def describe(app: FastAPI) -> dict[str, Any]:
         models = schema["components"]["schemas"]
         for model in (ErrorItem, ProblemDetails):
             models.setdefault(model.__name__, _described(model, "serialization"))
-        for part_model in _DOCUMENTS.values():
+        sent: list[type[BaseModel]] = [*_DOCUMENTS.values(), UploadedSession, UploadedCapture]
+        for part_model in sent:
             models.setdefault(part_model.__name__, _described(part_model, "validation"))
         schema["components"] = {
             "examples": {name: {"value": value} for name, value in examples.ANSWERS.items()},

@@ -12,6 +12,7 @@ from api.form import Limits
 from api.preflight import Preflight
 from api.rates import Rates
 from api.settings import Settings
+from api.uploads import UploadSpool
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.errors import NotFound
 from worker.jobs.queue import WorkQueue
@@ -28,6 +29,7 @@ class Services:
     settings: Settings
     store: JobStore
     artifacts: ArtifactStore
+    uploads: UploadSpool
     queue: WorkQueue
     preflight: Preflight
     # Checks wait for each other without holding the threads that serve everyone else.
@@ -42,6 +44,7 @@ class Services:
             sessions=self.settings.max_tenant_sessions,
             unfinished_jobs=self.settings.max_tenant_unfinished_jobs,
             stored_bytes=self.settings.max_tenant_bytes,
+            uploads=self.settings.max_tenant_uploads,
         )
 
     @property
@@ -79,8 +82,13 @@ def _canonical(value: str, kind: str) -> str:
         raise NotFound(f"There is no such {kind}.") from None
 
 
+def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", json_schema_extra=_UUID)]) -> str:
+    return _canonical(upload_id, "upload")
+
+
 ServicesDep = Annotated[Services, Depends(services_of)]
 SessionId = Annotated[str, Depends(_session_id)]
 JobId = Annotated[str, Depends(_job_id)]
+UploadId = Annotated[str, Depends(_upload_id)]
 Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]
 Cursor = Annotated[uuid.UUID | None, Query(description="`next_cursor` of the page before.")]

@@ -38,6 +38,8 @@ _CODES: Mapping[int, str] = {
     413: "content_too_large",
     415: "unsupported_media_type",
 }
+# Of the upload protocol; HTTP knows no such status.
+_TITLES: Mapping[int, str] = {460: "Checksum Mismatch"}
 _DETAILS: Mapping[int, str] = {
     400: "The request can't be read.",
     404: "There is nothing at this address.",
@@ -142,10 +144,15 @@ def pointer_to(*steps: str | int) -> str:
     return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
 
 
+def title_of(status: int) -> str:
+    """A status in words."""
+    return _TITLES.get(status) or HTTPStatus(status).phrase
+
+
 def problem_response(request: Request, error: ApiError) -> Response:
     """Render a problem."""
     problem = ProblemDetails(
-        title=HTTPStatus(error.status).phrase,
+        title=title_of(error.status),
         status=error.status,
         detail=error.detail,
         instance=request.scope["path"],
@@ -264,6 +271,6 @@ def _from_failure(error: Exception) -> ApiError:
         case OperationalError() | PoolTimeoutError():
             return service_away("database_unavailable", "The database is away.")
         case OSError() if error.errno in _DISK_FULL:
-            return ApiError(507, "storage_full", "The service's disk is full; nothing was kept.", retryable=True)
+            return ApiError(507, "storage_full", "The service's disk is full.", retryable=True)
         case _:
             return ApiError(500, "internal_error", "The service failed; the log says why.", retryable=True)

@@ -1,12 +1,15 @@
 """Examples of the contract: one capture on its way through the service."""
 
 import json
-from http import HTTPStatus
 from typing import Any
+
+from api.errors import title_of
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
 _SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+
+UPLOAD_IDS = [f"01890a5c-7c1e-7a4b-8f00-00000000000{index}" for index in range(3)]
 
 DOCUMENTS: dict[str, Any] = {
     "manifest": {"name": "Handshake, take 3"},
@@ -157,6 +160,7 @@ ANSWERS: dict[str, dict[str, Any]] = {
             "sessions": {"used": 12, "limit": 100},
             "unfinished_jobs": {"used": 1, "limit": 4},
             "stored_bytes": {"used": 52428800000, "limit": None},
+            "uploads": {"used": 0, "limit": None},
         },
     },
     "Health": {"status": "ok"},
@@ -174,14 +178,17 @@ _PROBLEMS: dict[int, tuple[str, str]] = {
     408: ("client_too_slow", "The body comes too slowly. Send it again over a better line."),
     409: ("conflict", "The job's state does not allow it."),
     410: ("expired", "The file was removed."),
+    412: ("tus_version", "The service speaks tus 1.0.0."),
     413: ("content_too_large", "The session is larger than the service takes."),
     415: ("unsupported_media_type", "A session is sent as multipart/form-data."),
     416: ("range_not_satisfiable", "The file has no such range."),
     422: ("invalid_request", "One thing is wrong with the request."),
+    423: ("upload_locked", "Another request writes to this upload."),
+    460: ("checksum_mismatch", "The piece is not what it was when it was sent."),
     429: ("too_many_requests", "At most 600 requests a minute are allowed."),
     500: ("internal_error", "The service failed; the log says why."),
     503: ("database_unavailable", "The database is away."),
-    507: ("storage_full", "The service's disk is full; nothing was kept."),
+    507: ("storage_full", "The service's disk is full."),
 }
 _TRUNCATED: dict[str, Any] = {
     "code": "video_truncated",
@@ -199,7 +206,7 @@ def problem(status: int) -> dict[str, Any]:
     code, detail = _PROBLEMS[status]
     return {
         "type": "about:blank",
-        "title": HTTPStatus(status).phrase,
+        "title": title_of(status),
         "status": status,
         "detail": detail,
         "instance": f"/v1/jobs/{_JOB_ID}",
@@ -208,6 +215,6 @@ def problem(status: int) -> dict[str, Any]:
         "camera": None,
         "stage": None,
         "hint": None,
-        "retryable": status in {408, 429, 500, 503, 507},
+        "retryable": status in {408, 423, 429, 460, 500, 503, 507},
         "request_id": "01890a60-7f10-7cc3-8d4e-0a1b2c3d4e5f",
     }

@@ -118,7 +118,9 @@ class Parts:
         self._write = _discard
         if part in self._files:
             self._max_bytes = self._max_file_bytes[part]
-            self._begin_file(part, file_name or "")
+            if self._admit(part, self._file_name):
+                self._open = _OpenFile(self._file_name, (self._folder / self._file_name).open("xb"))
+                self._write = self._open.write
         elif part in self._document_names and part not in self._documents:
             self._write = self._documents.setdefault(part, bytearray()).extend
         elif part in self._documents:
@@ -143,13 +145,35 @@ class Parts:
             self._files[self._part].append(self._open.close())
             self._open = None
 
+    def adopt(self, part: str, name: str, source: Path) -> None:
+        """Take in a file that is there already, by a name of its own in the folder; ``source`` stays."""
+        self._part, self._max_bytes = part, self._max_file_bytes[part]
+        num_bytes = source.stat().st_size
+        self._total_bytes += num_bytes
+        if num_bytes > self._max_bytes:
+            raise too_large("part", self._max_bytes, part, name)
+        if self._total_bytes > self._limits.max_session_bytes:
+            raise too_large("session", self._limits.max_session_bytes)
+        if self._admit(part, name):
+            path = self._folder / name
+            path.hardlink_to(source)
+            with path.open("rb") as file:
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            self._files[part].append(ReceivedFile(name, path, num_bytes, sha256))
+
+    def lack(self, part: str, code: str, message: str, hint: str, file: str | None = None) -> None:
+        """Note that a file of a part is not there as it should be."""
+        self._errors.append(
+            ErrorItem(code=code, message=message, pointer=self._next_pointer(part), file=file, hint=hint)
+        )
+
     def form(self) -> Form:
         """All parts, once the body has ended."""
         if not any(self._counts[part] for part in VIEWS):
-            message = "The form has no videos and no keypoints: a session needs either."
+            message = "There are no videos and no keypoints: a session needs either."
             self._blame("missing_part", message, f"/{VIDEOS}")
         if not self._counts[CALIBRATION]:
-            message = "The form has no calibration: a session needs one."
+            message = "There is no calibration: a session needs one."
             self._blame("missing_part", message, f"/{CALIBRATION}")
         if self._counts[VIDEOS]:
             for part in (KEYPOINTS, TIMESTAMPS):
@@ -171,10 +195,9 @@ class Parts:
                 self._open.file.close()
             self._open = None
 
-    def _begin_file(self, part: str, name: str) -> None:
-        index = self._counts[part]
-        self._counts[part] += 1
-        pointer = f"/{part}/{index}" if part in VIEWS else f"/{part}"
+    def _admit(self, part: str, name: str) -> bool:
+        """Whether a file becomes the session's; if not, why is noted."""
+        index, pointer = self._counts[part], self._next_pointer(part)
         if part in VIEWS and index >= self._limits.max_videos:
             if index == self._limits.max_videos:
                 self._blame(f"too_many_{part}", f"A session has {self._limits.max_videos} {part} at most.", pointer)
@@ -186,8 +209,14 @@ class Parts:
             self._blame("duplicate_file_name", "Two files of the session have this name.", pointer, name)
         else:
             self._names.add(_folded(name))
-            self._open = _OpenFile(name, (self._folder / name).open("xb"))
-            self._write = self._open.write
+            return True
+        return False
+
+    def _next_pointer(self, part: str) -> str:
+        """Count a file of a part; returns where it is."""
+        index = self._counts[part]
+        self._counts[part] += 1
+        return f"/{part}/{index}" if part in VIEWS else f"/{part}"
 
     def _blame(self, code: str, message: str, pointer: str | None, file: str | None = None) -> None:
         self._errors.append(ErrorItem(code=code, message=message, pointer=pointer, file=file))

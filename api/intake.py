@@ -1,8 +1,8 @@
-"""From a form to a session: receive, check, keep. All or nothing."""
+"""From a form, or from uploads, to a session: receive, check, keep. All or nothing."""
 
 import contextlib
 import shutil
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
@@ -14,14 +14,16 @@ from opentelemetry import trace
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 
+from api.bodies import announced_bytes, limited
 from api.dependencies import Services
-from api.errors import ErrorItem, unprocessable, validation_items
-from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, ReceivedFile
-from api.multipart import announced_bytes, receive_form
+from api.errors import ApiError, ErrorItem, pointer_to, unprocessable, validation_items
+from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
+from api.multipart import receive_form
 from api.preflight import InvalidFilesError
-from api.schemas import Manifest
+from api.schemas import Manifest, UploadedCapture, UploadedSession
 from worker.jobs.artifacts import input_key, record_key, session_prefix
-from worker.jobs.model import InputFile, Session
+from worker.jobs.errors import NotFound
+from worker.jobs.model import InputFile
 from worker.jobs.records import Records
 from worker.jobs.spec import JobSpec
 
@@ -33,54 +35,102 @@ _KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
 _tracer = trace.get_tracer("multicap")
 
 _Model = TypeVar("_Model", bound=BaseModel)
+_Recorded = TypeVar("_Recorded")
 
 
 @dataclass(frozen=True, slots=True)
-class Intake:
-    """A session that is in the store, and the reconstruction that was asked for with it."""
+class Arrival:
+    """What a client sent.
 
-    session: Session
+    Parameters
+    ----------
+    manifest, spec
+        ``None`` where they are wrong; ``errors`` then says why.
+    upload_ids
+        What the files were before.
+    """
+
+    form: Form
+    manifest: Manifest | None
+    spec: JobSpec | None
+    errors: tuple[ErrorItem, ...] = ()
+    upload_ids: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class NewSession:
+    """A session that is in the artifact store and not in the database yet, and how it is to be reconstructed."""
+
+    id: str
+    name: str
+    files: tuple[InputFile, ...]
+    preflight: Mapping[str, Any]
+    upload_ids: tuple[str, ...]
     spec: JobSpec
 
 
-async def take_in(request: Request, services: Services, records: Records, documents: frozenset[str]) -> Intake:
-    """Receive a form, check it with its files, and make it a session.
+async def take_in(
+    request: Request,
+    services: Services,
+    records: Records,
+    documents: frozenset[str],
+    record: Callable[[NewSession], _Recorded],
+) -> _Recorded:
+    """Receive a session as a form, or as JSON that names uploads; check it, keep it, record it.
 
     Parameters
     ----------
     records
         Whose session it becomes.
     documents
-        JSON parts that the form may have: ``manifest``, ``spec``.
+        Its JSON parts: ``manifest``, and ``spec`` if it is to be reconstructed at once.
+    record
+        Writes it to the database.
 
     Raises
     ------
     ApiError
-        If anything is wrong; then nothing is kept.
+        If anything is wrong; then nothing is kept, but uploads stay.
     """
-    await run_in_threadpool(records.require_room, announced_bytes(request))
+    names_uploads = request.headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
+    to_come = 0 if names_uploads else announced_bytes(request)
+    await run_in_threadpool(records.require_room, to_come, unfinished_jobs=int(SPEC in documents))
     async with _folder(services.settings.spool_dir) as folder:
-        form = await receive_form(request, folder, services.limits, documents)
-        manifest, manifest_errors = _document(form, MANIFEST, Manifest)
-        spec, spec_errors = _document(form, SPEC, JobSpec)
-        errors = [*form.errors, *manifest_errors, *spec_errors]
+        if names_uploads:
+            arrival = await _receive_uploads(request, folder, services, records, documents)
+        else:
+            arrival = _parsed(await receive_form(request, folder, services.limits, documents))
+        form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
         preflight: Mapping[str, Any] = {}
-        record = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
+        record_path = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
         if not form.errors:
             try:
                 with _tracer.start_as_current_span("preflight"):
                     preflight = await anyio.to_thread.run_sync(
                         services.preflight.check,
-                        _arguments(form, manifest or Manifest()),
-                        record,
+                        _arguments(form, arrival.manifest or Manifest()),
+                        record_path,
                         limiter=services.preflight_limiter,
                     )
             except InvalidFilesError as invalid:
                 errors.extend(_located(item, form) for item in invalid.errors)
-        if errors or manifest is None or spec is None:
+        if preflight and arrival.spec:
+            errors.extend(spec_errors(arrival.spec, preflight, SPEC))
+        if errors or arrival.manifest is None or arrival.spec is None:
             raise unprocessable(errors)
-        session = await run_in_threadpool(_keep, services, records, form, manifest, preflight, record)
-    return Intake(session, spec)
+        return await run_in_threadpool(
+            _keep, services, arrival, arrival.manifest, arrival.spec, preflight, record_path, record
+        )
+
+
+def spec_errors(spec: JobSpec, preflight: Mapping[str, Any], *field: str) -> list[ErrorItem]:
+    """What of a spec can't be done with a session; ``field`` is where the spec is in what the client sent."""
+    timebase = preflight["timebase"]
+    problems = spec.problems(timebase["num_frames"], timebase["frame_rate_hz"])
+    return [
+        ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
+        for name, (code, message) in problems.items()
+    ]
 
 
 @contextlib.asynccontextmanager
@@ -95,12 +145,58 @@ async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
             await run_in_threadpool(shutil.rmtree, folder)
 
 
+def _parsed(form: Form) -> Arrival:
+    """A form with its JSON parts parsed."""
+    manifest, manifest_errors = _document(form, MANIFEST, Manifest)
+    spec, spec_problems = _document(form, SPEC, JobSpec)
+    return Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
+
+
 def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
     """Parse a JSON part; without it, all is as by default."""
     try:
         return model.model_validate_json(form.documents.get(part, b"{}")), []
     except ValidationError as error:
         return None, list(validation_items(error.errors(), f"/{part}"))
+
+
+async def _receive_uploads(
+    request: Request, folder: Path, services: Services, records: Records, documents: frozenset[str]
+) -> Arrival:
+    body = await limited(request, services.settings.max_json_bytes).body()
+    try:
+        sent = (UploadedCapture if SPEC in documents else UploadedSession).model_validate_json(body)
+    except ValidationError as error:
+        if any(detail["type"] == "json_invalid" for detail in error.errors()):
+            raise ApiError(400, "malformed_json", "The body is not JSON.") from None
+        raise unprocessable(list(validation_items(error.errors()))) from None
+    # Large files are read once, for their digests, in the turn of the checks.
+    form, upload_ids = await anyio.to_thread.run_sync(
+        _adopt, services, records, folder, sent, limiter=services.preflight_limiter
+    )
+    spec = sent.spec if isinstance(sent, UploadedCapture) else JobSpec()
+    return Arrival(form, sent.manifest, spec, upload_ids=upload_ids)
+
+
+def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSession) -> tuple[Form, tuple[str, ...]]:
+    """Take in the files of uploads, which stay where they are."""
+    parts = Parts(folder, services.limits, frozenset())
+    named = [(VIDEOS, one) for one in sent.videos] + [(KEYPOINTS, one) for one in sent.keypoints]
+    named += [(part, one) for part, one in ((CALIBRATION, sent.calibration), (TIMESTAMPS, sent.timestamps)) if one]
+    for part, upload_id in named:
+        try:
+            upload = records.upload(str(upload_id))
+            num_bytes = services.uploads.offset(upload.id)
+        except NotFound:
+            message = "There is no such upload."
+            parts.lack(part, "upload_unknown", message, "It may have been used, or its time is over: send it again.")
+            continue
+        if num_bytes < upload.num_bytes:
+            message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."
+            parts.lack(part, "upload_unfinished", message, "Send the rest of it first.", upload.name)
+        else:
+            parts.adopt(part, upload.name, services.uploads.path(upload.id))
+    return parts.form(), tuple(sorted({str(upload_id) for _, upload_id in named}))
 
 
 def _files(form: Form) -> dict[str, ReceivedFile]:
@@ -132,23 +228,33 @@ def _located(item: ErrorItem, form: Form) -> ErrorItem:
 
 
 def _keep(
-    services: Services, records: Records, form: Form, manifest: Manifest, preflight: Mapping[str, Any], record: Path
-) -> Session:
+    services: Services,
+    arrival: Arrival,
+    manifest: Manifest,
+    spec: JobSpec,
+    preflight: Mapping[str, Any],
+    record_path: Path,
+    record: Callable[[NewSession], _Recorded],
+) -> _Recorded:
     """Move the files to the artifact store, then say so in the database; neither without the other.
 
     Whoever is killed in between has announced them, so that they go.
     """
     session_id = services.store.announce_session()
-    received = [(_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(form).items()]
-    files = [_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(received)]
+    received = [
+        (_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(arrival.form).items()
+    ]
+    files = tuple(_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(received))
     with contextlib.ExitStack() as undo:
         undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
-        services.artifacts.put_file(record_key(session_id), record)
-        session = records.create_session(manifest.name, files, preflight, session_id)
+        services.artifacts.put_file(record_key(session_id), record_path)
+        recorded = record(NewSession(session_id, manifest.name, files, preflight, arrival.upload_ids, spec))
         undo.pop_all()
-    return session
+    for upload_id in arrival.upload_ids:
+        services.uploads.remove(upload_id)
+    return recorded
 
 
 def _input_file(session_id: str, index: int, kind: str, file: ReceivedFile) -> InputFile:

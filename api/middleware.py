@@ -140,6 +140,40 @@ def _too_slow() -> HTTPException:
     return HTTPException(HTTPStatus.REQUEST_TIMEOUT, headers={"Connection": "close"})
 
 
+class TusProtocol:
+    """What tus asks of every request to an upload: a method by another name, and the version with every answer.
+
+    Parameters
+    ----------
+    prefix
+        Of the addresses of uploads.
+    version
+        Of the protocol.
+    """
+
+    def __init__(self, app: ASGIApp, prefix: str, version: str) -> None:
+        self._app = app
+        self._prefix = prefix
+        self._version = version
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] != "http" or not scope["path"].startswith(self._prefix):
+            await self._app(scope, receive, send)
+            return
+
+        async def send_versioned(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message)["Tus-Resumable"] = self._version
+            await send(message)
+
+        # There are proxies and browsers that know no PATCH. Everything behind this sees the method that is meant.
+        method = Headers(scope=scope).get("x-http-method-override", "").upper()
+        if scope["method"] == "POST" and method in _METHODS:
+            scope["method"] = method
+        await self._app(scope, receive, send_versioned)
+
+
 class ForeignPageGuard:
     """Refuse what a web page from elsewhere makes a browser send.
 

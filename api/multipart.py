@@ -3,7 +3,6 @@
 Whatever happens, the caller's folder is the only place where anything was written.
 """
 
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 from python_multipart import MultipartParser
@@ -12,13 +11,10 @@ from python_multipart.multipart import parse_options_header
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
+from api.bodies import announced_bytes, blocks, drain
 from api.errors import ApiError
 from api.form import Form, Limits, Parts, too_large
 
-# Handed to a thread at a time: large enough that threads cost nothing, small against any limit on memory.
-_BLOCK_BYTES = 2**20
-# What a refused client may still send before it is cut off, so that most get to read why.
-_DRAIN_BYTES = 64 * 2**20
 # Boundaries and headers of the parts, on top of the files' own bytes.
 _ENVELOPE_BYTES = 2**20
 
@@ -49,13 +45,13 @@ async def receive_form(request: Request, folder: Path, limits: Limits, documents
         parts = Parts(folder, limits, documents)
         reader = _Reader(boundary, parts)
         try:
-            async for block in _blocks(stream):
+            async for block in blocks(stream):
                 await run_in_threadpool(reader.feed, block)
             return await run_in_threadpool(reader.finish)
         finally:
             parts.close()
     except (ApiError, OSError):
-        await _drain(stream)
+        await drain(stream)
         raise
 
 
@@ -69,37 +65,9 @@ def _boundary_of(request: Request) -> str:
     return boundary
 
 
-def announced_bytes(request: Request) -> int:
-    """How long a body is said to be; 0 if nothing is said."""
-    announced = request.headers.get("content-length", "")
-    return int(announced) if announced.isdecimal() else 0
-
-
 def _check_announced_length(request: Request, limits: Limits) -> None:
     if announced_bytes(request) > limits.max_session_bytes + _ENVELOPE_BYTES:
         raise too_large("session", limits.max_session_bytes)
-
-
-async def _blocks(stream: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-    """Join what comes from the network into blocks worth a thread's while."""
-    pending: list[bytes] = []
-    num_bytes = 0
-    async for data in stream:
-        pending.append(data)
-        num_bytes += len(data)
-        if num_bytes >= _BLOCK_BYTES:
-            yield b"".join(pending)
-            pending, num_bytes = [], 0
-    yield b"".join(pending)
-
-
-async def _drain(stream: AsyncIterator[bytes]) -> None:
-    """Read on for a while: an answer to a client that still sends is lost with the connection."""
-    num_bytes = 0
-    async for data in stream:
-        num_bytes += len(data)
-        if num_bytes > _DRAIN_BYTES:
-            return
 
 
 class _Reader:

@@ -2,6 +2,7 @@
 
 import unicodedata
 from typing import Annotated, Any, Self
+from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
@@ -41,6 +42,28 @@ class Manifest(BaseModel):
         allow_inf_nan=False,
         description="Of keypoints without timestamps; 25 if nobody says another.",
     )
+
+
+class UploadedSession(BaseModel):
+    """A session whose files have been uploaded, each by the id of its upload. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    videos: tuple[UUID, ...] = Field(default=(), description="One a camera.")
+    keypoints: tuple[UUID, ...] = Field(
+        default=(), description="Instead of videos: a zip a camera, named as the camera, of OpenPose's JSON files."
+    )
+    calibration: UUID = Field(description="Of all cameras.")
+    timestamps: UUID | None = Field(
+        default=None, description="Of keypoints: CSV with the columns camera, frame and time_s."
+    )
+    manifest: Manifest = Manifest()
+
+
+class UploadedCapture(UploadedSession):
+    """Likewise, with how it is to be reconstructed."""
+
+    spec: JobSpec = JobSpec()
 
 
 class FileOut(_Answer):
@@ -295,7 +318,10 @@ class QuotasOut(_Answer):
 
     sessions: QuotaOut
     unfinished_jobs: QuotaOut
-    stored_bytes: QuotaOut = Field(description="Of its sessions' files, with all that came of them.")
+    stored_bytes: QuotaOut = Field(
+        description="Of its sessions' files, with all that came of them; uploads count by what they are to be."
+    )
+    uploads: QuotaOut = Field(description="That are no session's yet.")
 
     @classmethod
     def of(cls, usage: Usage, quotas: Quotas) -> Self:

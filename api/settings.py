@@ -74,6 +74,9 @@ class Settings(BaseSettings):
     max_tenant_bytes: int | None = Field(
         default=None, ge=0, description="Of a tenant's sessions, with all that came of them; without it any number."
     )
+    max_tenant_uploads: int | None = Field(
+        default=None, ge=0, description="Unfinished or unused uploads of a tenant; without it any number."
+    )
     max_requests_per_minute: int | None = Field(
         default=None, gt=0, description="Of a tenant, at each API process; without it any number."
     )
@@ -85,6 +88,9 @@ class Settings(BaseSettings):
         default=1000.0, ge=0, description="What a client's body must come to on average, from client_idle_s on."
     )
 
+    upload_hours: float = Field(
+        default=48.0, gt=0, le=24 * 365, description="How long an upload is kept that nobody goes on with or uses."
+    )
     retention_days: float | None = Field(
         default=None, gt=0, le=36_500, description="How long results are kept; without it until somebody deletes them."
     )
@@ -117,13 +123,23 @@ class Settings(BaseSettings):
         return None if self.retention_days is None else self.retention_days * 86_400.0
 
     @property
+    def upload_keep_s(self) -> float:
+        """``upload_hours`` in seconds."""
+        return self.upload_hours * 3600.0
+
+    @property
+    def uploads_dir(self) -> Path:
+        """Where files are that come in pieces."""
+        return self.data_dir / "uploads"
+
+    @property
     def artifacts_dir(self) -> Path:
         """Root of the local artifact store."""
         return self.data_dir / "artifacts"
 
     @property
     def spool_dir(self) -> Path:
-        """Where uploads are until they are whole and checked."""
+        """Where what a request brings is until it is checked; emptied at each start."""
         return self.data_dir / "spool"
 
     @property

@@ -1,6 +1,6 @@
 """Jobs: reconstruct a session, follow it, cancel, retry, delete."""
 
-import contextlib
+from functools import partial
 from typing import Annotated
 
 import structlog
@@ -10,15 +10,13 @@ from starlette.concurrency import run_in_threadpool
 from api import examples
 from api.auth import RecordsDep
 from api.bodies import SmallBodyRoute
-from api.contract import Responses, answer, form_body, problems
+from api.contract import Responses, answer, problems, session_body
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
-from api.errors import ErrorItem, pointer_to, unprocessable
-from api.intake import MANIFEST, SPEC, take_in
-from api.routes.sessions import remove_session
+from api.errors import unprocessable
+from api.intake import MANIFEST, SPEC, NewSession, spec_errors, take_in
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from worker import tracing
-from worker.jobs.model import Job, JobState, Session
-from worker.jobs.records import Records
+from worker.jobs.model import Job, JobState
 from worker.jobs.removals import remove_files
 from worker.jobs.spec import JobSpec
 from worker.plan import plan
@@ -56,7 +54,13 @@ def create_job(
     spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["spec"]}})] = JobSpec(),  # noqa: B008 - frozen
 ) -> JobOut:
     """Reconstruct a session."""
-    return _accepted(response, _start(services, records, records.session(session_id), spec))
+    session = records.session(session_id)
+    if errors := spec_errors(spec, session.preflight):
+        raise unprocessable(errors)
+    stages = plan(session, spec, services.settings.chunk_frames)
+    job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
+    _announce(services, job)
+    return _accepted(response, job)
 
 
 @router.post(
@@ -64,17 +68,28 @@ def create_job(
     operation_id="createSessionAndJob",
     status_code=status.HTTP_202_ACCEPTED,
     responses={**_ACCEPTED, **problems(400, 408, 413, 415, 422, 507)},
-    openapi_extra=form_body(MANIFEST, SPEC),
+    openapi_extra=session_body(MANIFEST, SPEC),
 )
 async def create_session_and_job(
     request: Request, response: Response, services: ServicesDep, records: RecordsDep
 ) -> JobOut:
-    """Send a session and reconstruct it, in one call."""
-    intake = await take_in(request, services, records, frozenset({MANIFEST, SPEC}))
-    with contextlib.ExitStack() as undo:
-        undo.callback(remove_session, services, records, intake.session.id)
-        job = await run_in_threadpool(_start, services, records, intake.session, intake.spec, SPEC)
-        undo.pop_all()
+    """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
+
+    def record(new: NewSession) -> Job:
+        return records.create_session_and_job(
+            new.name,
+            new.files,
+            new.preflight,
+            new.id,
+            new.upload_ids,
+            new.spec,
+            partial(plan, spec=new.spec, chunk_frames=services.settings.chunk_frames),
+            services.settings.retention_s,
+            tracing.current(),
+        )
+
+    job = await take_in(request, services, records, frozenset({MANIFEST, SPEC}), record)
+    await run_in_threadpool(_announce, services, job)
     return _accepted(response, job)
 
 
@@ -146,29 +161,11 @@ def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Non
     remove_files(services.store, services.artifacts)
 
 
-def _start(services: Services, records: Records, session: Session, spec: JobSpec, *field: str) -> Job:
-    """Create a job.
-
-    Parameters
-    ----------
-    field
-        Where the spec is in what the client sent.
-    """
-    timebase = session.preflight["timebase"]
-    problems = spec.problems(timebase["num_frames"], timebase["frame_rate_hz"])
-    if problems:
-        raise unprocessable(
-            [
-                ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
-                for name, (code, message) in problems.items()
-            ]
-        )
-    stages = plan(session, spec, services.settings.chunk_frames)
-    job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
-    _log.info("job_created", job=job.id, session=session.id)
+def _announce(services: Services, job: Job) -> None:
+    """Say that there is work."""
+    _log.info("job_created", job=job.id, session=job.session_id)
     # When the broker is away, the reaper makes the message good.
     services.queue.publish()
-    return job
 
 
 def _accepted(response: Response, job: Job) -> JobOut:

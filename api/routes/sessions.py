@@ -3,11 +3,11 @@
 from fastapi import APIRouter, Request, Response, status
 
 from api.auth import RecordsDep
-from api.contract import answer, form_body, problems
-from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
-from api.intake import MANIFEST, take_in
+from api.contract import answer, problems, session_body
+from api.dependencies import Cursor, Limit, ServicesDep, SessionId
+from api.intake import MANIFEST, NewSession, take_in
 from api.schemas import SessionOut, SessionPage
-from worker.jobs.records import Records
+from worker.jobs.model import Session
 from worker.jobs.removals import remove_files
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
@@ -21,18 +21,23 @@ _LOCATION = {"headers": {"Location": {"description": "Address of the session.", 
     operation_id="createSession",
     status_code=status.HTTP_201_CREATED,
     responses={201: _ONE | _LOCATION, **problems(400, 408, 413, 415, 422, 507)},
-    openapi_extra=form_body(MANIFEST),
+    openapi_extra=session_body(MANIFEST),
 )
 async def create_session(
     request: Request, response: Response, services: ServicesDep, records: RecordsDep
 ) -> SessionOut:
     """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
-    Every file is checked. The answer says what was found, or all that is wrong.
+    As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
+    found, or all that is wrong.
     """
-    intake = await take_in(request, services, records, frozenset({MANIFEST}))
-    response.headers["Location"] = f"/v1/sessions/{intake.session.id}"
-    return SessionOut.of(intake.session)
+
+    def record(new: NewSession) -> Session:
+        return records.create_session(new.name, new.files, new.preflight, new.id, new.upload_ids)
+
+    session = await take_in(request, services, records, frozenset({MANIFEST}), record)
+    response.headers["Location"] = f"/v1/sessions/{session.id}"
+    return SessionOut.of(session)
 
 
 @router.get("", operation_id="listSessions", responses={200: answer("SessionPage"), **problems(422)})
@@ -57,10 +62,6 @@ def get_session(session_id: SessionId, records: RecordsDep) -> SessionOut:
 )
 def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a session with its files and its finished jobs."""
-    remove_session(services, records, session_id)
-
-
-def remove_session(services: Services, records: Records, session_id: str) -> None:
-    """Delete a session; its rows first, so that nothing is shown whose files are gone."""
+    # Its rows first, so that nothing is shown whose files are gone.
     records.delete_session(session_id)
     remove_files(services.store, services.artifacts)

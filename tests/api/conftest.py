@@ -79,7 +79,7 @@ class Live:
 
     def kept(self) -> list[Path]:
         """All files that the service holds of sessions and uploads."""
-        folders = (self.settings.spool_dir, self.settings.artifacts_dir)
+        folders = (self.settings.spool_dir, self.settings.uploads_dir, self.settings.artifacts_dir)
         return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
 
     def post_session(self, videos: int = 2, **options: Any) -> httpx2.Response:
@@ -192,6 +192,9 @@ def live(service: Live) -> Iterator[Live]:
     with contextlib.closing(sqlite3.connect(service.settings.data_dir / "multicap.db")) as database, database:
         database.execute("PRAGMA foreign_keys = ON")
         database.execute("DELETE FROM sessions")
+        database.execute("DELETE FROM uploads")
+    for path in service.settings.uploads_dir.iterdir():
+        path.unlink()
     for folder in ("sessions", "jobs"):
         shutil.rmtree(service.settings.artifacts_dir / folder, ignore_errors=True)
 

@@ -21,7 +21,7 @@ OPERATIONS = [
     (method.upper(), path)
     for path, item in CONTRACT["paths"].items()
     for method in item
-    if method in {"get", "post", "put", "patch", "delete"}
+    if method in {"get", "head", "post", "put", "patch", "delete"}
 ]
 # These say who may come in, or that the service is alive: nobody's data.
 OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("POST", "/v1/browser-session"), ("DELETE", "/v1/browser-session")}
@@ -29,6 +29,15 @@ GUARDED = [one for one in OPERATIONS if one not in OPEN]
 OWNED = [one for one in GUARDED if "{" in one[1]]
 ADMIN = ("GET", "/metrics")
 ANY_KEY = ("GET", "/v1/caller")
+
+# A piece of an upload, all of it right but for whose it is.
+TUS = {
+    "Tus-Resumable": "1.0.0",
+    "Upload-Length": "10",
+    "Upload-Metadata": "filename Y2FtXzAubXA0",
+    "Upload-Offset": "0",
+    "Content-Type": "application/offset+octet-stream",
+}
 
 ALL = frozenset(Scope)
 USUAL = frozenset({Scope.READ, Scope.WRITE})
@@ -51,7 +60,18 @@ class Guarded:
         address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
         if (method, path) in {("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
             options.setdefault("files", form())
+        if path.startswith("/v1/uploads"):
+            headers |= TUS
+            options |= {"content": b"video"} if method == "PATCH" else {}
         return self.live.client.request(method, address, headers=headers, **options)
+
+
+def refused(answer: httpx2.Response, status: int, code: str) -> None:
+    """Check a refusal; answers to HEAD have no body to say why."""
+    if answer.request.method == "HEAD":
+        assert answer.status_code == status
+    else:
+        problem_of(answer, status, code)
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +83,14 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         job_id = live.job_id()
         live.finish(job_id)
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
+        upload = live.client.post("/v1/uploads", headers=TUS).headers["location"]
         del live.client.headers["Authorization"]
-        ids = {"session_id": session_id, "job_id": job_id, "name": "person-1.bvh"}
+        ids = {
+            "session_id": session_id,
+            "job_id": job_id,
+            "name": "person-1.bvh",
+            "upload_id": upload.rpartition("/")[2],
+        }
         yield Guarded(live, ids, theirs, mine)
 
 
@@ -82,25 +108,35 @@ def test_without_a_valid_key_there_is_nothing(guarded: Guarded, method: str, pat
     _, expired_secret = guarded.key(ALL, lifetime_s=-1.0)
     for secret in (None, revoked_secret, expired_secret, "mc_unknown", "x" * 5000):
         answer = guarded.ask(method, path, secret)
-        problem_of(answer, 401, "key_required")
+        refused(answer, 401, "key_required")
         assert answer.headers["www-authenticate"] == "Bearer"
 
 
 @pytest.mark.parametrize(("method", "path"), [one for one in GUARDED if one != ANY_KEY])
 def test_a_key_that_is_too_weak_is_refused(guarded: Guarded, method: str, path: str) -> None:
-    wanted = Scope.ADMIN if (method, path) == ADMIN else Scope.READ if method == "GET" else Scope.WRITE
+    wanted = Scope.ADMIN if (method, path) == ADMIN else Scope.READ if method in {"GET", "HEAD"} else Scope.WRITE
     _, weak = guarded.key(ALL - {wanted})
-    problem_of(guarded.ask(method, path, weak), 403, "scope_missing")
+    refused(guarded.ask(method, path, weak), 403, "scope_missing")
 
 
 @pytest.mark.parametrize(("method", "path"), OWNED)
 def test_what_is_another_tenant_s_is_not_found(guarded: Guarded, method: str, path: str) -> None:
-    problem_of(guarded.ask(method, path, guarded.mine), 404, "not_found")
+    refused(guarded.ask(method, path, guarded.mine), 404, "not_found")
 
 
-@pytest.mark.parametrize(("method", "path"), [one for one in OWNED if one[0] == "GET" and "events" not in one[1]])
+@pytest.mark.parametrize(
+    ("method", "path"), [one for one in OWNED if one[0] in {"GET", "HEAD"} and "events" not in one[1]]
+)
 def test_the_tenant_s_own_is_found(guarded: Guarded, method: str, path: str) -> None:
     assert guarded.ask(method, path, guarded.theirs).status_code == 200
+
+
+def test_another_tenant_s_upload_makes_no_session(guarded: Guarded) -> None:
+    files = {"videos": [guarded.ids["upload_id"]], "calibration": guarded.ids["upload_id"]}
+    for path in ("/v1/sessions", "/v1/jobs"):
+        answer = guarded.ask("POST", path, guarded.mine, json=files, files=None)
+        problem = problem_of(answer, 422, "invalid_request")
+        assert {item["code"] for item in problem["errors"]} == {"upload_unknown"}
 
 
 def test_lists_show_the_caller_s_own(guarded: Guarded) -> None:

@@ -96,7 +96,7 @@ def test_session_goes_when_its_job_can_not_be_made(live: Live, monkeypatch: pyte
     def fail(*_: object) -> None:
         raise RuntimeError
 
-    monkeypatch.setattr(Records, "create_job", fail)
+    monkeypatch.setattr(Records, "create_session_and_job", fail)
     problem_of(live.client.post("/v1/jobs", files=form()), 500, "internal_error")
     assert live.kept() == []
     assert live.client.get("/v1/sessions").json()["sessions"] == []

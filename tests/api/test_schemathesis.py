@@ -15,9 +15,11 @@ from schemathesis.core.result import Ok
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
 
 from api.openapi import COMMITTED
+from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
 from tests.api.conftest import Live, running
 
+schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
 schema = schemathesis.openapi.from_path(COMMITTED)
 SETTINGS = settings(
     max_examples=75,
@@ -52,6 +54,9 @@ def unsaid_by_schemas(case: schemathesis.Case[Any]) -> list[Any]:
         # Schemathesis gives all files of a form one name, which the service refuses, and sends a number as its digits,
         # which are a file like any other.
         return [positive_data_acceptance, negative_data_rejection]
+    # tus asks for headers by statuses of its own, and which uploads there are is in no schema.
+    if case.path.startswith("/v1/uploads") or (isinstance(case.body, dict) and "calibration" in case.body):
+        return [positive_data_acceptance]
     # Which cutoff a session's frame rate allows.
     is_filtered = isinstance(case.body, dict) and case.body.get("smoothing") == "butterworth"
     return [positive_data_acceptance] if is_filtered else []

@@ -18,13 +18,15 @@ class Act(StrEnum):
     JOB_CANCELED = "job-canceled"
     JOB_RETRIED = "job-retried"
     JOB_DELETED = "job-deleted"
+    UPLOAD_CREATED = "upload-created"
+    UPLOAD_DELETED = "upload-deleted"
     KEY_CREATED = "key-created"
     KEY_REVOKED = "key-revoked"
     BROWSER_LET_IN = "browser-let-in"
 
 
 def note_deed(connection: Connection, actor: Actor, tenant: str, act: Act, subject: str) -> None:
-    """Note what is done to a session, a job or a key."""
+    """Note what is done to a session, a job, an upload or a key."""
     connection.execute(
         insert(audit).values(
             done_at=now(), tenant=tenant, key_id=actor.key_id, request_id=actor.request_id, act=act, subject=subject

@@ -110,6 +110,17 @@ class InputFile:
 
 
 @dataclass(frozen=True, slots=True)
+class Upload:
+    """A file that comes in pieces: ``num_bytes`` when it is whole. ``metadata`` is the client's, as it sent it."""
+
+    id: str
+    name: str
+    num_bytes: int
+    metadata: str
+    expires_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
 class Session:
     """A capture session: its files, and what the preflight found in them.
 
@@ -236,6 +247,7 @@ class Usage:
     sessions: int
     unfinished_jobs: int
     stored_bytes: int
+    uploads: int
 
 
 @dataclass(frozen=True, slots=True)

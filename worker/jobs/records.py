@@ -1,20 +1,19 @@
 """Sessions, jobs and their results: made, read, canceled, retried, deleted."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, delete, func, insert, select, true
+from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
 from worker.jobs.artifacts import job_prefix, session_prefix
 from worker.jobs.attempts import attempts_of, keep_attempt
 from worker.jobs.audit import Act, note_deed
-from worker.jobs.database import Database, lock, now
+from worker.jobs.database import now
 from worker.jobs.errors import Conflict, NotFinished, NotFound
 from worker.jobs.model import (
     FINISHED,
-    Actor,
     Attempt,
     Change,
     ChunkState,
@@ -26,87 +25,72 @@ from worker.jobs.model import (
     StagePlan,
     Usage,
 )
-from worker.jobs.quotas import Quotas, read_usage, require_room
+from worker.jobs.quotas import NO_QUOTAS, read_usage, require_room
 from worker.jobs.removals import keep, remove_later
 from worker.jobs.rows import jobs_of, result_of, select_jobs, session_of
 from worker.jobs.spec import JobSpec
-from worker.jobs.tables import DEFAULT_TENANT, chunks, events, jobs, results, sessions
+from worker.jobs.tables import chunks, events, jobs, results, sessions
 from worker.jobs.transitions import cancel_chunks, move_job, note, settle_canceling
-
-_NO_QUOTAS = Quotas()
-_COMMAND_LINE = Actor()
+from worker.jobs.uploads import Uploads
 
 
-class Records:
-    """The clients' side of the store. Lists begin with the newest; ``after`` is the last id of the page before.
-
-    Parameters
-    ----------
-    tenant
-        Whose sessions and jobs these are: another's are not there. ``None``: everybody's.
-    quotas
-        How much the tenant may have.
-    actor
-        Who does what is done here.
-    """
-
-    def __init__(
-        self,
-        database: Database,
-        tenant: str | None = None,
-        quotas: Quotas = _NO_QUOTAS,
-        actor: Actor = _COMMAND_LINE,
-    ) -> None:
-        self._database = database
-        self._tenant = tenant
-        self._quotas = quotas
-        self._actor = actor
-
-    def _mine(self, table: Table) -> ColumnElement[bool]:
-        return true() if self._tenant is None else table.c.tenant == self._tenant
+class Records(Uploads):
+    """The clients' side of the store. Lists begin with the newest; ``after`` is the last id of the page before."""
 
     def create_session(
-        self, name: str, files: Sequence[InputFile], preflight: Mapping[str, Any], session_id: str
+        self,
+        name: str,
+        files: Sequence[InputFile],
+        preflight: Mapping[str, Any],
+        session_id: str,
+        upload_ids: Collection[str] = (),
     ) -> Session:
         """Record a session whose files are in the artifact store; ``announce_session`` has made its id.
+
+        Parameters
+        ----------
+        upload_ids
+            Uploads that its files were; they are forgotten.
 
         Raises
         ------
         Conflict
-            Its files took too long, and are gone.
+            Its files took too long, and are gone; or one of the uploads is.
         QuotaExceeded
         """
-        num_bytes = sum(file.num_bytes for file in files)
         with self._database.writing() as connection:
-            self._require_room(connection, sessions=1, stored_bytes=num_bytes)
-            if not keep(connection, session_prefix(session_id)):
-                raise Conflict("The session's files took too long to arrive; send them again.")
-            connection.execute(
-                insert(sessions).values(
-                    id=session_id,
-                    name=name,
-                    created_at=now(),
-                    files=[asdict(file) for file in files],
-                    preflight=dict(preflight),
-                    num_bytes=num_bytes,
-                    tenant=self._tenant or DEFAULT_TENANT,
-                )
-            )
-            note_deed(connection, self._actor, self._tenant or DEFAULT_TENANT, Act.SESSION_CREATED, session_id)
+            self._insert_session(connection, name, files, preflight, session_id, upload_ids)
             return self._session(connection, session_id)
 
-    def require_room(self, num_bytes: int) -> None:
+    def create_session_and_job(
+        self,
+        name: str,
+        files: Sequence[InputFile],
+        preflight: Mapping[str, Any],
+        session_id: str,
+        upload_ids: Collection[str],
+        spec: JobSpec,
+        plan: Callable[[Session], Sequence[StagePlan]],
+        retention_s: float | None = None,
+        trace: str | None = None,
+    ) -> Job:
+        """Both or neither; parameters and errors as of ``create_session`` and ``create_job``."""
+        with self._database.writing() as connection:
+            self._insert_session(connection, name, files, preflight, session_id, upload_ids)
+            stages = plan(self._session(connection, session_id))
+            return self._job(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
+
+    def require_room(self, num_bytes: int, unfinished_jobs: int = 0) -> None:
         """Raise ``QuotaExceeded`` if there may be no more session of so many bytes; before they are sent."""
-        if self._quotas == _NO_QUOTAS:
+        if self._quotas == NO_QUOTAS:
             return
-        with self._database.reading() as connection:
-            used = read_usage(connection, self._tenant or DEFAULT_TENANT)
-        require_room(self._quotas, used, sessions=1, stored_bytes=num_bytes)
+        more = {"sessions": 1, "stored_bytes": num_bytes, "unfinished_jobs": unfinished_jobs}
+        require_room(self._quotas, self.usage(), **more)
 
     def usage(self) -> Usage:
         """How much the tenant has."""
         with self._database.reading() as connection:
-            return read_usage(connection, self._tenant or DEFAULT_TENANT)
+            return read_usage(connection, self._owner)
 
     def session(self, session_id: str) -> Session:
         """A session; ``NotFound`` if there is none."""
@@ -165,28 +149,8 @@ class Records:
         ValueError
             There is no stage, or one without chunks: such a job would never end.
         """
-        job_id = str(uuid7())
         with self._database.writing() as connection:
-            self._require_room(connection, unfinished_jobs=1)
-            tenant = self._lock_session(connection, session_id)
-            connection.execute(
-                insert(jobs).values(
-                    id=job_id,
-                    session_id=session_id,
-                    tenant=tenant,
-                    state=JobState.QUEUED,
-                    spec=spec.model_dump(mode="json"),
-                    attempt=1,
-                    created_at=now(),
-                    queued_at=now(),
-                    retention_s=retention_s,
-                    trace=trace,
-                )
-            )
-            _insert_chunks(connection, job_id, stages)
-            note(connection, job_id, "state", JobState.QUEUED)
-            note_deed(connection, self._actor, tenant, Act.JOB_CREATED, job_id)
-            return self._job(connection, job_id)
+            return self._job(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
 
     def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
         """How far jobs have come, for whoever looks for what is new; those that are not there are left out."""
@@ -307,12 +271,63 @@ class Records:
                 return result
         raise NotFound("The job has no result of this name.")
 
-    def _require_room(self, connection: Connection, **more: int) -> None:
-        if self._quotas == _NO_QUOTAS:
-            return
-        tenant = self._tenant or DEFAULT_TENANT
-        lock(connection, f"quotas of {tenant}")  # so that two at once don't each take the last place
-        require_room(self._quotas, read_usage(connection, tenant), **more)
+    def _insert_session(
+        self,
+        connection: Connection,
+        name: str,
+        files: Sequence[InputFile],
+        preflight: Mapping[str, Any],
+        session_id: str,
+        upload_ids: Collection[str],
+    ) -> None:
+        num_bytes = sum(file.num_bytes for file in files)
+        self._use_up(connection, upload_ids)  # first: no byte counts twice
+        self._require_room(connection, sessions=1, stored_bytes=num_bytes)
+        if not keep(connection, session_prefix(session_id)):
+            raise Conflict("The session's files took too long to arrive; send them again.")
+        connection.execute(
+            insert(sessions).values(
+                id=session_id,
+                name=name,
+                created_at=now(),
+                files=[asdict(file) for file in files],
+                preflight=dict(preflight),
+                num_bytes=num_bytes,
+                tenant=self._owner,
+            )
+        )
+        note_deed(connection, self._actor, self._owner, Act.SESSION_CREATED, session_id)
+
+    def _insert_job(
+        self,
+        connection: Connection,
+        session_id: str,
+        spec: JobSpec,
+        stages: Sequence[StagePlan],
+        retention_s: float | None,
+        trace: str | None,
+    ) -> str:
+        job_id = str(uuid7())
+        self._require_room(connection, unfinished_jobs=1)
+        tenant = self._lock_session(connection, session_id)
+        connection.execute(
+            insert(jobs).values(
+                id=job_id,
+                session_id=session_id,
+                tenant=tenant,
+                state=JobState.QUEUED,
+                spec=spec.model_dump(mode="json"),
+                attempt=1,
+                created_at=now(),
+                queued_at=now(),
+                retention_s=retention_s,
+                trace=trace,
+            )
+        )
+        _insert_chunks(connection, job_id, stages)
+        note(connection, job_id, "state", JobState.QUEUED)
+        note_deed(connection, self._actor, tenant, Act.JOB_CREATED, job_id)
+        return job_id
 
     def _session(self, connection: Connection, session_id: str) -> Session:
         query = select(sessions).where(sessions.c.id == session_id, self._mine(sessions))

@@ -60,6 +60,20 @@ sessions = Table(
     Index(None, "tenant", "id"),
 )
 
+# Files that come in pieces. One that is whole becomes a session's, and its row goes in that transaction.
+uploads = Table(
+    "uploads",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant", String(64), nullable=False),
+    Column("name", String, nullable=False),
+    Column("num_bytes", BigInteger, nullable=False),  # of the whole file
+    Column("metadata", String, nullable=False),
+    Column("expires_at", Moment, nullable=False),
+    Index(None, "tenant", "id"),
+    Index(None, "expires_at"),
+)
+
 jobs = Table(
     "jobs",
     metadata,

@@ -50,7 +50,8 @@ def test_bytes(jobs: Bench) -> None:
     job = mine.create_job(session_id, JobSpec(), stages(1))
     jobs.finish(jobs.claim())
     jobs.finish(jobs.claim())
-    assert mine.usage() == Usage(sessions=1, unfinished_jobs=0, stored_bytes=900 + 2 * 7 + result(job.id).num_bytes)
+    expected = Usage(sessions=1, unfinished_jobs=0, stored_bytes=900 + 2 * 7 + result(job.id).num_bytes, uploads=0)
+    assert mine.usage() == expected
     with pytest.raises(QuotaExceeded):
         add_session(jobs, mine, 100)
     mine.delete_job(job.id)

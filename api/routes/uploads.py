@@ -1,0 +1,266 @@
+"""Files in pieces, by tus 1.0: over a line that breaks, what has come need not be sent again."""
+
+import base64
+import binascii
+import re
+from collections.abc import Mapping
+from datetime import UTC
+from email.utils import format_datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Request, Response, status
+from starlette.concurrency import run_in_threadpool
+
+from api.auth import RecordsDep
+from api.bodies import announced_bytes, drain
+from api.contract import Responses, problems
+from api.dependencies import Services, ServicesDep, UploadId
+from api.errors import ApiError
+from api.form import name_error, too_large
+from api.uploads import Checksum
+from worker.jobs.model import Upload
+from worker.jobs.records import Records
+
+VERSION = "1.0.0"
+EXTENSIONS = "creation,creation-with-upload,termination,expiration,checksum"
+# As the protocol calls them, and as hashlib does.
+CHECKSUMS: Mapping[str, str] = {"sha1": "sha1", "sha256": "sha256", "md5": "md5"}
+PIECE_TYPE = "application/offset+octet-stream"
+
+_MAX_METADATA_BYTES = 4096
+_MAX_DIGITS = 18
+_METADATA_KEY = re.compile(r"[\x21-\x2b\x2d-\x7e]+", re.ASCII)  # no space, no comma
+
+_LENGTH = {"type": "integer", "minimum": 0}
+_HEADERS = {
+    "Tus-Resumable": {"description": "The version that is spoken.", "schema": {"type": "string"}},
+    "Upload-Offset": {"description": "How many bytes are on disk.", "schema": _LENGTH},
+    "Upload-Length": {"description": "How many there are to be.", "schema": _LENGTH},
+    "Upload-Metadata": {"description": "As the client sent it.", "schema": {"type": "string"}},
+    "Upload-Expires": {"description": "When it goes unless it is gone on with.", "schema": {"type": "string"}},
+    "Location": {"description": "Address of the upload.", "schema": {"type": "string"}},
+}
+
+
+def _answers(code: int, *headers: str) -> Responses:
+    return {code: {"headers": {name: _HEADERS[name] for name in ("Tus-Resumable", *headers)}}}
+
+
+def _speaks_tus(
+    tus_resumable: Annotated[
+        str | None, Header(description="1.0.0", openapi_examples={"default": {"value": VERSION}})
+    ] = None,
+) -> None:
+    """Refuse clients of another version."""
+    if tus_resumable != VERSION:
+        raise ApiError(
+            412,
+            "tus_version",
+            f"The service speaks tus {VERSION}.",
+            hint=f"Send Tus-Resumable: {VERSION}.",
+            headers={"Tus-Version": VERSION},
+        )
+
+
+router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
+# Where nobody needs a key: what a client asks first.
+described = APIRouter(prefix="/v1/uploads", tags=["uploads"])
+
+
+@described.options("", operation_id="describeUploads", status_code=status.HTTP_204_NO_CONTENT)
+def describe_uploads(response: Response, services: ServicesDep) -> None:
+    """Say which versions and extensions of tus are spoken, and how large a file may be."""
+    response.headers["Tus-Version"] = VERSION
+    response.headers["Tus-Extension"] = EXTENSIONS
+    response.headers["Tus-Max-Size"] = str(services.settings.max_file_bytes)
+    response.headers["Tus-Checksum-Algorithm"] = ",".join(CHECKSUMS)
+
+
+@router.post(
+    "",
+    operation_id="createUpload",
+    status_code=status.HTTP_201_CREATED,
+    response_class=Response,
+    responses={
+        **_answers(201, "Location", "Upload-Offset", "Upload-Expires"),
+        **problems(400, 408, 412, 413, 415, 423, 460, 507),
+    },
+)
+async def create_upload(
+    request: Request,
+    services: ServicesDep,
+    records: RecordsDep,
+    _: Annotated[None, Depends(_speaks_tus)],
+    upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
+    upload_metadata: Annotated[
+        str | None,
+        Header(
+            description="`filename` and its base64; a session finds its cameras by it.",
+            openapi_examples={"video": {"value": "filename Y2FtXzAubXA0"}},
+        ),
+    ] = None,
+    upload_checksum: Annotated[str | None, Header(description="Of what comes along: algorithm and base64.")] = None,
+) -> Response:
+    """Begin a file; its first bytes may come along."""
+    length = _natural(upload_length, "Upload-Length")
+    if length > services.settings.max_file_bytes:
+        error = too_large("file", services.settings.max_file_bytes)
+        error.headers["Tus-Max-Size"] = str(services.settings.max_file_bytes)
+        raise error
+    name = _file_name(upload_metadata or "")
+    checksum = _checksum(upload_checksum)
+    has_piece = announced_bytes(request) > 0 or "transfer-encoding" in request.headers
+    if has_piece:
+        _require_piece_type(request)
+    upload = await run_in_threadpool(_begin, services, records, name, length, upload_metadata or "")
+    headers = {"Location": f"/v1/uploads/{upload.id}"}
+    if has_piece:
+        offset, upload = await _append(request, services, records, upload, 0, checksum)
+        headers["Upload-Offset"] = str(offset)
+    return Response(status_code=201, headers=headers | _common_headers(upload))
+
+
+@router.head(
+    "/{upload_id}",
+    operation_id="getUpload",
+    response_class=Response,
+    responses={
+        **_answers(200, "Upload-Offset", "Upload-Length", "Upload-Metadata", "Upload-Expires"),
+        **problems(404, 412),
+    },
+)
+def get_upload(
+    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
+) -> Response:
+    """Say how much of a file has come: from there a client goes on."""
+    upload = records.upload(upload_id)
+    headers = {
+        "Upload-Offset": str(services.uploads.offset(upload_id)),
+        "Upload-Length": str(upload.num_bytes),
+        "Cache-Control": "no-store",
+    }
+    if upload.metadata:
+        headers["Upload-Metadata"] = upload.metadata
+    return Response(headers=headers | _common_headers(upload))
+
+
+@router.patch(
+    "/{upload_id}",
+    operation_id="continueUpload",
+    status_code=status.HTTP_204_NO_CONTENT,
+    response_class=Response,
+    responses={
+        **_answers(204, "Upload-Offset", "Upload-Expires"),
+        **problems(400, 404, 408, 409, 412, 413, 415, 423, 460, 507),
+    },
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {PIECE_TYPE: {"schema": {"type": "string", "format": "binary"}, "example": "..."}},
+        }
+    },
+)
+async def continue_upload(
+    request: Request,
+    upload_id: UploadId,
+    services: ServicesDep,
+    records: RecordsDep,
+    _: Annotated[None, Depends(_speaks_tus)],
+    upload_offset: Annotated[str | None, Header(description="Where the piece begins: at the upload's offset.")] = None,
+    upload_checksum: Annotated[str | None, Header(description="Of the piece: algorithm and base64.")] = None,
+) -> Response:
+    """Send a piece of a file. What has come of it stays when the line breaks, unless it has a checksum."""
+    _require_piece_type(request)
+    offset, checksum = _natural(upload_offset, "Upload-Offset"), _checksum(upload_checksum)
+    upload = await run_in_threadpool(records.renew_upload, upload_id, services.settings.upload_keep_s)
+    offset, upload = await _append(request, services, records, upload, offset, checksum)
+    return Response(status_code=204, headers={"Upload-Offset": str(offset)} | _common_headers(upload))
+
+
+@router.delete(
+    "/{upload_id}",
+    operation_id="deleteUpload",
+    status_code=status.HTTP_204_NO_CONTENT,
+    response_class=Response,
+    responses={**_answers(204), **problems(404, 412)},
+)
+async def delete_upload(
+    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
+) -> Response:
+    """Give an upload up."""
+    await run_in_threadpool(records.delete_upload, upload_id)
+    async with services.uploads.turn(upload_id):
+        await run_in_threadpool(services.uploads.remove, upload_id)
+    return Response(status_code=204)
+
+
+def _begin(services: Services, records: Records, name: str, length: int, metadata: str) -> Upload:
+    upload = records.create_upload(name, length, metadata, services.settings.upload_keep_s)
+    services.uploads.create(upload.id)
+    return upload
+
+
+async def _append(
+    request: Request, services: Services, records: Records, upload: Upload, offset: int, checksum: Checksum | None
+) -> tuple[int, Upload]:
+    stream = aiter(request.stream())
+    try:
+        if announced_bytes(request) > upload.num_bytes - offset:
+            raise too_large("piece", max(0, upload.num_bytes - offset))
+        async with services.uploads.turn(upload.id):
+            offset = await services.uploads.append(upload.id, offset, upload.num_bytes, stream, checksum)
+    except (ApiError, OSError):
+        await drain(stream)
+        raise
+    return offset, await run_in_threadpool(records.renew_upload, upload.id, services.settings.upload_keep_s)
+
+
+def _common_headers(upload: Upload) -> dict[str, str]:
+    expires = format_datetime(upload.expires_at.astimezone(UTC), usegmt=True)
+    return {"Upload-Expires": expires}
+
+
+def _natural(value: str | None, header: str) -> int:
+    if value is None or not (value.isascii() and value.isdecimal() and len(value) <= _MAX_DIGITS):
+        raise ApiError(400, "header_invalid", f"{header} must be there, and be a number of bytes.")
+    return int(value)
+
+
+def _require_piece_type(request: Request) -> None:
+    if request.headers.get("content-type") != PIECE_TYPE:
+        raise ApiError(415, "unsupported_media_type", f"Pieces are sent as {PIECE_TYPE}.")
+
+
+def _file_name(metadata: str) -> str:
+    """The file's name out of ``Upload-Metadata``."""
+    pairs: dict[str, str] = {}
+    if len(metadata) > _MAX_METADATA_BYTES:
+        raise _metadata_error(f"Upload-Metadata is longer than {_MAX_METADATA_BYTES} bytes.")
+    for pair in filter(None, metadata.split(",")):
+        key, _, value = pair.strip().partition(" ")
+        if not _METADATA_KEY.fullmatch(key) or key in pairs:
+            raise _metadata_error("Upload-Metadata must be pairs of a key, each once, and base64, with commas between.")
+        pairs[key] = value
+    try:
+        name = base64.b64decode(pairs.get("filename", ""), validate=True).decode()
+    except (binascii.Error, UnicodeDecodeError):
+        raise _metadata_error("The filename of Upload-Metadata is no base64 of UTF-8.") from None
+    if message := name_error(name):
+        raise _metadata_error(f"{message} Send its name as `filename` in Upload-Metadata.")
+    return name
+
+
+def _metadata_error(message: str) -> ApiError:
+    return ApiError(400, "metadata_invalid", message)
+
+
+def _checksum(header: str | None) -> Checksum | None:
+    if header is None:
+        return None
+    algorithm, _, digest = header.partition(" ")
+    try:
+        return Checksum(CHECKSUMS[algorithm], base64.b64decode(digest, validate=True))
+    except (KeyError, binascii.Error, ValueError):
+        names = ", ".join(CHECKSUMS)
+        message = f"Upload-Checksum must be one of {names}, a space, and the digest as base64."
+        raise ApiError(400, "checksum_invalid", message) from None
