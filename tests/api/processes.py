@@ -1,0 +1,52 @@
+"""The service in a process of its own, as it is run, and what it takes of memory."""
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx2
+import psutil
+
+from api.settings import GIB, Settings
+from tests.api.conftest import NO_BROKER
+
+
+@contextlib.contextmanager
+def serving(settings: Settings, port: int = 0) -> Iterator[tuple[httpx2.Client, psutil.Process]]:
+    """The service in a process of its own, until the end of the block."""
+    environment = os.environ | {
+        "MULTICAP_HOME": str(settings.home),
+        "MULTICAP_DATA_DIR": str(settings.data_dir),
+        "MULTICAP_BROKER_URL": NO_BROKER,
+        "MULTICAP_PREFLIGHT_COMMAND": str(list(settings.preflight_command)).replace("'", '"'),
+        "MULTICAP_PORT": str(port),
+        "MULTICAP_MAX_FILE_BYTES": str(3 * GIB),
+    }
+    log = settings.data_dir.parent / "log"
+    with log.open("ab") as output:
+        child = subprocess.Popen([sys.executable, "-m", "api"], env=environment, stdout=output, stderr=output)
+    try:
+        process = psutil.Process(child.pid)
+        deadline_s = time.monotonic() + 30
+        while not (listening := [c for c in process.net_connections("tcp") if c.status == psutil.CONN_LISTEN]):
+            assert child.poll() is None, log.read_text()
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+        address = f"http://127.0.0.1:{listening[0].laddr.port}"
+        with httpx2.Client(base_url=address, timeout=300, trust_env=False) as client:
+            yield client, process
+    finally:
+        child.terminate()
+        child.wait(20)
+
+
+def peak_bytes(process: psutil.Process) -> int:
+    """Most resident memory that the process has had so far."""
+    status = Path(f"/proc/{process.pid}/status").read_text(encoding="ascii")
+    (kib,) = re.findall(r"VmHWM:\s+(\d+) kB", status)
+    return int(kib) * 1024
