@@ -20,9 +20,9 @@ from api.rates import Rates
 from api.routes import callers, events, health, jobs, page, results, sessions, uploads
 from api.settings import Settings
 from api.uploads import UploadSpool
-from worker.jobs.artifacts import LocalArtifacts
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
+from worker.jobs.stores import open_artifacts
 
 _EXPOSED_HEADERS = [
     *("Content-Disposition", "Content-Range", "ETag", "Location", "Retry-After", "X-Request-ID"),
@@ -113,7 +113,7 @@ def _start(settings: Settings) -> Services:
     return Services(
         settings=settings,
         store=store,
-        artifacts=LocalArtifacts(settings.artifacts_dir),
+        artifacts=open_artifacts(settings.artifacts_url, settings.data_dir),
         uploads=uploads,
         queue=WorkQueue(settings.broker_url),
         preflight=Preflight(

@@ -93,7 +93,7 @@ class Client:
     def _save(self, result: Json, folder: Path) -> Path:
         path = folder / result["name"]
         part = folder / f".{result['name']}.part"
-        with self.http.stream("GET", result["link"]) as answer, part.open("wb") as file:
+        with self.http.stream("GET", result["link"], follow_redirects=True) as answer, part.open("wb") as file:
             if answer.is_error:
                 answer.read()
                 raise _refusal(answer)

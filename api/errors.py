@@ -21,7 +21,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from worker.jobs.errors import JobStoreError, NotFinished, NotFound, QuotaExceeded
+from worker.jobs.errors import ArtifactsUnavailable, JobStoreError, NotFinished, NotFound, QuotaExceeded
 
 _log = structlog.get_logger(__name__)
 
@@ -270,6 +270,8 @@ def _from_failure(error: Exception) -> ApiError:
             return ApiError(400, "client_disconnected", "The client hung up.", retryable=True)
         case OperationalError() | PoolTimeoutError():
             return service_away("database_unavailable", "The database is away.")
+        case ArtifactsUnavailable():
+            return service_away("artifacts_unavailable", "The artifact store is away.")
         case OSError() if error.errno in _DISK_FULL:
             return ApiError(507, "storage_full", "The service's disk is full.", retryable=True)
         case _:

@@ -37,6 +37,14 @@ class Settings(BaseSettings):
         description="Folder of the artifacts, uploads on their way, and the database unless database_url says else.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
+    artifacts_url: str = Field(default="", description="s3://bucket/prefix; empty for a folder in data_dir.")
+    signed_downloads_s: float | None = Field(
+        default=None,
+        gt=0,
+        le=7 * 24 * 3600,
+        description="Send downloads of results to the store at artifacts_url, by addresses that are valid for so long; "
+        "without it they go through the API.",
+    )
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")

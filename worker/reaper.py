@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import structlog
 
-from worker.jobs.artifacts import ArtifactStore, LocalArtifacts
+from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.queue import WorkQueue
 from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
@@ -39,7 +39,7 @@ def main() -> None:
     configure_logs()
     settings = WorkerSettings()
     store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)
-    artifacts = LocalArtifacts(settings.artifacts_dir)
+    artifacts = settings.open_artifacts()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
         while True:

@@ -6,6 +6,9 @@ import platformdirs
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.stores import DEFAULT_CACHE_BYTES, DEFAULT_CACHE_HOURS, open_artifacts
+
 
 class WorkerSettings(BaseSettings):
     """Where the jobs are, and how a worker holds on to its piece of one."""
@@ -17,6 +20,13 @@ class WorkerSettings(BaseSettings):
         description="Folder of the artifacts, and of the database unless database_url says else.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
+    artifacts_url: str = Field(default="", description="s3://bucket/prefix; empty for a folder in data_dir.")
+    cache_bytes: int = Field(
+        default=DEFAULT_CACHE_BYTES, gt=0, description="Copies in data_dir of files that are at artifacts_url."
+    )
+    cache_hours: float = Field(
+        default=DEFAULT_CACHE_HOURS, gt=0, description="How long such a copy stays that nobody uses."
+    )
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
     lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
     heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
@@ -31,7 +41,6 @@ class WorkerSettings(BaseSettings):
         """``database_url``, or SQLite in the data folder."""
         return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
 
-    @property
-    def artifacts_dir(self) -> Path:
-        """Root of the local artifact store."""
-        return self.data_dir / "artifacts"
+    def open_artifacts(self) -> ArtifactStore:
+        """Open the artifact store."""
+        return open_artifacts(self.artifacts_url, self.data_dir, self.cache_bytes, self.cache_hours)

@@ -35,7 +35,6 @@ from pipeline.records_npz import (
     encode_poses,
     encode_tracks,
 )
-from pipeline.session import CaptureSession
 from pipeline.skeleton.animate import animate
 from pipeline.video.timeline import chunk_ranges, span_s
 from pipeline.warm_up import warm_up as compile_kernels
@@ -58,33 +57,43 @@ _MEDIA_TYPES = {
 
 
 class _OpenSession:
-    """The session at hand, its files under their own names in a folder for as long as it is."""
+    """The session at hand, its videos under their own names in a folder for as long as it is."""
 
     def __init__(self) -> None:
         self._files = contextlib.ExitStack()
         self._id: str | None = None
         self._views: Views
+        self._folder: Path
+        self._names: set[str] = set()
 
     def views(self, session: Session, artifacts: ArtifactStore) -> Views:
         """Open a session, unless it is open."""
         if self._id == session.id:
             return self._views
         self._files.close()
+        self._names.clear()
         self._id = None
         with artifacts.open(record_key(session.id)) as record:
             content = record.read()
         self._views = (
-            decode_keypoints(content) if is_of_keypoints(session) else self._capture(session, artifacts, content)
+            decode_keypoints(content) if is_of_keypoints(session) else decode_session(content, self._new_folder())
         )
         self._id = session.id
         return self._views
 
-    def _capture(self, session: Session, artifacts: ArtifactStore, record: bytes) -> CaptureSession:
-        folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
-        for file in session.files:
-            stored = self._files.enter_context(artifacts.local_path(file.key))
-            (folder / file.name).symlink_to(stored.absolute())
-        return decode_session(record, folder)
+    def fetch_video(self, session: Session, artifacts: ArtifactStore, camera: str) -> None:
+        """Have the open session's video of a camera at hand: a distant store's only when it is needed."""
+        (name,) = (one["file"] for one in session.preflight["cameras"] if one["name"] == camera)
+        if name in self._names:
+            return
+        (key,) = (file.key for file in session.files if file.name == name)
+        stored = self._files.enter_context(artifacts.local_path(key))
+        (self._folder / name).symlink_to(stored.absolute())
+        self._names.add(name)
+
+    def _new_folder(self) -> Path:
+        self._folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
+        return self._folder
 
 
 _open = _OpenSession()
@@ -120,6 +129,7 @@ def detect(work: Work) -> Outcome:
     if isinstance(session, KeypointSession):
         raise PipelineError("A session of keypoints has no videos.")
     chunk = work.claim.payload
+    _open.fetch_video(work.session, work.artifacts, chunk["camera"])
     span = span_s(session.timebase, chunk["start_frame"], chunk["stop_frame"])
     seen = session, chunk["camera"], span, _detector(work.claim.spec.detector), work.on_unit
     if work.claim.spec.uses_fields:

@@ -4,12 +4,20 @@ import functools
 import mmap
 import os
 import signal
+import threading
+import time
 
-from worker.jobs.artifacts import LocalArtifacts
+import structlog
+
+from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.runner import Runner
 from worker.settings import WorkerSettings
+
+log = structlog.get_logger()
+
+_SWEEP_INTERVAL_S = 600.0
 
 
 class ForkedFlag:
@@ -41,9 +49,11 @@ def process_runner() -> Runner:
 
     warm_up()
     settings = WorkerSettings()
+    artifacts = settings.open_artifacts()
+    threading.Thread(target=_sweep_forever, args=[artifacts], daemon=True).start()
     return Runner(
         store=JobStore(settings.resolved_database_url),
-        artifacts=LocalArtifacts(settings.artifacts_dir),
+        artifacts=artifacts,
         publish=WorkQueue(settings.broker_url).publish,
         stages=STAGES,
         lease_s=settings.lease_s,
@@ -56,6 +66,16 @@ def process_runner() -> Runner:
 def work() -> None:
     """Run ready chunks until there are none."""
     process_runner().work(WorkerSettings().claim_for_s)
+
+
+def _sweep_forever(artifacts: ArtifactStore) -> None:
+    # Also while there is no work: what was deleted in a distant store must not stay here.
+    while True:
+        try:
+            artifacts.sweep()
+        except OSError:
+            log.exception("sweep_failed")
+        time.sleep(_SWEEP_INTERVAL_S)
 
 
 def _end_process() -> None:

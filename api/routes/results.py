@@ -5,7 +5,7 @@ from typing import Annotated, Any, BinaryIO
 from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Path, Response
-from fastapi.responses import StreamingResponse
+from fastapi.responses import RedirectResponse, StreamingResponse
 from starlette.types import Receive, Scope, Send
 from zipstream import ZIP_DEFLATED, ZipStream
 
@@ -94,6 +94,7 @@ def _expired() -> ApiError:
         200: {"description": "The file.", "content": _FILE, "headers": _HEADERS},
         206: {"description": "A range of the file.", "content": _FILE, "headers": _HEADERS},
         304: {"description": "The client has it already."},
+        307: {"description": "It is elsewhere for a while.", "headers": {"Location": {"schema": {"type": "string"}}}},
         **problems(404, 409, 410, 416),
     },
 )
@@ -117,6 +118,12 @@ def get_result(
     }
     if matches(if_none_match, etag):
         return Response(status_code=304, headers=headers)
+    if (signed_s := services.settings.signed_downloads_s) and (
+        address := services.artifacts.signed_url(result.key, signed_s)
+    ):
+        if not services.artifacts.exists(result.key):
+            raise _expired()
+        return RedirectResponse(address, headers={"Cache-Control": "no-store"})
     try:
         wanted = requested_range(range_, result.num_bytes) if if_range in {None, etag} else None
     except UnsatisfiableRange:

@@ -21,5 +21,5 @@ def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setenv("MULTICAP_DATA_DIR", str(tmp_path))
     api, worker = Settings(), WorkerSettings()
     assert api.resolved_database_url == worker.resolved_database_url
-    assert api.artifacts_dir == worker.artifacts_dir
+    assert api.artifacts_url == worker.artifacts_url
     assert api.broker_url == worker.broker_url

@@ -91,11 +91,30 @@ class ArtifactStore(Protocol):
     def exists(self, key: str) -> bool:
         """Whether a file is there."""
 
+    def signed_url(self, key: str, lifetime_s: float) -> str | None:
+        """An address that anybody may get the file from for a while; ``None`` where there is no such thing."""
+
     def delete_prefix(self, prefix: str) -> None:
         """Remove every file whose key begins with ``prefix``, which ends with a slash."""
 
     def ping(self) -> bool:
         """Whether files can be kept now."""
+
+    def sweep(self) -> None:
+        """Remove what a store keeps on this machine beside its files and nobody uses."""
+
+
+def require_key(key: str) -> None:
+    """Raise ``ValueError`` unless this is a key."""
+    if _KEY.fullmatch(key) is None:
+        raise ValueError(f"{key!r} is no key of an artifact")
+
+
+def require_prefix(prefix: str) -> None:
+    """Raise ``ValueError`` unless this is a key with a slash behind it."""
+    if not prefix.endswith("/"):
+        raise ValueError(f"{prefix!r} does not end with a slash")
+    require_key(prefix.removesuffix("/"))
 
 
 class LocalArtifacts:
@@ -160,8 +179,7 @@ class LocalArtifacts:
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove a folder with all that is in it."""
-        if not prefix.endswith("/"):
-            raise ValueError(f"{prefix!r} does not end with a slash")
+        require_prefix(prefix)
         shutil.rmtree(self._path(prefix.removesuffix("/")), onerror=_unless_gone)
 
     def ping(self) -> bool:
@@ -173,9 +191,16 @@ class LocalArtifacts:
             return False
         return True
 
+    def signed_url(self, key: str, lifetime_s: float) -> str | None:
+        """None: files of a folder have no address."""
+        return None
+
+    def sweep(self) -> None:
+        """Remove what killed processes left."""
+        self._remove_abandoned()
+
     def _path(self, key: str) -> Path:
-        if _KEY.fullmatch(key) is None:
-            raise ValueError(f"{key!r} is no key of an artifact")
+        require_key(key)
         return self._root / key
 
     @contextlib.contextmanager

@@ -7,6 +7,8 @@
     ├── Conflict             not in this state
     │   └── NotFinished      results were asked of a job that is still at work
     └── QuotaExceeded        the tenant has as much as it may have
+    OSError
+    └── ArtifactsUnavailable the artifact store does not answer, or refuses us
 """
 
 
@@ -24,6 +26,10 @@ class Conflict(JobStoreError):  # noqa: N818
 
 class NotFinished(Conflict):
     """The job is still at work."""
+
+
+class ArtifactsUnavailable(OSError):  # noqa: N818
+    """The artifact store does not answer, or refuses us."""
 
 
 class QuotaExceeded(JobStoreError):  # noqa: N818

@@ -3,24 +3,43 @@
 import errno
 import os
 import stat
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import httpx2
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.s3 import S3, running_s3
 from worker.jobs.artifacts import ArtifactStore, LocalArtifacts, input_key, result_key, stage_key
-from worker.jobs.errors import NotFound
+from worker.jobs.errors import ArtifactsUnavailable, NotFound
+from worker.jobs.s3_artifacts import S3Artifacts
+from worker.jobs.stores import open_artifacts
 
 KEY = "sessions/0190/stages/detect-0.npz"
 
 
-@pytest.fixture(params=[LocalArtifacts])
+@pytest.fixture(scope="session")
+def s3() -> Iterator[S3]:
+    with running_s3() as server:
+        yield server
+
+
+@pytest.fixture
+def on_s3(s3: S3, monkeypatch: pytest.MonkeyPatch) -> S3:
+    """With the environment that says where it is."""
+    for name, value in s3.environment.items():
+        monkeypatch.setenv(name, value)
+    return s3
+
+
+@pytest.fixture(params=["folder", "s3"])
 def artifacts(request: pytest.FixtureRequest, tmp_path: Path) -> ArtifactStore:
-    store: ArtifactStore = request.param(tmp_path / "artifacts")
-    return store
+    url = "" if request.param == "folder" else request.getfixturevalue("on_s3").new_url()
+    return open_artifacts(url, tmp_path)
 
 
 def read(artifacts: ArtifactStore, key: str) -> bytes:
@@ -64,13 +83,6 @@ def test_the_last_put_counts(artifacts: ArtifactStore, tmp_path: Path) -> None:
     path.write_bytes(b"third")
     artifacts.put_file(KEY, path)
     assert read(artifacts, KEY) == b"third"
-
-
-def test_a_reader_keeps_what_it_opened(artifacts: ArtifactStore) -> None:
-    artifacts.put_bytes(KEY, b"first")
-    with artifacts.open(KEY) as file:
-        artifacts.put_bytes(KEY, b"second")
-        assert file.read() == b"first"
 
 
 def test_open_files_can_be_sought(artifacts: ArtifactStore) -> None:
@@ -159,7 +171,156 @@ def test_ping(artifacts: ArtifactStore) -> None:
     assert artifacts.ping()
 
 
+def test_a_large_file_is_whole(artifacts: ArtifactStore, tmp_path: Path) -> None:
+    content = os.urandom(2**20) * 21
+    path = tmp_path / "upload"
+    path.write_bytes(content)
+    artifacts.put_file(KEY, path)
+    with artifacts.open(KEY) as file:
+        file.seek(-5 * 2**20, os.SEEK_END)
+        assert file.read() == content[-5 * 2**20 :]
+        file.seek(3)
+        assert file.read(9 * 2**20) == content[3 : 3 + 9 * 2**20]
+    with artifacts.local_path(KEY) as there:
+        assert there.read_bytes() == content
+
+
+def test_other_urls_are_refused(tmp_path: Path) -> None:
+    for url in ("gs://bucket", "/var/artifacts", "s3:/bucket", "http://s3.example/bucket"):
+        with pytest.raises(ValueError, match="s3://"):
+            open_artifacts(url, tmp_path)
+
+
+class TestS3:
+    @pytest.fixture
+    def store(self, on_s3: S3, tmp_path: Path) -> S3Artifacts:
+        store = open_artifacts(on_s3.new_url(), tmp_path, cache_bytes=2500, cache_hours=1.0)
+        assert isinstance(store, S3Artifacts)
+        return store
+
+    def copies(self, folder: Path) -> int:
+        return len(list((folder / "cache").glob("*.copy")))
+
+    def test_prefixes_keep_stores_apart(self, on_s3: S3, tmp_path: Path) -> None:
+        first, second = (open_artifacts(on_s3.new_url(), tmp_path) for _ in range(2))
+        first.put_bytes(KEY, b"pose")
+        assert not second.exists(KEY)
+        second.delete_prefix("sessions/0190/")
+        assert first.exists(KEY)
+
+    def test_a_file_that_is_replaced_while_it_is_read_is_never_a_mixture(self, store: S3Artifacts) -> None:
+        store.put_bytes(KEY, b"a" * 3 * 2**20)
+        with store.open(KEY) as file:
+            assert file.read(10) == b"a" * 10
+            store.put_bytes(KEY, b"b" * 3 * 2**20)
+            file.seek(2 * 2**20)
+            with pytest.raises(ArtifactsUnavailable):
+                file.read(10)
+
+    def test_hundreds_go_at_once(self, store: S3Artifacts) -> None:
+        for number in range(30):
+            store.put_bytes(f"sessions/1/stages/{number}", b"")
+        store.delete_prefix("sessions/1/")
+        assert not any(store.exists(f"sessions/1/stages/{number}") for number in range(30))
+
+    def test_signed_addresses_need_no_key(self, store: S3Artifacts) -> None:
+        store.put_bytes("jobs/1/results/person-1.bvh", b"HIERARCHY")
+        address = store.signed_url("jobs/1/results/person-1.bvh", 60.0)
+        assert address is not None
+        assert "X-Amz-Expires=60" in address
+        answer = httpx2.get(address, trust_env=False)
+        assert (answer.status_code, answer.content) == (200, b"HIERARCHY")
+        assert answer.headers["content-disposition"] == 'attachment; filename="person-1.bvh"'
+
+    def test_a_server_that_is_away_is_an_error_of_its_own(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with running_s3() as server:
+            for name, value in server.environment.items():
+                monkeypatch.setenv(name, value)
+            store = open_artifacts(server.new_url(), tmp_path)
+            store.put_bytes(KEY, b"pose")
+            path = tmp_path / "upload"
+            path.write_bytes(b"video")
+        assert not store.ping()
+        for act in (
+            lambda: store.open(KEY),
+            lambda: store.put_file(KEY, path),
+            lambda: store.delete_prefix("sessions/0190/"),
+        ):
+            with pytest.raises(ArtifactsUnavailable):
+                act()
+        assert path.read_bytes() == b"video"
+
+    def test_copies_are_made_once(self, store: S3Artifacts, tmp_path: Path) -> None:
+        store.put_bytes(KEY, b"pose")
+        with store.local_path(KEY) as first, store.local_path(KEY) as second:
+            assert first == second
+        with store.local_path(KEY) as third:
+            assert (third, third.read_bytes()) == (first, b"pose")
+        assert self.copies(tmp_path) == 1
+
+    def test_copies_go_when_there_is_no_room_but_never_while_they_are_used(
+        self, store: S3Artifacts, tmp_path: Path
+    ) -> None:
+        for name in "abcd":
+            store.put_bytes(name, name.encode() * 1000)
+        with store.local_path("a") as used:
+            for age, name in ((300, "b"), (200, "c")):
+                with store.local_path(name) as path:
+                    pass
+                os.utime(path, (time.time() - age, time.time() - age))
+            assert self.copies(tmp_path) == 2  # there is room for two and a half
+            with store.local_path("d") as path:
+                assert path.read_bytes() == b"d" * 1000
+                assert used.read_bytes() == b"a" * 1000
+                with store.local_path("b") as more:  # more than there is room for, but all are in use
+                    assert more.read_bytes() == b"b" * 1000
+                assert self.copies(tmp_path) == 3
+
+    def test_copies_go_when_nobody_has_used_them_for_long(self, store: S3Artifacts, tmp_path: Path) -> None:
+        for name in "abc":
+            store.put_bytes(name, b"x")
+        with store.local_path("a") as old, store.local_path("b") as used, store.local_path("c"):
+            pass
+        (tmp_path / "cache" / "0190.part").write_bytes(b"of a killed process")
+        for path in (old, used, tmp_path / "cache" / "0190.part"):
+            os.utime(path, (0, 0))
+        with store.local_path("b"):
+            store.sweep()
+        assert self.copies(tmp_path) == 2
+        assert not old.exists()
+        assert not (tmp_path / "cache" / "0190.part").exists()
+
+    def test_a_copy_that_can_not_be_made_leaves_nothing(
+        self, store: S3Artifacts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        store.put_bytes(KEY, b"pose")
+
+        def break_off(self: S3Artifacts, key: str, path: Path) -> None:
+            path.write_bytes(b"po")
+            raise ArtifactsUnavailable
+
+        with monkeypatch.context() as broken:
+            broken.setattr(S3Artifacts, "_download", break_off)
+            with pytest.raises(ArtifactsUnavailable), store.local_path(KEY):
+                pass
+        with store.local_path(KEY) as path:
+            assert path.read_bytes() == b"pose"
+        assert not list(tmp_path.rglob("*.part"))
+
+
 class TestLocal:
+    def test_a_reader_keeps_what_it_opened(self, tmp_path: Path) -> None:
+        artifacts = LocalArtifacts(tmp_path)
+        artifacts.put_bytes(KEY, b"first")
+        with artifacts.open(KEY) as file:
+            artifacts.put_bytes(KEY, b"second")
+            assert file.read() == b"first"
+
+    def test_there_are_no_addresses(self, tmp_path: Path) -> None:
+        assert LocalArtifacts(tmp_path).signed_url(KEY, 60.0) is None
+
     def test_ping_without_its_folder(self, tmp_path: Path) -> None:
         artifacts = LocalArtifacts(tmp_path / "artifacts")
         (tmp_path / "artifacts").rename(tmp_path / "moved")

@@ -1,0 +1,119 @@
+"""Copies of a distant store's files on this machine, shared by its processes, for as long as they are of use."""
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO
+from uuid import uuid4
+
+from filelock import FileLock
+
+# No name of a copy or of its lock is a name of the other, nor of a copy that is not whole yet.
+_COPY, _LOCK, _PART = ".copy", ".lock", ".part"
+
+
+class FileCache:
+    """A folder of copies.
+
+    A copy that is in use is never removed. Others go when room is needed, the one that was used longest ago first, and
+    when they were not used for long: what was deleted in the store must not stay here.
+
+    Parameters
+    ----------
+    folder
+        Made when it is needed.
+    max_bytes
+        Of all copies; what is in use at one time may be more.
+    keep_s
+        For how long a copy stays that nobody uses.
+    """
+
+    def __init__(self, folder: Path, max_bytes: int, keep_s: float) -> None:
+        self._folder = folder
+        self._max_bytes = max_bytes
+        self._keep_s = keep_s
+
+    @contextlib.contextmanager
+    def copy(self, key: str, num_bytes: int, fetch: Callable[[Path], None]) -> Iterator[Path]:
+        """A path to read a file at, inside the block only.
+
+        Parameters
+        ----------
+        key
+            Of the file, whose content never changes.
+        num_bytes
+            Of the file.
+        fetch
+            Writes the file to a path, if there is no copy yet; of all processes only one does.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._folder / f"{hashlib.sha256(key.encode()).hexdigest()}{_COPY}"
+        with FileLock(path.with_suffix(_LOCK)):
+            while (pinned := _pin(path)) is None:
+                self._fetch(path, num_bytes, fetch)
+        with pinned:
+            yield path
+            os.utime(path)
+
+    def sweep(self) -> None:
+        """Remove what was not used for long, and what killed processes left."""
+        for path, info in self._found(_COPY, _PART, _LOCK):
+            if time.time() - info.st_mtime > self._keep_s:
+                _remove_unused(path)
+
+    def _fetch(self, path: Path, num_bytes: int, fetch: Callable[[Path], None]) -> None:
+        self._make_room(num_bytes)
+        part = self._folder / f"{uuid4().hex}{_PART}"
+        try:
+            fetch(part)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def _make_room(self, num_bytes: int) -> None:
+        copies = sorted(self._found(_COPY), key=lambda one: one[1].st_mtime)
+        too_many = sum(info.st_size for _, info in copies) + num_bytes - self._max_bytes
+        for path, info in copies:
+            if too_many <= 0:
+                return
+            if _remove_unused(path):
+                too_many -= info.st_size
+
+    def _found(self, *kinds: str) -> Iterator[tuple[Path, os.stat_result]]:
+        if not self._folder.is_dir():
+            return
+        for path in self._folder.iterdir():
+            if path.suffix in kinds:
+                with contextlib.suppress(FileNotFoundError):
+                    yield path, path.stat()
+
+
+def _pin(path: Path) -> BinaryIO | None:
+    """Keep a file from being removed until what is returned is closed, or this process is killed."""
+    try:
+        file = path.open("rb")
+    except FileNotFoundError:
+        return None
+    fcntl.flock(file, fcntl.LOCK_SH)
+    if not path.exists():  # it was removed just before
+        file.close()
+        return None
+    os.utime(path)
+    return file
+
+
+def _remove_unused(path: Path) -> bool:
+    """Remove a file unless somebody uses it; whether it is gone."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
+    except BlockingIOError:
+        return False
+    except FileNotFoundError:
+        return True
+    return True
