@@ -21,7 +21,15 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from worker.jobs.errors import ArtifactsUnavailable, JobStoreError, NotFinished, NotFound, QuotaExceeded
+from worker.jobs.errors import (
+    ArtifactsUnavailable,
+    JobStoreError,
+    KeyBusy,
+    KeyReused,
+    NotFinished,
+    NotFound,
+    QuotaExceeded,
+)
 
 _log = structlog.get_logger(__name__)
 
@@ -249,6 +257,12 @@ def _from_store(error: JobStoreError) -> ApiError:
             return ApiError(404, "not_found", str(error))
         case QuotaExceeded():
             return _from_quota(error)
+        case KeyReused():
+            hint = "Make a new Idempotency-Key for each request; send the same only with the same request."
+            return ApiError(422, "idempotency_key_reused", str(error), hint=hint)
+        case KeyBusy():
+            headers = {"Retry-After": str(_RETRY_AFTER_S)}
+            return ApiError(409, "idempotency_key_busy", str(error), retryable=True, headers=headers)
         case NotFinished():
             hint = "Ask for the job until its state is succeeded."
             return ApiError(409, "not_finished", str(error), hint=hint, retryable=True)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import anyio
 import uuid_utils
-from fastapi import Request
+from fastapi import Request, Response
 from opentelemetry import trace
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
@@ -18,12 +18,14 @@ from api.bodies import announced_bytes, limited
 from api.dependencies import Services
 from api.errors import ApiError, ErrorItem, pointer_to, unprocessable, validation_items
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
+from api.idempotency import Once, respond
 from api.multipart import receive_form
 from api.preflight import InvalidFilesError
 from api.schemas import Manifest, UploadedCapture, UploadedSession
 from worker.jobs.artifacts import input_key, record_key, session_prefix
 from worker.jobs.errors import NotFound
 from worker.jobs.model import InputFile
+from worker.jobs.receipts import Answer
 from worker.jobs.records import Records
 from worker.jobs.spec import JobSpec
 
@@ -72,20 +74,23 @@ class NewSession:
 async def take_in(
     request: Request,
     services: Services,
-    records: Records,
+    once: Once,
     documents: frozenset[str],
-    record: Callable[[NewSession], _Recorded],
-) -> _Recorded:
-    """Receive a session as a form, or as JSON that names uploads; check it, keep it, record it.
+    record: Callable[[Records, NewSession], _Recorded],
+    render: Callable[[_Recorded], Answer],
+) -> Response:
+    """Receive a session as a form, or as JSON that names uploads; check it, keep it, record it; once.
 
     Parameters
     ----------
-    records
+    once
         Whose session it becomes.
     documents
         Its JSON parts: ``manifest``, and ``spec`` if it is to be reconstructed at once.
     record
         Writes it to the database.
+    render
+        Says what was recorded.
 
     Raises
     ------
@@ -94,33 +99,58 @@ async def take_in(
     """
     names_uploads = request.headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
     to_come = 0 if names_uploads else announced_bytes(request)
-    await run_in_threadpool(records.require_room, to_come, unfinished_jobs=int(SPEC in documents))
+    if not await run_in_threadpool(once.is_answered):
+        await run_in_threadpool(once.records.require_room, to_come, unfinished_jobs=int(SPEC in documents))
     async with _folder(services.settings.spool_dir) as folder:
         if names_uploads:
-            arrival = await _receive_uploads(request, folder, services, records, documents)
+            sent = await _receive_names(request, services, documents)
+            parts: object = sent.model_dump(mode="json")
         else:
-            arrival = _parsed(await receive_form(request, folder, services.limits, documents))
-        form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
-        preflight: Mapping[str, Any] = {}
-        record_path = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
-        if not form.errors:
-            try:
-                with _tracer.start_as_current_span("preflight"):
-                    preflight = await anyio.to_thread.run_sync(
-                        services.preflight.check,
-                        _arguments(form, arrival.manifest or Manifest()),
-                        record_path,
-                        limiter=services.preflight_limiter,
-                    )
-            except InvalidFilesError as invalid:
-                errors.extend(_located(item, form) for item in invalid.errors)
-        if preflight and arrival.spec:
-            errors.extend(spec_errors(arrival.spec, preflight, SPEC))
-        if errors or arrival.manifest is None or arrival.spec is None:
-            raise unprocessable(errors)
-        return await run_in_threadpool(
-            _keep, services, arrival, arrival.manifest, arrival.spec, preflight, record_path, record
-        )
+            form = await receive_form(request, folder, services.limits, documents)
+            parts = _parts_of(form)
+        if (before := await run_in_threadpool(once.claim, parts, render)) is not None:
+            return before
+        async with once.held():
+            # Large files are read once, for their digests, in the turn of the checks.
+            arrival = (
+                await anyio.to_thread.run_sync(
+                    _adopt, services, once.records, folder, sent, limiter=services.preflight_limiter
+                )
+                if names_uploads
+                else _parsed(form)
+            )
+            recorded = await _check_and_keep(services, once.records, folder, arrival, record)
+    return respond(render(recorded))
+
+
+async def _check_and_keep(
+    services: Services,
+    records: Records,
+    folder: Path,
+    arrival: Arrival,
+    record: Callable[[Records, NewSession], _Recorded],
+) -> _Recorded:
+    form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
+    preflight: Mapping[str, Any] = {}
+    record_path = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
+    if not form.errors:
+        try:
+            with _tracer.start_as_current_span("preflight"):
+                preflight = await anyio.to_thread.run_sync(
+                    services.preflight.check,
+                    _arguments(form, arrival.manifest or Manifest()),
+                    record_path,
+                    limiter=services.preflight_limiter,
+                )
+        except InvalidFilesError as invalid:
+            errors.extend(_located(item, form) for item in invalid.errors)
+    if preflight and arrival.spec:
+        errors.extend(spec_errors(arrival.spec, preflight, SPEC))
+    if errors or arrival.manifest is None or arrival.spec is None:
+        raise unprocessable(errors)
+    return await run_in_threadpool(
+        _keep, services, records, arrival, arrival.manifest, arrival.spec, preflight, record_path, record
+    )
 
 
 def spec_errors(spec: JobSpec, preflight: Mapping[str, Any], *field: str) -> list[ErrorItem]:
@@ -160,25 +190,23 @@ def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None
         return None, list(validation_items(error.errors(), f"/{part}"))
 
 
-async def _receive_uploads(
-    request: Request, folder: Path, services: Services, records: Records, documents: frozenset[str]
-) -> Arrival:
+def _parts_of(form: Form) -> object:
+    """What a form holds, however it was sent."""
+    files = {pointer: [file.name, file.sha256] for pointer, file in _files(form).items()}
+    return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
+
+
+async def _receive_names(request: Request, services: Services, documents: frozenset[str]) -> UploadedSession:
     body = await limited(request, services.settings.max_json_bytes).body()
     try:
-        sent = (UploadedCapture if SPEC in documents else UploadedSession).model_validate_json(body)
+        return (UploadedCapture if SPEC in documents else UploadedSession).model_validate_json(body)
     except ValidationError as error:
         if any(detail["type"] == "json_invalid" for detail in error.errors()):
             raise ApiError(400, "malformed_json", "The body is not JSON.") from None
         raise unprocessable(list(validation_items(error.errors()))) from None
-    # Large files are read once, for their digests, in the turn of the checks.
-    form, upload_ids = await anyio.to_thread.run_sync(
-        _adopt, services, records, folder, sent, limiter=services.preflight_limiter
-    )
-    spec = sent.spec if isinstance(sent, UploadedCapture) else JobSpec()
-    return Arrival(form, sent.manifest, spec, upload_ids=upload_ids)
 
 
-def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSession) -> tuple[Form, tuple[str, ...]]:
+def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSession) -> Arrival:
     """Take in the files of uploads, which stay where they are."""
     parts = Parts(folder, services.limits, frozenset())
     named = [(VIDEOS, one) for one in sent.videos] + [(KEYPOINTS, one) for one in sent.keypoints]
@@ -196,7 +224,9 @@ def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSes
             parts.lack(part, "upload_unfinished", message, "Send the rest of it first.", upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.path(upload.id))
-    return parts.form(), tuple(sorted({str(upload_id) for _, upload_id in named}))
+    spec = sent.spec if isinstance(sent, UploadedCapture) else JobSpec()
+    upload_ids = tuple(sorted({str(upload_id) for _, upload_id in named}))
+    return Arrival(parts.form(), sent.manifest, spec, upload_ids=upload_ids)
 
 
 def _files(form: Form) -> dict[str, ReceivedFile]:
@@ -229,12 +259,13 @@ def _located(item: ErrorItem, form: Form) -> ErrorItem:
 
 def _keep(
     services: Services,
+    records: Records,
     arrival: Arrival,
     manifest: Manifest,
     spec: JobSpec,
     preflight: Mapping[str, Any],
     record_path: Path,
-    record: Callable[[NewSession], _Recorded],
+    record: Callable[[Records, NewSession], _Recorded],
 ) -> _Recorded:
     """Move the files to the artifact store, then say so in the database; neither without the other.
 
@@ -250,7 +281,7 @@ def _keep(
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
         services.artifacts.put_file(record_key(session_id), record_path)
-        recorded = record(NewSession(session_id, manifest.name, files, preflight, arrival.upload_ids, spec))
+        recorded = record(records, NewSession(session_id, manifest.name, files, preflight, arrival.upload_ids, spec))
         undo.pop_all()
     for upload_id in arrival.upload_ids:
         services.uploads.remove(upload_id)

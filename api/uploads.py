@@ -18,6 +18,7 @@ from typing import BinaryIO
 import anyio
 import structlog
 from starlette.concurrency import run_in_threadpool
+from uuid_utils import uuid7
 
 from api.errors import ApiError
 from worker.jobs.errors import NotFound
@@ -32,6 +33,8 @@ _BLOCK_S = 1.0
 # Synced on the way, so that the end of a long piece does not wait for all of it.
 _SYNC_BYTES = 64 * 2**20
 _SWEEP_INTERVAL_S = 60.0
+# Until a file that was begun must have been recorded.
+_UNRECORDED_S = 600.0
 # Of a piece with a checksum, until that was compared.
 _PIECE_SUFFIX = ".piece"
 
@@ -66,10 +69,12 @@ class UploadSpool:
         self._folder = folder
         self._turns: dict[str, _Turn] = {}
 
-    def create(self, upload_id: str) -> None:
-        """Begin a file."""
+    def create(self) -> str:
+        """Begin a file; returns the id of its upload, which is to be recorded at once."""
+        upload_id = str(uuid7())
         self.path(upload_id).open("xb").close()
         _sync_folder(self._folder)
+        return upload_id
 
     def path(self, upload_id: str) -> Path:
         """Where an upload's file is."""
@@ -156,11 +161,11 @@ class UploadSpool:
             await asyncio.sleep(_SWEEP_INTERVAL_S)
 
     def sweep(self, store: JobStore) -> None:
-        """Look once. A row comes before its file and goes before it, so a file without one is nobody's."""
+        """Look once. A file comes a moment before its row, and goes after it."""
         for upload_id in store.expired_uploads():
             if not self.is_written(upload_id):
                 store.forget_expired_upload(upload_id)
-        found = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir()}
+        found = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir() if _is_old(path)}
         for upload_id in found - store.known_uploads(found):
             self.remove(upload_id)
 
@@ -247,6 +252,13 @@ def _move(piece: BinaryIO, target: BinaryIO, offset: int, num_bytes: int) -> int
         _write(target, os.pread(piece.fileno(), _BLOCK_BYTES, start), offset + start)
     os.fsync(target)
     return offset + num_bytes
+
+
+def _is_old(path: Path) -> bool:
+    try:
+        return time.time() - path.stat().st_mtime > _UNRECORDED_S
+    except FileNotFoundError:
+        return False
 
 
 def _sync_folder(folder: Path) -> None:

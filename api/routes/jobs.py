@@ -5,7 +5,6 @@ from typing import Annotated
 
 import structlog
 from fastapi import APIRouter, Body, Query, Request, Response, status
-from starlette.concurrency import run_in_threadpool
 
 from api import examples
 from api.auth import RecordsDep
@@ -13,10 +12,13 @@ from api.bodies import SmallBodyRoute
 from api.contract import Responses, answer, problems, session_body
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import unprocessable
+from api.idempotency import OnceDep
 from api.intake import MANIFEST, SPEC, NewSession, spec_errors, take_in
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from worker import tracing
 from worker.jobs.model import Job, JobState
+from worker.jobs.receipts import Answer
+from worker.jobs.records import Records
 from worker.jobs.removals import remove_files
 from worker.jobs.spec import JobSpec
 from worker.plan import plan
@@ -44,39 +46,42 @@ _ACCEPTED: Responses = {
     "/sessions/{session_id}/jobs",
     operation_id="createJob",
     status_code=status.HTTP_202_ACCEPTED,
-    responses={**_ACCEPTED, **problems(400, 404, 413, 422)},
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 413, 422)},
 )
 def create_job(
     session_id: SessionId,
     services: ServicesDep,
-    records: RecordsDep,
-    response: Response,
+    once: OnceDep,
     spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["spec"]}})] = JobSpec(),  # noqa: B008 - frozen
-) -> JobOut:
+) -> Response:
     """Reconstruct a session."""
-    session = records.session(session_id)
-    if errors := spec_errors(spec, session.preflight):
-        raise unprocessable(errors)
-    stages = plan(session, spec, services.settings.chunk_frames)
-    job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
-    _announce(services, job)
-    return _accepted(response, job)
+
+    def act(records: Records) -> Job:
+        session = records.session(session_id)
+        if errors := spec_errors(spec, session.preflight):
+            raise unprocessable(errors)
+        stages = plan(session, spec, services.settings.chunk_frames)
+        job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
+        _announce(services, job)
+        return job
+
+    return once.run(spec.model_dump(mode="json"), act, _accepted)
 
 
 @router.post(
     "/jobs",
     operation_id="createSessionAndJob",
     status_code=status.HTTP_202_ACCEPTED,
-    responses={**_ACCEPTED, **problems(400, 408, 413, 415, 422, 507)},
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
     openapi_extra=session_body(MANIFEST, SPEC),
 )
-async def create_session_and_job(
-    request: Request, response: Response, services: ServicesDep, records: RecordsDep
-) -> JobOut:
+async def create_session_and_job(request: Request, services: ServicesDep, once: OnceDep) -> Response:
     """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
 
-    def record(new: NewSession) -> Job:
-        return records.create_session_and_job(
+    def record(records: Records, new: NewSession) -> Job:
+        job = records.create_session_and_job(
             new.name,
             new.files,
             new.preflight,
@@ -87,10 +92,10 @@ async def create_session_and_job(
             services.settings.retention_s,
             tracing.current(),
         )
+        _announce(services, job)
+        return job
 
-    job = await take_in(request, services, records, frozenset({MANIFEST, SPEC}), record)
-    await run_in_threadpool(_announce, services, job)
-    return _accepted(response, job)
+    return await take_in(request, services, once, frozenset({MANIFEST, SPEC}), record, _accepted)
 
 
 @small.get("/jobs", operation_id="listJobs", responses={200: answer("JobPage"), **problems(422)})
@@ -126,27 +131,32 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     "/jobs/{job_id}/cancel",
     operation_id="cancelJob",
     status_code=status.HTTP_202_ACCEPTED,
-    responses={**_ACCEPTED, **problems(404, 409)},
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
 )
-def cancel_job(job_id: JobId, records: RecordsDep, response: Response) -> JobOut:
+def cancel_job(job_id: JobId, once: OnceDep) -> Response:
     """Cancel a job. What runs of it stops within seconds."""
-    return _accepted(response, records.cancel(job_id))
+    return once.run(None, lambda records: records.cancel(job_id), _accepted)
 
 
 @small.post(
     "/jobs/{job_id}/retry",
     operation_id="retryJob",
     status_code=status.HTTP_202_ACCEPTED,
-    responses={**_ACCEPTED, **problems(404, 409)},
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
 )
-def retry_job(job_id: JobId, services: ServicesDep, records: RecordsDep, response: Response) -> JobOut:
+def retry_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
     """Try a failed or canceled job again. What it had finished is not done again."""
-    job = records.job(job_id)
-    session = records.session(job.session_id)
-    stages = plan(session, job.spec, services.settings.chunk_frames)
-    job = records.retry(job_id, stages, tracing.current())
-    services.queue.publish()
-    return _accepted(response, job)
+
+    def act(records: Records) -> Job:
+        job = records.job(job_id)
+        stages = plan(records.session(job.session_id), job.spec, services.settings.chunk_frames)
+        job = records.retry(job_id, stages, tracing.current())
+        services.queue.publish()
+        return job
+
+    return once.run(None, act, _accepted)
 
 
 @small.delete(
@@ -168,7 +178,6 @@ def _announce(services: Services, job: Job) -> None:
     services.queue.publish()
 
 
-def _accepted(response: Response, job: Job) -> JobOut:
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    response.headers["Retry-After"] = str(_POLL_AFTER_S)
-    return JobOut.of(job)
+def _accepted(job: Job) -> Answer:
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(_POLL_AFTER_S)}
+    return Answer(202, headers, JobOut.of(job).model_dump_json())

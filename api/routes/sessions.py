@@ -5,9 +5,12 @@ from fastapi import APIRouter, Request, Response, status
 from api.auth import RecordsDep
 from api.contract import answer, problems, session_body
 from api.dependencies import Cursor, Limit, ServicesDep, SessionId
+from api.idempotency import OnceDep
 from api.intake import MANIFEST, NewSession, take_in
 from api.schemas import SessionOut, SessionPage
 from worker.jobs.model import Session
+from worker.jobs.receipts import Answer
+from worker.jobs.records import Records
 from worker.jobs.removals import remove_files
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
@@ -20,24 +23,21 @@ _LOCATION = {"headers": {"Location": {"description": "Address of the session.", 
     "",
     operation_id="createSession",
     status_code=status.HTTP_201_CREATED,
-    responses={201: _ONE | _LOCATION, **problems(400, 408, 413, 415, 422, 507)},
+    response_model=SessionOut,
+    responses={201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
     openapi_extra=session_body(MANIFEST),
 )
-async def create_session(
-    request: Request, response: Response, services: ServicesDep, records: RecordsDep
-) -> SessionOut:
+async def create_session(request: Request, services: ServicesDep, once: OnceDep) -> Response:
     """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
     As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
     found, or all that is wrong.
     """
 
-    def record(new: NewSession) -> Session:
+    def record(records: Records, new: NewSession) -> Session:
         return records.create_session(new.name, new.files, new.preflight, new.id, new.upload_ids)
 
-    session = await take_in(request, services, records, frozenset({MANIFEST}), record)
-    response.headers["Location"] = f"/v1/sessions/{session.id}"
-    return SessionOut.of(session)
+    return await take_in(request, services, once, frozenset({MANIFEST}), record, _created)
 
 
 @router.get("", operation_id="listSessions", responses={200: answer("SessionPage"), **problems(422)})
@@ -65,3 +65,7 @@ def delete_session(session_id: SessionId, services: ServicesDep, records: Record
     # Its rows first, so that nothing is shown whose files are gone.
     records.delete_session(session_id)
     remove_files(services.store, services.artifacts)
+
+
+def _created(session: Session) -> Answer:
+    return Answer(201, {"Location": f"/v1/sessions/{session.id}"}, SessionOut.of(session).model_dump_json())

@@ -17,8 +17,10 @@ from api.contract import Responses, problems
 from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
 from api.form import name_error, too_large
+from api.idempotency import OnceDep
 from api.uploads import Checksum
 from worker.jobs.model import Upload
+from worker.jobs.receipts import Answer
 from worker.jobs.records import Records
 
 VERSION = "1.0.0"
@@ -83,13 +85,13 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
     response_class=Response,
     responses={
         **_answers(201, "Location", "Upload-Offset", "Upload-Expires"),
-        **problems(400, 408, 412, 413, 415, 423, 460, 507),
+        **problems(400, 408, 409, 412, 413, 415, 422, 423, 460, 507),
     },
 )
 async def create_upload(
     request: Request,
     services: ServicesDep,
-    records: RecordsDep,
+    once: OnceDep,
     _: Annotated[None, Depends(_speaks_tus)],
     upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
     upload_metadata: Annotated[
@@ -112,12 +114,22 @@ async def create_upload(
     has_piece = announced_bytes(request) > 0 or "transfer-encoding" in request.headers
     if has_piece:
         _require_piece_type(request)
-    upload = await run_in_threadpool(_begin, services, records, name, length, upload_metadata or "")
-    headers = {"Location": f"/v1/uploads/{upload.id}"}
+
+    def begin(records: Records) -> Upload:
+        upload_id = services.uploads.create()
+        keep_s = services.settings.upload_keep_s
+        return records.create_upload(upload_id, name, length, upload_metadata or "", keep_s)
+
+    response = await run_in_threadpool(once.run, [length, upload_metadata], begin, _begun)
     if has_piece:
-        offset, upload = await _append(request, services, records, upload, 0, checksum)
-        headers["Upload-Offset"] = str(offset)
-    return Response(status_code=201, headers=headers | _common_headers(upload))
+        upload = await run_in_threadpool(once.records.upload, response.headers["location"].rpartition("/")[2])
+        offset = await run_in_threadpool(services.uploads.offset, upload.id)
+        if offset == 0:  # else the first answer was lost, and the piece is here
+            offset, upload = await _append(request, services, once.records, upload, 0, checksum)
+        else:
+            await drain(aiter(request.stream()))
+        response.headers["Upload-Offset"] = str(offset)
+    return response
 
 
 @router.head(
@@ -194,10 +206,8 @@ async def delete_upload(
     return Response(status_code=204)
 
 
-def _begin(services: Services, records: Records, name: str, length: int, metadata: str) -> Upload:
-    upload = records.create_upload(name, length, metadata, services.settings.upload_keep_s)
-    services.uploads.create(upload.id)
-    return upload
+def _begun(upload: Upload) -> Answer:
+    return Answer(201, {"Location": f"/v1/uploads/{upload.id}", **_common_headers(upload)}, "")
 
 
 async def _append(

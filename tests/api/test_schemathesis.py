@@ -54,8 +54,12 @@ def unsaid_by_schemas(case: schemathesis.Case[Any]) -> list[Any]:
         # Schemathesis gives all files of a form one name, which the service refuses, and sends a number as its digits,
         # which are a file like any other.
         return [positive_data_acceptance, negative_data_rejection]
-    # tus asks for headers by statuses of its own, and which uploads there are is in no schema.
-    if case.path.startswith("/v1/uploads") or (isinstance(case.body, dict) and "calibration" in case.body):
+    # tus asks for headers by statuses of its own.
+    if case.path.startswith("/v1/uploads"):
+        return [positive_data_acceptance, negative_data_rejection]
+    # Which uploads there are, and for what a key was used before.
+    names_uploads = isinstance(case.body, dict) and "calibration" in case.body
+    if names_uploads or "idempotency-key" in {name.lower() for name in case.headers}:
         return [positive_data_acceptance]
     # Which cutoff a session's frame rate allows.
     is_filtered = isinstance(case.body, dict) and case.body.get("smoothing") == "butterworth"

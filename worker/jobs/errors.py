@@ -5,7 +5,9 @@
     JobStoreError            a sentence for a person
     ├── NotFound             there is no such session, job, result or artifact
     ├── Conflict             not in this state
-    │   └── NotFinished      results were asked of a job that is still at work
+    │   ├── NotFinished      results were asked of a job that is still at work
+    │   └── KeyBusy          the request of an idempotency key is being answered
+    ├── KeyReused            an idempotency key came with another request
     └── QuotaExceeded        the tenant has as much as it may have
     OSError
     └── ArtifactsUnavailable the artifact store does not answer, or refuses us
@@ -26,6 +28,14 @@ class Conflict(JobStoreError):  # noqa: N818
 
 class NotFinished(Conflict):
     """The job is still at work."""
+
+
+class KeyBusy(Conflict):
+    """The request of an idempotency key is being answered."""
+
+
+class KeyReused(JobStoreError):  # noqa: N818
+    """An idempotency key came with another request."""
 
 
 class ArtifactsUnavailable(OSError):  # noqa: N818

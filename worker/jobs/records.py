@@ -26,6 +26,7 @@ from worker.jobs.model import (
     Usage,
 )
 from worker.jobs.quotas import NO_QUOTAS, read_usage, require_room
+from worker.jobs.receipts import Claim
 from worker.jobs.removals import keep, remove_later
 from worker.jobs.rows import jobs_of, result_of, select_jobs, session_of
 from worker.jobs.spec import JobSpec
@@ -36,6 +37,12 @@ from worker.jobs.uploads import Uploads
 
 class Records(Uploads):
     """The clients' side of the store. Lists begin with the newest; ``after`` is the last id of the page before."""
+
+    def answering(self, claim: Claim) -> "Records":
+        """The same records, which leave a receipt for what is done by them, once."""
+        records = Records(self._database, self._tenant, self._quotas, self._actor)
+        records._claim = claim
+        return records
 
     def create_session(
         self,
@@ -60,7 +67,9 @@ class Records(Uploads):
         """
         with self._database.writing() as connection:
             self._insert_session(connection, name, files, preflight, session_id, upload_ids)
-            return self._session(connection, session_id)
+            session = self._session(connection, session_id)
+            self._leave_receipt(connection, session)
+            return session
 
     def create_session_and_job(
         self,
@@ -78,7 +87,7 @@ class Records(Uploads):
         with self._database.writing() as connection:
             self._insert_session(connection, name, files, preflight, session_id, upload_ids)
             stages = plan(self._session(connection, session_id))
-            return self._job(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
+            return self._told(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
 
     def require_room(self, num_bytes: int, unfinished_jobs: int = 0) -> None:
         """Raise ``QuotaExceeded`` if there may be no more session of so many bytes; before they are sent."""
@@ -150,7 +159,7 @@ class Records(Uploads):
             There is no stage, or one without chunks: such a job would never end.
         """
         with self._database.writing() as connection:
-            return self._job(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
+            return self._told(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
 
     def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
         """How far jobs have come, for whoever looks for what is new; those that are not there are left out."""
@@ -215,7 +224,7 @@ class Records(Uploads):
                 note_deed(connection, self._actor, job.tenant, Act.JOB_CANCELED, job_id)
             cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY))
             settle_canceling(connection, job_id)
-            return self._job(connection, job_id)
+            return self._told(connection, job_id)
 
     def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> Job:
         """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
@@ -241,7 +250,7 @@ class Records(Uploads):
             connection.execute(delete(results).where(results.c.job_id == job_id))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
             _insert_chunks(connection, job_id, stages)
-            return self._job(connection, job_id)
+            return self._told(connection, job_id)
 
     def attempts(self, job_id: str) -> list[Attempt]:
         """A job's attempts, the first one first, each with what went wrong in it; ``NotFound`` without a job."""
@@ -350,6 +359,12 @@ class Records(Uploads):
         if not found:
             raise NotFound("There is no such job.")
         return found[0]
+
+    def _told(self, connection: Connection, job_id: str) -> Job:
+        """A job that was made or changed, with the client's receipt for it."""
+        job = self._job(connection, job_id)
+        self._leave_receipt(connection, job)
+        return job
 
     def _job_row(self, connection: Connection, job_id: str, lock: bool = False) -> Row[Any]:
         query = select(jobs).where(jobs.c.id == job_id, self._mine(jobs))

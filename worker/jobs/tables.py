@@ -219,6 +219,21 @@ keys = Table(
     Column("revoked_at", Moment),
 )
 
+# What was answered to requests that may be sent again. Without a status: such a request is being answered.
+receipts = Table(
+    "receipts",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("key", String(200), primary_key=True),
+    Column("fingerprint", String(64), nullable=False),  # SHA-256 of the request
+    Column("token", String(36), nullable=False),
+    Column("claimed_until", Moment, nullable=False),
+    Column("expires_at", Moment, nullable=False, index=True),
+    Column("status", Integer),
+    Column("headers", JSON(none_as_null=True)),
+    Column("body", String),
+)
+
 # Browsers that have shown a key, and have a cookie for it.
 browser_sessions = Table(
     "browser_sessions",

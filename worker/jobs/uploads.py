@@ -8,24 +8,25 @@ from collections.abc import Collection
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select, update
-from uuid_utils import uuid7
 
 from worker.jobs.audit import Act, note_deed
 from worker.jobs.database import now
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.model import Upload
+from worker.jobs.receipts import Receipts
 from worker.jobs.tables import uploads
-from worker.jobs.tenants import OfTenant
 
 
-class Uploads(OfTenant):
+class Uploads(Receipts):
     """A tenant's uploads. One whose time is over is not there."""
 
-    def create_upload(self, name: str, num_bytes: int, metadata: str, keep_s: float) -> Upload:
-        """Begin an upload; its bytes count for the tenant's quota from now on.
+    def create_upload(self, upload_id: str, name: str, num_bytes: int, metadata: str, keep_s: float) -> Upload:
+        """Record an upload; its bytes count for the tenant's quota from now on.
 
         Parameters
         ----------
+        upload_id
+            As its file is called.
         name
             Of the file.
         num_bytes
@@ -39,7 +40,6 @@ class Uploads(OfTenant):
         ------
         QuotaExceeded
         """
-        upload_id = str(uuid7())
         with self._database.writing() as connection:
             self._require_room(connection, uploads=1, stored_bytes=num_bytes)
             connection.execute(
@@ -53,7 +53,9 @@ class Uploads(OfTenant):
                 )
             )
             note_deed(connection, self._actor, self._owner, Act.UPLOAD_CREATED, upload_id)
-            return self._upload(connection, upload_id)
+            upload = self._upload(connection, upload_id)
+            self._leave_receipt(connection, upload)
+            return upload
 
     def upload(self, upload_id: str) -> Upload:
         """An upload; ``NotFound`` if there is none."""

@@ -1,6 +1,7 @@
 """What is said of uploads; their bytes are the API's."""
 
 import pytest
+from uuid_utils import uuid7
 
 from tests.worker.jobs.conftest import Bench, stages
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
@@ -19,7 +20,7 @@ def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> Recor
 
 
 def begin(records: Records, num_bytes: int = 100) -> str:
-    return records.create_upload("cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S).id
+    return records.create_upload(str(uuid7()), "cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S).id
 
 
 def expire(jobs: Bench, upload_id: str) -> None:
@@ -28,7 +29,7 @@ def expire(jobs: Bench, upload_id: str) -> None:
 
 def test_what_was_said_comes_back(jobs: Bench) -> None:
     mine = of(jobs)
-    upload = mine.create_upload("cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S)
+    upload = mine.create_upload(str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S)
     assert mine.upload(upload.id) == upload
     assert (upload.name, upload.num_bytes, upload.metadata) == ("cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0")
     assert mine.renew_upload(upload.id, 2 * HOUR_S).expires_at > upload.expires_at
