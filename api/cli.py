@@ -2,7 +2,7 @@
 
 import typer
 
-from api.commands import audit, benchmark, demo, evaluate, keys, models, reconstruct, samples, serve, simulate
+from api.commands import audit, benchmark, demo, evaluate, keys, models, reconstruct, samples, serve, simulate, webhooks
 from pipeline.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.add_typer(benchmark.app, name="benchmark")
 app.add_typer(keys.app, name="keys")
 app.add_typer(models.app, name="models")
 app.add_typer(samples.app, name="samples")
+app.add_typer(webhooks.app, name="webhooks")
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import anyio
 import uuid_utils
@@ -22,6 +23,7 @@ from api.idempotency import Once, respond
 from api.multipart import receive_form
 from api.preflight import InvalidFilesError
 from api.schemas import Manifest, UploadedCapture, UploadedSession
+from worker.addresses import is_public
 from worker.jobs.artifacts import input_key, record_key, session_prefix
 from worker.jobs.errors import NotFound
 from worker.jobs.model import InputFile
@@ -146,6 +148,8 @@ async def _check_and_keep(
             errors.extend(_located(item, form) for item in invalid.errors)
     if preflight and arrival.spec:
         errors.extend(spec_errors(arrival.spec, preflight, SPEC))
+    if arrival.spec:
+        errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
     if errors or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
     return await run_in_threadpool(
@@ -161,6 +165,31 @@ def spec_errors(spec: JobSpec, preflight: Mapping[str, Any], *field: str) -> lis
         ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
         for name, (code, message) in problems.items()
     ]
+
+
+def callback_errors(spec: JobSpec, services: Services, records: Records, *field: str) -> list[ErrorItem]:
+    """Why nobody could be told at a spec's address; ``field`` as above."""
+    if spec.callback_url is None:
+        return []
+    address = urlsplit(spec.callback_url)
+    found: list[tuple[str, str, str | None]] = []
+    if not services.settings.webhook_private:
+        if address.scheme != "https":
+            found.append(("callback_not_https", "Webhooks go to https addresses only.", None))
+        if _is_private(address.hostname or ""):
+            found.append(("callback_not_public", "Webhooks go to public addresses only.", None))
+    if not records.has_webhook_secret():
+        hint = "Have the operator make one with `multicap webhooks rotate`."
+        found.append(("webhook_secret_missing", "There is no secret to sign webhooks with.", hint))
+    pointer = pointer_to(*field, "callback_url")
+    return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
+
+
+def _is_private(host: str) -> bool:
+    try:
+        return not is_public(host)
+    except ValueError:  # A name: what it stands for is looked at when a message goes there.
+        return False
 
 
 @contextlib.asynccontextmanager

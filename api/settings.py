@@ -89,6 +89,9 @@ class Settings(BaseSettings):
         default=None, gt=0, description="Of a tenant, at each API process; without it any number."
     )
 
+    webhook_private: bool = Field(
+        default=False, description="Whether webhooks may go to addresses of private networks, and without TLS."
+    )
     client_idle_s: float = Field(
         default=60.0, gt=0, description="How long a client may neither send nor take anything of a body."
     )

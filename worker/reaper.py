@@ -2,11 +2,12 @@
 
 Frees the leases of workers that fell silent, ends what keeps failing, and publishes when work is ready that no message
 may stand for any more. So a lost message, or a broker that lost all of them, costs a few seconds. Removes results whose
-time is over, and files of what was deleted that are still there.
+time is over, and files of what was deleted that are still there. Sends webhooks.
 """
 
 import contextlib
 import signal
+import threading
 import time
 from collections.abc import Callable
 
@@ -18,6 +19,7 @@ from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
 from worker.settings import WorkerSettings
+from worker.webhooks import Sender, deliver_forever
 
 log = structlog.get_logger()
 
@@ -40,6 +42,8 @@ def main() -> None:
     settings = WorkerSettings()
     store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)
     artifacts = settings.open_artifacts()
+    # Beside the rest: whom a webhook goes to may be slow.
+    threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
         while True:

@@ -30,6 +30,9 @@ class WorkerSettings(BaseSettings):
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
     lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
     heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
+    webhook_private: bool = Field(
+        default=False, description="Whether webhooks may go to addresses of private networks and of this machine."
+    )
     reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for what was lost.")
     nice: int = Field(
         default=10, ge=0, le=19, description="How far workers stand back for all else on their machine, the API first."

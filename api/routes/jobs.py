@@ -13,7 +13,7 @@ from api.contract import Responses, answer, problems, session_body
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import unprocessable
 from api.idempotency import OnceDep
-from api.intake import MANIFEST, SPEC, NewSession, spec_errors, take_in
+from api.intake import MANIFEST, SPEC, NewSession, callback_errors, spec_errors, take_in
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from worker import tracing
 from worker.jobs.model import Job, JobState
@@ -59,7 +59,7 @@ def create_job(
 
     def act(records: Records) -> Job:
         session = records.session(session_id)
-        if errors := spec_errors(spec, session.preflight):
+        if errors := [*spec_errors(spec, session.preflight), *callback_errors(spec, services, records)]:
             raise unprocessable(errors)
         stages = plan(session, spec, services.settings.chunk_frames)
         job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())

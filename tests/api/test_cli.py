@@ -136,7 +136,7 @@ def test_a_model_that_nobody_knows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["reconstruct", "demo", "audit", "evaluate", "benchmark", "keys", "models", "samples"]
+    "command", ["reconstruct", "demo", "audit", "evaluate", "benchmark", "keys", "models", "samples", "webhooks"]
 )
 def test_every_command_says_what_it_does(command: str) -> None:
     result = runner.invoke(app, [command, "--help"])
@@ -190,6 +190,20 @@ def test_keys_are_made_listed_and_revoked(tmp_path: Path) -> None:
         ("key-created", key["id"]),
     ]
     assert key["id"] in runner.invoke(app, ["audit", *data]).stderr
+
+
+def test_webhook_secrets_are_made_and_what_is_left_is_listed(tmp_path: Path) -> None:
+    data = ["--data", str(tmp_path / "service")]
+    made = json.loads(runner.invoke(app, ["webhooks", "rotate", "--tenant", "studio", "--json", *data]).stdout)
+    assert made["tenant"] == "studio"
+    assert made["secret"].startswith("whsec_")
+    assert runner.invoke(app, ["webhooks", "rotate", *data]).stdout.startswith("whsec_")
+    assert json.loads(runner.invoke(app, ["webhooks", "list", "--json", *data]).stdout) == {"deliveries": []}
+    assert runner.invoke(app, ["webhooks", "list", *data]).exit_code == 0
+    refused = runner.invoke(app, ["webhooks", "rotate", "--tenant", "x" * 65, *data])
+    assert (refused.exit_code, "1 to 64" in refused.stderr) == (2, True)
+    deeds = json.loads(runner.invoke(app, ["audit", "--tenant", "studio", "--json", *data]).stdout)["deeds"]
+    assert [deed["act"] for deed in deeds] == ["webhook-secret-made"]
 
 
 @pytest.mark.parametrize(

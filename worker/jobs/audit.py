@@ -22,6 +22,7 @@ class Act(StrEnum):
     UPLOAD_DELETED = "upload-deleted"
     KEY_CREATED = "key-created"
     KEY_REVOKED = "key-revoked"
+    WEBHOOK_SECRET_MADE = "webhook-secret-made"  # noqa: S105 - an act
     BROWSER_LET_IN = "browser-let-in"
 
 

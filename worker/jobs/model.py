@@ -14,7 +14,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any
@@ -248,6 +248,30 @@ class Usage:
     unfinished_jobs: int
     stored_bytes: int
     uploads: int
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A message of a job's end. ``tries`` counts the one at hand; ``problem`` is of the one before."""
+
+    id: int
+    message_id: str
+    job_id: str
+    tenant: str
+    url: str
+    body: str
+    due_at: datetime
+    tries: int
+    problem: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class WebhookSecret:
+    """What signs messages, until ``expires_at`` if there is a newer one."""
+
+    secret: str = field(repr=False)
+    created_at: datetime
+    expires_at: datetime | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from worker.jobs.artifacts import job_prefix, session_prefix
 from worker.jobs.attempts import attempts_of, keep_attempt
 from worker.jobs.audit import Act, note_deed
 from worker.jobs.database import now
+from worker.jobs.deliveries import read_secrets
 from worker.jobs.errors import Conflict, NotFinished, NotFound
 from worker.jobs.model import (
     FINISHED,
@@ -95,6 +96,11 @@ class Records(Uploads):
             return
         more = {"sessions": 1, "stored_bytes": num_bytes, "unfinished_jobs": unfinished_jobs}
         require_room(self._quotas, self.usage(), **more)
+
+    def has_webhook_secret(self) -> bool:
+        """Whether messages to the tenant could be signed."""
+        with self._database.reading() as connection:
+            return bool(read_secrets(connection, self._owner))
 
     def usage(self) -> Usage:
         """How much the tenant has."""

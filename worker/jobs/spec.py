@@ -1,6 +1,7 @@
 """What a client may ask for."""
 
 from typing import Literal
+from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -44,12 +45,26 @@ class JobSpec(BaseModel):
         default="default", description="What BVH files are to be opened with: their names, axes, unit and rest pose."
     )
 
+    callback_url: str | None = Field(
+        default=None,
+        max_length=2000,
+        pattern=r"^https?://[^\s/?#@\\]+([/?][^\s#\\]*)?$",
+        description="Told of the job's end by a Standard Webhook: `job.succeeded`, `.failed`, `.canceled`, `.expired`.",
+    )
+
     @field_validator("exports")
     @classmethod
     def _each_once(cls, exports: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(exports)) < len(exports):
             raise ValueError("Name each format once.")
         return exports
+
+    @field_validator("callback_url")
+    @classmethod
+    def _has_a_port_that_is_one(cls, url: str | None) -> str | None:
+        if url is not None:
+            _ = urlsplit(url).port  # which raises what is wrong
+        return url
 
     def problems(self, num_frames: int, frame_rate_hz: float) -> dict[str, tuple[str, str]]:
         """What of this can't be done with a session of so many output frames: code and sentence by field."""

@@ -5,6 +5,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from worker.jobs.audit import Audit
 from worker.jobs.database import Database
+from worker.jobs.deliveries import Deliveries
 from worker.jobs.keys import Keys
 from worker.jobs.leases import MAX_ATTEMPTS, Leases
 from worker.jobs.model import Actor, Figures
@@ -17,10 +18,11 @@ from worker.jobs.totals import read_figures
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 
 
-class JobStore(Records, Leases, Removals, Keys, Audit):
+class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit):
     """Sessions, jobs and chunks in a database.
 
-    ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Removals`` of files, ``Keys`` and ``Audit``.
+    ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Removals`` of files, ``Deliveries`` of
+    webhooks, ``Keys`` and ``Audit``.
 
     Every method is one transaction. A store may be shared by threads and carried across a fork.
 

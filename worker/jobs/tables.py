@@ -234,6 +234,35 @@ receipts = Table(
     Column("body", String),
 )
 
+# What has to be told of jobs that have ended.
+deliveries = Table(
+    "deliveries",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("message_id", String(40), nullable=False),
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False, index=True),
+    Column("tenant", String(64), nullable=False),
+    Column("url", String, nullable=False),
+    Column("body", String, nullable=False),
+    Column("created_at", Moment, nullable=False),
+    Column("due_at", Moment, nullable=False, index=True),
+    Column("tries", Integer, nullable=False),
+    Column("problem", String),  # of the last try
+    sqlite_autoincrement=True,
+)
+
+# What signs a tenant's messages: it has to be known here as it is.
+webhook_secrets = Table(
+    "webhook_secrets",
+    metadata,
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("tenant", String(64), nullable=False, index=True),
+    Column("secret", String(100), nullable=False),
+    Column("created_at", Moment, nullable=False),
+    Column("expires_at", Moment),  # null: until there is a newer one
+    sqlite_autoincrement=True,
+)
+
 # Browsers that have shown a key, and have a cookie for it.
 browser_sessions = Table(
     "browser_sessions",

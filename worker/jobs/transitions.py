@@ -11,6 +11,7 @@ from typing import Any, Literal
 from sqlalchemy import Connection, Row, insert, select, update
 
 from worker.jobs.database import now
+from worker.jobs.deliveries import queue_delivery
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
 from worker.jobs.tables import chunks, events, jobs
 from worker.jobs.totals import Total, count
@@ -43,6 +44,7 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
         note(connection, job_id, "state", to)
         if to in FINISHED:
             count(connection, Total.JOBS_ENDED, to)
+            queue_delivery(connection, job_id, to)
     return moved.rowcount == 1
 
 

@@ -1,0 +1,65 @@
+"""`multicap webhooks`: what signs them, and what has not arrived."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Column, Table
+from rich.text import Text
+
+from api.commands.store import store_in
+from api.console import console, emit, refusal
+from worker.jobs.tables import DEFAULT_TENANT
+
+app = typer.Typer(help="Webhooks of the service: secrets, and what has not arrived.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Data = Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")]
+Tenant = Annotated[str, typer.Option(help="Whose jobs' ends it signs.")]
+
+_HOUR_S = 3600.0
+
+
+@app.command()
+def rotate(
+    tenant: Tenant = DEFAULT_TENANT,
+    keep_hours: Annotated[float, typer.Option(min=0, max=720, help="How long the earlier secret signs, too.")] = 24.0,
+    data: Data = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make the secret that signs a tenant's webhooks, and print it."""
+    if not 0 < len(tenant) <= 64:
+        raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
+    with store_in(data) as store:
+        secret = store.rotate_webhook_secret(tenant, keep_hours * _HOUR_S)
+    if as_json:
+        emit({"tenant": tenant, "secret": secret})
+        return
+    console.print(f"Secret of {tenant}. Whoever receives its webhooks verifies them by it:")
+    typer.echo(secret)
+
+
+@app.command("list")
+def list_(data: Data = None, as_json: AsJson = False) -> None:
+    """List what has not arrived, the oldest first."""
+    with store_in(data) as store:
+        left = store.deliveries()
+    if as_json:
+        listed = [
+            {
+                "message_id": one.message_id,
+                "job_id": one.job_id,
+                "tenant": one.tenant,
+                "url": one.url,
+                "due_at": one.due_at.isoformat(),
+                "tries": one.tries,
+                "problem": one.problem,
+            }
+            for one in left
+        ]
+        emit({"deliveries": listed})
+        return
+    table = Table(Column("job", no_wrap=True, min_width=36), "tenant", "to", "tries", "next", "what went wrong")
+    for one in left:
+        row = one.job_id, one.tenant, one.url, str(one.tries), f"{one.due_at:%Y-%m-%d %H:%M:%S}", one.problem or ""
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(table)

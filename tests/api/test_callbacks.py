@@ -1,0 +1,59 @@
+"""Where clients may have themselves told of a job's end; what is told is in ``tests/worker/test_webhooks.py``."""
+
+from collections.abc import Callable
+
+import pytest
+
+from api.settings import Settings
+from tests.api.conftest import Live, form, problem_of, running
+from worker.jobs.tables import DEFAULT_TENANT
+
+HOOK = "https://portal.example/hooks/multicap?x=1"
+
+
+def test_a_job_says_who_is_told(live: Live) -> None:
+    live.services.store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json={"callback_url": HOOK})
+    assert answer.status_code == 202, answer.text
+    assert answer.json()["spec"]["callback_url"] == HOOK
+    assert live.client.post(f"/v1/sessions/{live.session_id()}/jobs").json()["spec"]["callback_url"] is None
+
+
+@pytest.mark.parametrize(
+    ("url", "code"),
+    [
+        ("http://portal.example/", "callback_not_https"),
+        ("https://127.0.0.1/", "callback_not_public"),
+        ("https://10.0.0.1:8443/", "callback_not_public"),
+        ("https://[::1]/", "callback_not_public"),
+        ("https://169.254.169.254/latest/meta-data", "callback_not_public"),
+        ("https://user:secret@portal.example/", "string_pattern_mismatch"),
+        ("ftp://portal.example/", "string_pattern_mismatch"),
+        ("https:///hook", "string_pattern_mismatch"),
+        ("https://portal.example/#part", "string_pattern_mismatch"),
+        ("https://portal.example:99999/", "value_error"),
+        ("https://portal.example/a b", "string_pattern_mismatch"),
+    ],
+)
+def test_addresses_that_are_refused(live: Live, url: str, code: str) -> None:
+    live.services.store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json={"callback_url": url})
+    problem = problem_of(answer, 422, "invalid_request")
+    assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [(code, "/callback_url")]
+
+
+def test_without_a_secret_nobody_can_be_told(make_settings: Callable[..., Settings]) -> None:
+    spec = ("spec", (None, '{"callback_url": "http://portal.example/"}'))
+    with running(make_settings()) as live:
+        problem = problem_of(live.client.post("/v1/jobs", files=[*form(), spec]), 422, "invalid_request")
+        assert [item["code"] for item in problem["errors"]] == ["callback_not_https", "webhook_secret_missing"]
+        assert {item["pointer"] for item in problem["errors"]} == {"/spec/callback_url"}
+        assert "multicap webhooks rotate" in problem["errors"][1]["hint"]
+        assert live.kept() == []
+
+
+def test_private_addresses_where_the_operator_allows_them(make_settings: Callable[..., Settings]) -> None:
+    with running(make_settings(webhook_private=True)) as live:
+        live.services.store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+        body = {"callback_url": "http://127.0.0.1:9/"}
+        assert live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=body).status_code == 202
