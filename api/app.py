@@ -53,6 +53,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(router, responses=contract.problems(401, 429))
     for router in (uploads.described, callers.router, health.router, page.router):
         app.include_router(router)
+    contract.declare_webhooks(app)
     errors.install(app)
     # What a browser may do for pages from elsewhere: never with a cookie.
     app.add_middleware(

@@ -1,9 +1,9 @@
 """What the routes declare of themselves in OpenAPI: their errors, their forms."""
 
 from collections.abc import Collection
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import FastAPI
+from fastapi import Body, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
@@ -11,7 +11,7 @@ from pydantic.json_schema import JsonSchemaMode
 from api import examples
 from api.errors import ErrorItem, ProblemDetails
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS
-from api.schemas import Manifest, UploadedCapture, UploadedSession
+from api.schemas import JobEnded, Manifest, UploadedCapture, UploadedSession
 from worker.jobs.spec import JobSpec
 
 _SCHEMA_REF = "#/components/schemas/{model}"
@@ -44,6 +44,12 @@ Responses = dict[int | str, dict[str, Any]]
 def answer(example: str) -> dict[str, Any]:
     """Declare an answer's example, one of ``api.examples.ANSWERS``."""
     return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
+
+
+def location(what: str, path: str) -> dict[str, Any]:
+    """Declare the header that says where something is."""
+    example = path.format(**examples.PATH_PARAMETERS)
+    return {"description": f"Address of the {what}.", "schema": {"type": "string"}, "example": example}
 
 
 def problems(*statuses: int) -> Responses:
@@ -103,10 +109,26 @@ def _uploaded(documents: Collection[str]) -> type[BaseModel]:
     return UploadedCapture if "spec" in documents else UploadedSession
 
 
+def declare_webhooks(app: FastAPI) -> None:
+    """Say what the service sends of itself."""
+
+    @app.webhooks.post("job-ended", operation_id="jobEnded", status_code=204)
+    def job_ended(
+        message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": examples.JOB_ENDED}})],
+    ) -> None:
+        """Told to a job's `callback_url` when it has ended. What is not answered with 2xx is sent again for a day."""
+
+
 def describe(app: FastAPI) -> dict[str, Any]:
     """The app's OpenAPI, with what operations only refer to."""
     if app.openapi_schema is None:
-        schema = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+        schema = get_openapi(
+            title=app.title,
+            version=app.version,
+            description=app.description,
+            routes=app.routes,
+            webhooks=app.webhooks.routes,
+        )
         _drop_unused_errors(schema)
         models = schema["components"]["schemas"]
         for model in (ErrorItem, ProblemDetails):
@@ -125,7 +147,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
 
 def _drop_unused_errors(schema: dict[str, Any]) -> None:
     """Take out the framework's own form of a 422: it stands where no parameter can be wrong."""
-    for path in schema["paths"].values():
+    for path in (*schema["paths"].values(), *schema["webhooks"].values()):
         for operation in path.values():
             if "content" in operation["responses"].get("422", {}):
                 del operation["responses"]["422"]

@@ -11,6 +11,36 @@ _SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 UPLOAD_IDS = [f"01890a5c-7c1e-7a4b-8f00-00000000000{index}" for index in range(3)]
 
+PATH_PARAMETERS = {
+    "session_id": _SESSION_ID,
+    "job_id": _JOB_ID,
+    "upload_id": UPLOAD_IDS[0],
+    "name": "person-1.bvh",
+}
+
+REQUEST_HEADERS = {
+    "Idempotency-Key": "01890a5b-02aa-7cc1-9d10-6f0a7b8c9d0e",
+    "Tus-Resumable": "1.0.0",
+    "Upload-Length": "5242880",
+    "Upload-Metadata": "filename Y2FtXzAubXA0",
+    "Upload-Offset": "1048576",
+    "Last-Event-ID": "16",
+    "If-None-Match": f'"{_SHA256}"',
+}
+
+ANSWER_HEADERS = {
+    "Retry-After": "1",
+    "ETag": f'"{_SHA256}"',
+    "Accept-Ranges": "bytes",
+    "Content-Disposition": "attachment; filename*=utf-8''person-1.bvh",
+    "Set-Cookie": "multicap_session=...; HttpOnly; Max-Age=43200; Path=/; SameSite=strict",
+    "Tus-Resumable": "1.0.0",
+    "Upload-Offset": "1048576",
+    "Upload-Length": "5242880",
+    "Upload-Metadata": "filename Y2FtXzAubXA0",
+    "Upload-Expires": "Tue, 03 Mar 2026 09:30:00 GMT",
+}
+
 DOCUMENTS: dict[str, Any] = {
     "manifest": {"name": "Handshake, take 3"},
     "spec": {
@@ -140,6 +170,12 @@ _ATTEMPTS: dict[str, Any] = {
             ],
         }
     ]
+}
+
+JOB_ENDED: dict[str, Any] = {
+    "type": "job.succeeded",
+    "timestamp": "2026-03-01T09:32:10.250000Z",
+    "data": {"id": _JOB_ID, "session_id": _SESSION_ID, "state": "succeeded", "attempt": 1},
 }
 
 EVENT: dict[str, Any] = {"id": "17", "event": "job", "data": json.dumps(_JOB), "retry": 2000}

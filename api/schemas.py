@@ -283,6 +283,23 @@ class JobPage(_Answer):
     next_cursor: str | None = Field(description="For the next page, if there may be one.")
 
 
+class EndedJob(_Answer):
+    """Which job has ended, and how; the rest is to be asked for."""
+
+    id: Id
+    session_id: Id
+    state: JobState
+    attempt: int
+
+
+class JobEnded(_Answer):
+    """A webhook, by Standard Webhooks: `webhook-id`, `webhook-timestamp` and `webhook-signature` come with it."""
+
+    type: str = Field(description="`job.` and the state.")
+    timestamp: AwareDatetime
+    data: EndedJob
+
+
 class ResultOut(_Answer):
     """A result file."""
 

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Body, Query, Request, Response, status
 from api import examples
 from api.auth import RecordsDep
 from api.bodies import SmallBodyRoute
-from api.contract import Responses, answer, problems, session_body
+from api.contract import Responses, answer, location, problems, session_body
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import unprocessable
 from api.idempotency import OnceDep
@@ -35,7 +35,7 @@ _ACCEPTED: Responses = {
     202: _ONE
     | {
         "headers": {
-            "Location": {"description": "Address of the job.", "schema": {"type": "string"}},
+            "Location": location("job", "/v1/jobs/{job_id}"),
             "Retry-After": {"description": "Seconds until it is worth asking.", "schema": {"type": "integer"}},
         }
     }

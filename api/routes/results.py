@@ -11,7 +11,7 @@ from zipstream import ZIP_DEFLATED, ZipStream
 
 from api.auth import RecordsDep
 from api.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
-from api.contract import answer, problems
+from api.contract import answer, location, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.errors import ApiError
 from api.schemas import ResultList, ResultOut
@@ -94,7 +94,12 @@ def _expired() -> ApiError:
         200: {"description": "The file.", "content": _FILE, "headers": _HEADERS},
         206: {"description": "A range of the file.", "content": _FILE, "headers": _HEADERS},
         304: {"description": "The client has it already."},
-        307: {"description": "It is elsewhere for a while.", "headers": {"Location": {"schema": {"type": "string"}}}},
+        307: {
+            "description": "The store sends it.",
+            "headers": {
+                "Location": location("file", "https://bucket.s3.example/jobs/{job_id}/results/{name}?X-Amz-...")
+            },
+        },
         **problems(404, 409, 410, 416),
     },
 )

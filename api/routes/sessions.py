@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request, Response, status
 
 from api.auth import RecordsDep
-from api.contract import answer, problems, session_body
+from api.contract import answer, location, problems, session_body
 from api.dependencies import Cursor, Limit, ServicesDep, SessionId
 from api.idempotency import OnceDep
 from api.intake import MANIFEST, NewSession, take_in
@@ -16,7 +16,7 @@ from worker.jobs.removals import remove_files
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 
 _ONE = answer("Session")
-_LOCATION = {"headers": {"Location": {"description": "Address of the session.", "schema": {"type": "string"}}}}
+_LOCATION = {"headers": {"Location": location("session", "/v1/sessions/{session_id}")}}
 
 
 @router.post(

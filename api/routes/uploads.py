@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
 from api.bodies import announced_bytes, drain
-from api.contract import Responses, problems
+from api.contract import Responses, location, problems
 from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
 from api.form import name_error, too_large
@@ -40,7 +40,7 @@ _HEADERS = {
     "Upload-Length": {"description": "How many there are to be.", "schema": _LENGTH},
     "Upload-Metadata": {"description": "As the client sent it.", "schema": {"type": "string"}},
     "Upload-Expires": {"description": "When it goes unless it is gone on with.", "schema": {"type": "string"}},
-    "Location": {"description": "Address of the upload.", "schema": {"type": "string"}},
+    "Location": location("upload", "/v1/uploads/{upload_id}"),
 }
 
 

@@ -1,9 +1,11 @@
+import json
+import re
 from typing import Any
 
 import pytest
 from jsonschema_rs import validator_for
 
-from api.openapi import COMMITTED, document
+from api.openapi import FOLDER, documents
 from tests.api.conftest import Live
 
 METHODS = {"get", "head", "options", "post", "put", "patch", "delete"}
@@ -19,8 +21,28 @@ def schema(live: Live) -> dict[str, Any]:
     return found
 
 
-def test_committed_contract_is_what_the_code_says() -> None:
-    assert COMMITTED.read_text(encoding="utf-8") == document()
+def test_committed_files_are_what_the_code_says() -> None:
+    assert {path: path.read_text(encoding="utf-8") for path in FOLDER.rglob("*.json")} == documents()
+
+
+def test_every_operation_has_an_exchange_that_keeps_the_contract(schema: dict[str, Any]) -> None:
+    for path, item in schema["paths"].items():
+        for method in METHODS & item.keys():
+            operation = item[method]
+            exchange = json.loads((FOLDER / "examples" / f"{operation['operationId']}.json").read_text("utf-8"))
+            for request in exchange["requests"]:
+                assert request["method"] == method.upper()
+                assert re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", path), request["path"])
+                if request["headers"].get("Content-Type") == "application/json":
+                    declared = operation["requestBody"]["content"]["application/json"]["schema"]
+                    validator_for(schema | declared).validate(request["body"])
+            assert {str(answer["status"]) for answer in exchange["answers"]} == {
+                status for status, answer in operation["responses"].items() if "$ref" not in answer
+            }
+            for answer in exchange["answers"]:
+                if answer["headers"].get("Content-Type") == "application/json":
+                    content = operation["responses"][str(answer["status"])]["content"]["application/json"]
+                    validator_for(schema | content["schema"]).validate(answer["body"])
 
 
 def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:

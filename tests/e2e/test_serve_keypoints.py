@@ -110,7 +110,7 @@ def test_a_generated_client_gets_from_files_to_animations(served: Served, captur
     with generated.Client(base_url=str(served.client.base_url), raise_on_unexpected_status=True) as client:
         job = part("api.jobs.create_session_and_job").sync(
             client=client,
-            body=models.CreateSessionAndJobBody(
+            body=models.CreateSessionAndJobFilesBody(
                 calibration=sent["calibration"][0],
                 timestamps=sent["timestamps"][0],
                 keypoints=sent["keypoints"],

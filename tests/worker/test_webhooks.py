@@ -15,6 +15,7 @@ import pytest
 from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
+from api.schemas import JobEnded
 from tests.worker.conftest import Bench
 from worker import webhooks
 from worker.addresses import is_public
@@ -97,6 +98,7 @@ def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> No
     assert deliver(bench) == 1
     ((headers, body),) = receiver.received
     found = Webhook(key).verify(body, headers)
+    JobEnded.model_validate(found)
     assert found.pop("timestamp").endswith("Z")
     data = {"id": job.id, "session_id": job.session_id, "state": "succeeded", "attempt": 1}
     assert found == {"type": "job.succeeded", "data": data}
