@@ -8,6 +8,7 @@ import uvicorn
 from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
 
 from api.app import ExposedError, create_app, refuse_strangers
+from api.connections import bounded_protocol
 from api.settings import Settings
 from worker import tracing
 from worker.jobs.store import JobStore
@@ -39,6 +40,7 @@ def main() -> None:
         app,
         host=settings.host,
         port=settings.port,
+        http=bounded_protocol(settings.client_idle_s),
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=_GRACE_S,

@@ -93,7 +93,9 @@ class Settings(BaseSettings):
         default=False, description="Whether webhooks may go to addresses of private networks, and without TLS."
     )
     client_idle_s: float = Field(
-        default=60.0, gt=0, description="How long a client may neither send nor take anything of a body."
+        default=60.0,
+        gt=0,
+        description="How long a client may neither send nor take anything of a body, and take to send headers.",
     )
     client_min_bytes_per_s: float = Field(
         default=1000.0, ge=0, description="What a client's body must come to on average, from client_idle_s on."

@@ -99,3 +99,43 @@ def test_who_only_listens_is_not_slow(strict: Live) -> None:
         time.sleep(2 * IDLE_S)
         strict.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
         assert any('"state":"canceled"' in line.replace(" ", "") for line in lines)
+
+
+@pytest.mark.parametrize("head", [b"", b"GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n"])
+def test_who_sends_no_headers_is_let_go(strict: Live, head: bytes) -> None:
+    with socket.create_connection(strict.address[:2], timeout=30) as connection:
+        connection.sendall(head)
+        assert answer_of(connection) == b""
+
+
+def send_until_cut(connection: socket.socket, data: bytes, pause_s: float) -> None:
+    deadline_s = time.monotonic() + 30
+    while time.monotonic() < deadline_s:
+        connection.sendall(data)
+        time.sleep(pause_s)
+
+
+@pytest.mark.parametrize(
+    ("head", "more", "pause_s"),
+    [(b"GET /v1/jobs HTTP/1.1\r\n", b"X-A: b\r\n", 0.05), (b"GET /v1/jobs HTTP/1.1\r\nX-Endless: ", b"x" * 2**14, 0.0)],
+)
+def test_headers_have_an_end(strict: Live, head: bytes, more: bytes, pause_s: float) -> None:
+    with socket.create_connection(strict.address[:2], timeout=30) as connection:
+        connection.sendall(head)
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            send_until_cut(connection, more, pause_s)
+
+
+def test_further_requests_of_a_connection_have_their_own_time(strict: Live) -> None:
+    request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    with socket.create_connection(strict.address[:2], timeout=30) as connection:
+        for _ in range(4):  # longer than a head may take, all in all
+            time.sleep(IDLE_S / 2)
+            connection.sendall(request)
+            assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")
+        connection.sendall(request[:-2])
+        assert answer_of(connection) == b""
+
+
+def test_large_bodies_are_no_large_heads(strict: Live) -> None:
+    assert strict.client.post("/v1/sessions", files=form(2, b"v" * 90_000)).status_code == 201
