@@ -131,11 +131,11 @@ def describe(app: FastAPI) -> dict[str, Any]:
         )
         _drop_unused_errors(schema)
         models = schema["components"]["schemas"]
-        for model in (ErrorItem, ProblemDetails):
-            models.setdefault(model.__name__, _described(model, "serialization"))
         sent: list[type[BaseModel]] = [*_DOCUMENTS.values(), UploadedSession, UploadedCapture]
+        for model in (ErrorItem, ProblemDetails):
+            _describe(models, model, "serialization")
         for part_model in sent:
-            models.setdefault(part_model.__name__, _described(part_model, "validation"))
+            _describe(models, part_model, "validation")
         schema["components"] = {
             "examples": {name: {"value": value} for name, value in examples.ANSWERS.items()},
             "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
@@ -155,10 +155,12 @@ def _drop_unused_errors(schema: dict[str, Any]) -> None:
         schema["components"]["schemas"].pop(name, None)
 
 
-def _described(model: type[BaseModel], mode: JsonSchemaMode) -> dict[str, Any]:
+def _describe(models: dict[str, Any], model: type[BaseModel], mode: JsonSchemaMode) -> None:
+    """Add a model, and those that it is made of."""
     described = model.model_json_schema(ref_template=_SCHEMA_REF, mode=mode)
-    described.pop("$defs", None)
-    return described
+    parts = described.pop("$defs", {})
+    for name, schema in {**parts, model.__name__: described}.items():
+        models.setdefault(name, schema)
 
 
 def _problem_name(status: int) -> str:

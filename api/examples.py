@@ -42,7 +42,11 @@ ANSWER_HEADERS = {
 }
 
 DOCUMENTS: dict[str, Any] = {
-    "manifest": {"name": "Handshake, take 3"},
+    "manifest": {
+        "name": "Handshake, take 3",
+        "cameras": [{"name": "cam_1", "file": "GX010042.mp4", "offset_s": 0.48}],
+        "metadata": {"scene": 12},
+    },
     "spec": {
         "method": "tracking",
         "detector": "movenet-multipose",
@@ -61,6 +65,7 @@ _PREFLIGHT: dict[str, Any] = {
             "size_px": [1280, 720],
             "frame_rate_hz": 25.0,
             "num_frames": 300,
+            "start_time_s": 0.0,
         }
         for index in range(2)
     ],
@@ -78,6 +83,7 @@ _SESSION: dict[str, Any] = {
         {"name": "calibration.toml", "kind": "calibration", "num_bytes": 1024, "sha256": _SHA256},
     ],
     "preflight": _PREFLIGHT,
+    "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{_SESSION_ID}", "jobs": f"/v1/sessions/{_SESSION_ID}/jobs"},
 }
 

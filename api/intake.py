@@ -1,6 +1,7 @@
 """From a form, or from uploads, to a session: receive, check, keep. All or nothing."""
 
 import contextlib
+import json
 import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
@@ -71,6 +72,7 @@ class NewSession:
     preflight: Mapping[str, Any]
     upload_ids: tuple[str, ...]
     spec: JobSpec
+    metadata: Mapping[str, Any]
 
 
 async def take_in(
@@ -133,6 +135,9 @@ async def _check_and_keep(
     record: Callable[[Records, NewSession], _Recorded],
 ) -> _Recorded:
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
+    if form.keypoints and arrival.manifest and arrival.manifest.cameras:
+        message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
+        errors.append(ErrorItem(code="cameras_of_keypoints", message=message, pointer=f"/{MANIFEST}/cameras"))
     preflight: Mapping[str, Any] = {}
     record_path = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
     if not form.errors:
@@ -274,6 +279,12 @@ def _arguments(form: Form, manifest: Manifest) -> list[str]:
     for pointer, file in _files(form).items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
+    if manifest.cameras:
+        said = [
+            {"camera": one.name, "file": one.file, "offset_s": one.offset_s, "frame_rate_hz": one.rate}
+            for one in manifest.cameras
+        ]
+        arguments.append(f"--recordings={json.dumps(said, ensure_ascii=False)}")
     return arguments if manifest.frame_rate_hz is None else [*arguments, f"--frame-rate={manifest.frame_rate_hz!r}"]
 
 
@@ -310,7 +321,10 @@ def _keep(
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
         services.artifacts.put_file(record_key(session_id), record_path)
-        recorded = record(records, NewSession(session_id, manifest.name, files, preflight, arrival.upload_ids, spec))
+        recorded = record(
+            records,
+            NewSession(session_id, manifest.name, files, preflight, arrival.upload_ids, spec, manifest.metadata),
+        )
         undo.pop_all()
     for upload_id in arrival.upload_ids:
         services.uploads.remove(upload_id)

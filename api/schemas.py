@@ -1,5 +1,6 @@
 """The wire format: what clients send and get. Nothing here is stored; the domain's records are in ``worker.jobs``."""
 
+import json
 import unicodedata
 from typing import Annotated, Any, Self
 from uuid import UUID
@@ -21,10 +22,46 @@ def _printable(text: str) -> str:
     return text
 
 
+def _json(value: dict[str, Any]) -> dict[str, Any]:
+    """Refuse what the parser takes but JSON does not know, such as NaN and half a character."""
+    try:
+        json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except ValueError:
+        raise PydanticCustomError("json_value", "Every number must be finite, and every text whole") from None
+    return value
+
+
 class _Answer(BaseModel):
     """Base of what the service says."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+
+class CameraManifest(BaseModel):
+    """What is known of a camera's video that neither the file nor the calibration says."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(_printable)] = Field(
+        min_length=1, max_length=64, description="Of the camera, as in the calibration."
+    )
+    file: Annotated[str, AfterValidator(_printable)] | None = Field(
+        default=None, min_length=1, max_length=200, description="Name of its video; else the one with its name."
+    )
+    offset_s: float = Field(
+        default=0.0,
+        ge=-86_400.0,
+        le=86_400.0,
+        allow_inf_nan=False,
+        description="When its first frame was taken, on the clock that all cameras share.",
+    )
+    rate: float | None = Field(
+        default=None,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frames a second, if the times in the video are wrong.",
+    )
 
 
 class Manifest(BaseModel):
@@ -41,6 +78,12 @@ class Manifest(BaseModel):
         le=1000.0,
         allow_inf_nan=False,
         description="Of keypoints without timestamps; 25 if nobody says another.",
+    )
+    cameras: tuple[CameraManifest, ...] = Field(
+        default=(), max_length=256, description="Of sessions of videos: what is known of some cameras."
+    )
+    metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
+        default={}, description="Anything; it comes back with the session."
     )
 
 
@@ -83,6 +126,7 @@ class CameraOut(_Answer):
     size_px: tuple[int, int]
     frame_rate_hz: float
     num_frames: int
+    start_time_s: float = Field(default=0.0, description="When its first frame was taken.")
 
 
 class TimebaseOut(_Answer):
@@ -116,6 +160,7 @@ class SessionOut(_Answer):
     created_at: AwareDatetime
     files: tuple[FileOut, ...]
     preflight: PreflightOut
+    metadata: dict[str, Any]
     links: SessionLinks
 
     @classmethod
@@ -128,6 +173,7 @@ class SessionOut(_Answer):
             created_at=session.created_at,
             files=tuple(FileOut(**_fields(file, FileOut)) for file in session.files),
             preflight=PreflightOut.model_validate(session.preflight),
+            metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )
 

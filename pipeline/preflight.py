@@ -1,9 +1,9 @@
 """Check a session in a process of its own.
 
-``python -m pipeline.preflight (--videos FILE... | --keypoints ZIP... [--timestamps FILE] [--frame-rate HZ])
---calibration FILE`` prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the session is. So a
-caller that must not load the science, or must not be hurt by a stranger's file, can still know all about a session.
-``--record FILE`` keeps what was found, so that nobody has to look through the files again.
+``python -m pipeline.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
+[--frame-rate HZ]) --calibration FILE`` prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the
+session is. So a caller that must not load the science, or must not be hurt by a stranger's file, can still know all
+about a session. ``--record FILE`` keeps what was found, so that nobody has to look through the files again.
 """
 
 import argparse
@@ -19,15 +19,19 @@ from pipeline.errors import InputError
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.keypoints_zip import unpack_keypoints
 from pipeline.records_npz import encode_keypoints, encode_session
-from pipeline.session import CaptureSession, open_session
+from pipeline.session import CaptureSession, Recording, open_session
+from pipeline.video.probe import mean_rate_hz
 
 EXIT_BAD_INPUT = 2
 
 
-def report(session: CaptureSession | KeypointSession, files: Sequence[str]) -> dict[str, Any]:
-    """Cameras with their files, the shared clock, and warnings."""
+def report(
+    session: CaptureSession | KeypointSession, files: Sequence[str], recordings: Sequence[Recording] = ()
+) -> dict[str, Any]:
+    """Cameras with their files, the shared clock, warnings, and what was said of the videos."""
+    starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
     rates_hz = (
-        [video.frame_rate_hz for video in session.videos]
+        [mean_rate_hz(session.times[camera.name].time_s) for camera in session.cameras]
         if isinstance(session, CaptureSession)
         else [session.timebase.frame_rate_hz] * len(session.cameras)
     )
@@ -39,17 +43,20 @@ def report(session: CaptureSession | KeypointSession, files: Sequence[str]) -> d
                 "size_px": list(camera.size_px),
                 "frame_rate_hz": rate_hz,
                 "num_frames": len(session.times[camera.name].time_s),
+                "start_time_s": starts_s[camera.name],
             }
             for camera, file, rate_hz in zip(session.cameras, files, rates_hz, strict=True)
         ],
         "timebase": asdict(session.timebase),
         "warnings": list(session.warnings),
+        "recordings": [asdict(one) for one in recordings],
     }
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
-    session = open_session(arguments.videos, arguments.calibration)
-    return report(session, [video.path.name for video in session.videos]), encode_session(session)
+    recordings = [Recording(**one) for one in json.loads(arguments.recordings)]
+    session = open_session(arguments.videos, arguments.calibration, recordings)
+    return report(session, [video.path.name for video in session.videos], recordings), encode_session(session)
 
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
@@ -69,6 +76,7 @@ def main() -> int:
     parser.add_argument("--calibration", type=Path, required=True)
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
+    parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args()
     try:

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.calibration.registry import read_calibration
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
@@ -43,11 +45,41 @@ class CaptureSession:
         return session_timebase(self.times)
 
 
-def open_session(videos: Path | Sequence[Path], calibration: Path) -> CaptureSession:
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a person knows of a camera's video that neither it nor the calibration says.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera, or of its section in the calibration.
+    file
+        Name of the video; ``None``: the one that bears the camera's name.
+    offset_s
+        When its first frame was taken, on the clock that all cameras share.
+    frame_rate_hz
+        Of its frames, if their own times are wrong; ``None``: as the video says.
+    """
+
+    camera: str
+    file: str | None = None
+    offset_s: float = 0.0
+    frame_rate_hz: float | None = None
+
+
+def open_session(
+    videos: Path | Sequence[Path], calibration: Path, recordings: Sequence[Recording] = ()
+) -> CaptureSession:
     """Open a folder of videos, or the videos named, with a calibration.
 
-    Videos count as synchronised at their first frames. A video belongs to the camera of its name, for all videos or for
-    none; else videos and cameras are paired in sorted order, with a warning that shows the pairs.
+    Videos count as synchronised at their first frames unless ``recordings`` says else. A video belongs to the camera of
+    its name, for all videos or for none; else videos and cameras are paired in sorted order, with a warning that shows
+    the pairs.
+
+    Parameters
+    ----------
+    recordings
+        What is known of some cameras' videos, at most one a camera.
 
     Raises
     ------
@@ -63,9 +95,24 @@ def open_session(videos: Path | Sequence[Path], calibration: Path) -> CaptureSes
 
     probed = probe_in_children(paths)
     problems.extend(found for found in probed if isinstance(found, Problem))
-    infos = {path.stem: found for path, found in zip(paths, probed, strict=True) if isinstance(found, VideoInfo)}
-    if cameras:
-        pairs, unpaired, shown = pair_by_name(cameras, [path.stem for path in paths], "video")
+    known, unknown = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
+    problems += unknown
+    called = {one.file: camera for camera, one in known.items() if one.file is not None}
+    names = [called.get(path.name, path.stem) for path in paths]
+    problems += [
+        Problem(
+            "video_doubled",
+            f"This video bears the name of {name}, whose video is said to be {known[name].file}.",
+            file=path.name,
+            camera=name,
+            hint="Say whose video it is, or leave it away.",
+        )
+        for path, name in zip(paths, names, strict=True)
+        if not unknown and path.name not in called and name in called.values()
+    ]
+    infos = {name: found for name, found in zip(names, probed, strict=True) if isinstance(found, VideoInfo)}
+    if cameras and not unknown:
+        pairs, unpaired, shown = pair_by_name(cameras, names, "video")
         problems += unpaired
         warnings += shown
         for camera in cameras:
@@ -74,12 +121,66 @@ def open_session(videos: Path | Sequence[Path], calibration: Path) -> CaptureSes
                 problems.append(_size_problem(camera, video))
     if problems:
         raise InputError(problems)
-    return CaptureSession(
-        cameras=cameras,
-        videos=tuple(infos[pairs[camera.name]] for camera in cameras),
-        times={camera.name: FrameTimes(infos[pairs[camera.name]].time_s) for camera in cameras},
-        warnings=tuple(warnings),
-    )
+    paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
+    times = {name: _times(video, known.get(name)) for name, video in paired.items()}
+    if apart := _apart(times):
+        raise InputError(apart)
+    return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
+
+
+def _known_recordings(
+    recordings: Sequence[Recording], cameras: Sequence[Camera], paths: Sequence[Path]
+) -> tuple[dict[str, Recording], list[Problem]]:
+    """By cameras' names; and those that are of no camera, of no file, or of one that another is of."""
+    names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
+    files = {path.name for path in paths}
+    known: dict[str, Recording] = {}
+    problems = []
+    for one in recordings:
+        camera = names.get(one.camera)
+        hint = f"The calibration's cameras are {', '.join(sorted(names.values()))}."
+        if camera is None:
+            message = "No camera in the calibration has this name."
+            problems.append(Problem("recording_camera_unknown", message, camera=one.camera, hint=hint))
+        elif camera in known:
+            problems.append(Problem("recording_doubled", "More than one thing is said of this camera.", camera=camera))
+        elif one.file is not None and one.file not in files:
+            message = "No video has this name."
+            problems.append(Problem("recording_file_unknown", message, file=one.file, camera=camera))
+        elif one.file is not None and one.file in {other.file for other in known.values()}:
+            message = "This video is said to be another camera's, too."
+            problems.append(Problem("recording_file_doubled", message, file=one.file, camera=camera))
+        else:
+            known[camera] = one
+    return known, problems
+
+
+def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
+    if recording is None:
+        return FrameTimes(video.time_s)
+    rate_hz = recording.frame_rate_hz
+    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / rate_hz
+    return FrameTimes(recording.offset_s + own_s)
+
+
+def _apart(times: Mapping[str, FrameTimes]) -> list[Problem]:
+    """Cameras that saw nothing while another one did: a wrong offset, and a clock without end."""
+    spans = {name: (float(one.time_s[0]), float(one.time_s[-1])) for name, one in times.items()}
+    return [
+        Problem(
+            "no_overlap",
+            f"It recorded from {start_s:.3f} to {end_s:.3f} s, when no other camera did.",
+            camera=name,
+            field="offset_s",
+            hint="Check the offsets: seconds at which the first frames were taken.",
+        )
+        for name, (start_s, end_s) in spans.items()
+        if not any(
+            start_s <= other_end_s and other_start_s <= end_s
+            for other, (other_start_s, other_end_s) in spans.items()
+            if other != name
+        )
+    ]
 
 
 def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], list[Problem]]:

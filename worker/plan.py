@@ -121,9 +121,12 @@ def _reduce(
 
 
 def _inputs(session: Session) -> list[str]:
-    """What the files are, and how keypoints are timed; names count: files and cameras find each other by name."""
+    """What the files are, how they are timed; names count: files and cameras find each other by name."""
     files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
-    return [*files, repr(session.preflight["timebase"]["frame_rate_hz"])] if is_of_keypoints(session) else files
+    if is_of_keypoints(session):
+        return [*files, repr(session.preflight["timebase"]["frame_rate_hz"])]
+    recordings = sorted(json.dumps(one, sort_keys=True) for one in session.preflight.get("recordings", ()))
+    return [*files, *recordings]
 
 
 def _key(stage: str, choices: Mapping[str, Any], inputs: Sequence[str]) -> str:

@@ -31,7 +31,9 @@ from pipeline.export import results
 from pipeline.export.results import DEFAULT_EXPORTS, check_exports
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.run import reconstruct, reconstruct_keypoints
-from pipeline.session import open_session
+from pipeline.session import Recording, open_session
+
+_MAX_OFFSET_S = 86_400.0
 
 
 def write_results(
@@ -88,7 +90,11 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
 
 
 def _check_sources(
-    videos: list[Path] | None, keypoints: Path | None, timestamps: Path | None, frame_rate: float | None
+    videos: list[Path] | None,
+    keypoints: Path | None,
+    timestamps: Path | None,
+    frame_rate: float | None,
+    offsets: Mapping[str, float],
 ) -> None:
     problems = []
     if (videos is None) == (keypoints is None):
@@ -96,6 +102,14 @@ def _check_sources(
     if keypoints is None and (timestamps is not None or frame_rate is not None):
         message = "Timestamps and frame rate are those of keypoints; a video says its own."
         problems.append(Problem("sources", message, hint="Leave them away."))
+    if keypoints is not None and offsets:
+        message = "Offsets are those of videos; keypoints have timestamps."
+        problems.append(Problem("sources", message, hint="Leave them away."))
+    problems += [
+        Problem("offset_range", "An offset is a number of seconds, at most a day.", camera=camera)
+        for camera, seconds in offsets.items()
+        if not abs(seconds) <= _MAX_OFFSET_S
+    ]
     if problems:
         raise InputError(problems)
 
@@ -123,6 +137,13 @@ def command(
         list[Path] | None, typer.Option(help="A folder with one video a camera, or the videos.", show_default=False)
     ] = None,
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
+    offset: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAMERA=SECONDS",
+            help="When a video's first frame was taken, on a common clock; as often as needed.",
+        ),
+    ] = None,
     keypoints: Annotated[
         Path | None,
         typer.Option(help="Instead of videos: a folder with a folder of OpenPose's JSON files a camera."),
@@ -172,13 +193,15 @@ def command(
             processes=processes,
         )
         formats, names = known_exports(exports), known_preset(preset)
-        _check_sources(videos, keypoints, timestamps, frame_rate)
+        offsets = _parameters(offset or [], "cam_2=0.48")
+        _check_sources(videos, keypoints, timestamps, frame_rate, offsets)
         session: Views
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate)
         else:
             named = [*(videos or []), *(more_videos or [])]
-            session = open_session(named[0] if len(named) == 1 else named, calibration)
+            recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
+            session = open_session(named[0] if len(named) == 1 else named, calibration, recordings)
         check_exports(session.timebase, formats)
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))

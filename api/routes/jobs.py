@@ -91,6 +91,7 @@ async def create_session_and_job(request: Request, services: ServicesDep, once: 
             partial(plan, spec=new.spec, chunk_frames=services.settings.chunk_frames),
             services.settings.retention_s,
             tracing.current(),
+            new.metadata,
         )
         _announce(services, job)
         return job

@@ -6,6 +6,7 @@ import uuid
 from collections.abc import Callable
 from typing import Any
 
+import httpx2
 import pytest
 
 from api.settings import Settings
@@ -31,6 +32,7 @@ def test_session_says_what_was_found(live: Live) -> None:
     assert session["preflight"]["timebase"] == {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60}
     assert session["preflight"]["cameras"][1] == {
         "name": "cam_1", "file": "cam_1.mp4", "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
+        "start_time_s": 0.0,
     }  # fmt: skip
     assert session["preflight"]["warnings"] == ["The cameras are close together."]
     assert live.client.get(session["links"]["self"]).json() == session
@@ -248,3 +250,56 @@ def test_database_that_fails_keeps_no_files(live: Live, monkeypatch: pytest.Monk
 def test_manifest_may_be_a_file(live: Live) -> None:
     manifest = ("manifest", ("manifest.json", json.dumps({"name": "Take 4"}), "application/json"))
     assert live.client.post("/v1/sessions", files=[*form(), manifest]).json()["name"] == "Take 4"
+
+
+class TestManifest:
+    """What clients say of a session beside its files."""
+
+    def send(self, live: Live, manifest: object, **options: Any) -> httpx2.Response:
+        part = ("manifest", (None, json.dumps(manifest)))
+        return live.client.post("/v1/sessions", files=[*options.get("files", form()), part])
+
+    def test_metadata_comes_back(self, live: Live) -> None:
+        metadata = {"scene": 12, "actors": ["\u00c5sa", None], "nested": {"a": [1.5, True]}}
+        session = self.send(live, {"metadata": metadata}).json()
+        assert session["metadata"] == metadata
+        assert live.client.get(session["links"]["self"]).json() == session
+        assert live.client.get("/v1/sessions").json()["sessions"] == [session]
+        assert live.client.get(f"/v1/sessions/{live.session_id()}").json()["metadata"] == {}
+
+    @pytest.mark.parametrize("text", ['{"metadata": {"x": NaN}}', '{"metadata": {"x": 1e999}}', '{"metadata": []}'])
+    def test_metadata_that_is_no_json(self, live: Live, text: str) -> None:
+        answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, text))])
+        problem = problem_of(answer, 422, "invalid_request")
+        assert [item["pointer"] for item in problem["errors"]] == ["/manifest/metadata"]
+        assert live.kept() == []
+
+    def test_what_is_said_of_cameras_reaches_the_check(self, live: Live) -> None:
+        cameras = [{"name": "a", "file": "cam_1.mp4", "offset_s": -0.5, "rate": 50.0}, {"name": "b \u00e4"}]
+        session = self.send(live, {"cameras": cameras}).raise_for_status().json()
+        (found,) = live.services.store.session(session["id"]).preflight["recordings"]
+        assert found == [
+            {"camera": "a", "file": "cam_1.mp4", "offset_s": -0.5, "frame_rate_hz": 50.0},
+            {"camera": "b \u00e4", "file": None, "offset_s": 0.0, "frame_rate_hz": None},
+        ]
+
+    @pytest.mark.parametrize(
+        ("camera", "pointer"),
+        [
+            ({"name": ""}, "/name"),
+            ({"name": "a\u0000"}, "/name"),
+            ({"name": "a", "offset_s": 86_401}, "/offset_s"),
+            ({"name": "a", "rate": 0}, "/rate"),
+            ({"name": "a", "file": 3}, "/file"),
+            ({"name": "a", "fps": 25}, "/fps"),
+            ({}, "/name"),
+        ],
+    )
+    def test_cameras_that_can_not_be(self, live: Live, camera: object, pointer: str) -> None:
+        problem = problem_of(self.send(live, {"cameras": [camera]}), 422, "invalid_request")
+        assert [item["pointer"] for item in problem["errors"]] == [f"/manifest/cameras/0{pointer}"]
+
+    def test_of_keypoints_nothing_is_said(self, live: Live) -> None:
+        answer = self.send(live, {"cameras": [{"name": "cam_0"}]}, files=keypoint_form())
+        problem = problem_of(answer, 422, "invalid_request")
+        assert [item["code"] for item in problem["errors"]] == ["cameras_of_keypoints"]

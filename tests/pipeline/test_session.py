@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import InputError
-from pipeline.session import open_session
+from pipeline.session import Recording, open_session
 from tests.pipeline.media import write_audio, write_video
 
 
@@ -125,3 +125,54 @@ def test_everything_wrong_is_said_at_once(folder: Path, tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["a", "b"])
     assert ("video_missing", "nowhere") in problems_of(tmp_path / "nowhere", cameras)
+
+
+class TestRecordings:
+    """What a person knows of videos that neither they nor the calibration say."""
+
+    def test_offsets_shift_a_camera_s_times(self, folder: Path, tmp_path: Path) -> None:
+        cameras = calibration(tmp_path / "c.json", ["a", "b"])
+        plain = open_session(folder, cameras)
+        shifted = open_session(folder, cameras, [Recording("b", offset_s=-0.2), Recording("a", offset_s=0.04)])
+        np.testing.assert_allclose(shifted.times["b"].time_s, plain.times["b"].time_s - 0.2)
+        np.testing.assert_allclose(shifted.times["a"].time_s, plain.times["a"].time_s + 0.04)
+        assert shifted.timebase.start_time_s == pytest.approx(-0.2)
+        assert shifted.timebase.num_frames == plain.timebase.num_frames + 6  # 25 frames a second
+        np.testing.assert_array_equal(shifted.videos[1].time_s, plain.videos[1].time_s)  # frames are found as before
+
+    def test_a_rate_replaces_the_times_of_the_video(self, folder: Path, tmp_path: Path) -> None:
+        cameras = calibration(tmp_path / "c.json", ["a", "b"])
+        session = open_session(folder, cameras, [Recording("a", frame_rate_hz=50.0, offset_s=0.1)])
+        np.testing.assert_allclose(session.times["a"].time_s, 0.1 + np.arange(10) / 50.0)
+        assert session.timebase.frame_rate_hz == pytest.approx(50.0)
+
+    def test_files_are_the_cameras_that_they_are_said_to_be(self, folder: Path, tmp_path: Path) -> None:
+        cameras = calibration(tmp_path / "c.json", ["left", "right"])
+        session = open_session(folder, cameras, [Recording("left", "b.mp4"), Recording("right", "a.mp4")])
+        assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
+        assert session.warnings == ()
+        some = calibration(tmp_path / "d.json", ["a", "right"])
+        session = open_session(folder, some, [Recording("right", "b.mp4")])
+        assert [video.path.name for video in session.videos] == ["a.mp4", "b.mp4"]
+
+    @pytest.mark.parametrize(
+        ("recordings", "found"),
+        [
+            ([Recording("c")], {("recording_camera_unknown", "c")}),
+            ([Recording("a"), Recording("a", offset_s=1.0)], {("recording_doubled", "a")}),
+            (
+                [Recording("a", "c.mp4"), Recording("d")],
+                {("recording_file_unknown", "a"), ("recording_camera_unknown", "d")},
+            ),
+            ([Recording("a", "b.mp4"), Recording("b", "b.mp4")], {("recording_file_doubled", "b")}),
+            ([Recording("a", "b.mp4")], {("video_doubled", "a"), ("camera_without_video", "b")}),
+            ([Recording("a", offset_s=100.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
+            ([Recording("a", offset_s=-86_400.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
+        ],
+    )  # fmt: skip
+    def test_what_can_not_be(
+        self, folder: Path, tmp_path: Path, recordings: list[Recording], found: set[tuple[str, str]]
+    ) -> None:
+        with pytest.raises(InputError) as error:
+            open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), recordings)
+        assert {(problem.code, problem.camera) for problem in error.value.problems} == found

@@ -178,3 +178,13 @@ def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
         assert bool(spec.warnings(of_keypoints=False)) == (entry.fields is None)
         assert spec.warnings(of_keypoints=True)
         assert not JobSpec.model_validate({"detector": name}).warnings(of_keypoints=True)
+
+
+def test_what_was_said_of_the_videos_is_an_input() -> None:
+    def said(**recording: object) -> Session:
+        plain = make_session()
+        return replace(plain, preflight={**plain.preflight, "recordings": [{"camera": "0", **recording}]})
+
+    found = [keys(make_session()), keys(said(offset_s=0.1)), keys(said(offset_s=0.2))]
+    for stage in found[0]:
+        assert len({key for one in found for key in one[stage]}) == 3 * len(found[0][stage])

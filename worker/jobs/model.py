@@ -133,6 +133,7 @@ class Session:
     created_at: datetime
     files: tuple[InputFile, ...]
     preflight: Mapping[str, Any]
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # the client's own
 
 
 @dataclass(frozen=True, slots=True)

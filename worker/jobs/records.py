@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
+from types import MappingProxyType
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select
@@ -35,6 +36,8 @@ from worker.jobs.tables import chunks, events, jobs, results, sessions
 from worker.jobs.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.uploads import Uploads
 
+_NO_METADATA: Mapping[str, Any] = MappingProxyType({})
+
 
 class Records(Uploads):
     """The clients' side of the store. Lists begin with the newest; ``after`` is the last id of the page before."""
@@ -52,6 +55,7 @@ class Records(Uploads):
         preflight: Mapping[str, Any],
         session_id: str,
         upload_ids: Collection[str] = (),
+        metadata: Mapping[str, Any] = _NO_METADATA,
     ) -> Session:
         """Record a session whose files are in the artifact store; ``announce_session`` has made its id.
 
@@ -59,6 +63,8 @@ class Records(Uploads):
         ----------
         upload_ids
             Uploads that its files were; they are forgotten.
+        metadata
+            The client's own; it comes back.
 
         Raises
         ------
@@ -67,7 +73,7 @@ class Records(Uploads):
         QuotaExceeded
         """
         with self._database.writing() as connection:
-            self._insert_session(connection, name, files, preflight, session_id, upload_ids)
+            self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata)
             session = self._session(connection, session_id)
             self._leave_receipt(connection, session)
             return session
@@ -83,10 +89,11 @@ class Records(Uploads):
         plan: Callable[[Session], Sequence[StagePlan]],
         retention_s: float | None = None,
         trace: str | None = None,
+        metadata: Mapping[str, Any] = _NO_METADATA,
     ) -> Job:
         """Both or neither; parameters and errors as of ``create_session`` and ``create_job``."""
         with self._database.writing() as connection:
-            self._insert_session(connection, name, files, preflight, session_id, upload_ids)
+            self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata)
             stages = plan(self._session(connection, session_id))
             return self._told(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
 
@@ -294,6 +301,7 @@ class Records(Uploads):
         preflight: Mapping[str, Any],
         session_id: str,
         upload_ids: Collection[str],
+        metadata: Mapping[str, Any],
     ) -> None:
         num_bytes = sum(file.num_bytes for file in files)
         self._use_up(connection, upload_ids)  # first: no byte counts twice
@@ -307,6 +315,7 @@ class Records(Uploads):
                 created_at=now(),
                 files=[asdict(file) for file in files],
                 preflight=dict(preflight),
+                client_metadata=dict(metadata),
                 num_bytes=num_bytes,
                 tenant=self._owner,
             )

@@ -23,6 +23,7 @@ def session_of(row: Row[Any]) -> Session:
         created_at=row.created_at,
         files=tuple(InputFile(**file) for file in row.files),
         preflight=row.preflight,
+        metadata=row.client_metadata,
     )
 
 

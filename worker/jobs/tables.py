@@ -55,6 +55,7 @@ sessions = Table(
     Column("created_at", Moment, nullable=False),
     Column("files", JSON, nullable=False),
     Column("preflight", JSON, nullable=False),
+    Column("client_metadata", JSON, nullable=False, server_default="{}"),
     Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
     Index(None, "tenant", "id"),
