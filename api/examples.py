@@ -53,6 +53,8 @@ DOCUMENTS: dict[str, Any] = {
         "smoothing": "fit",
         "cutoff_hz": 6.0,
         "feet": "auto",
+        "frame_range": None,
+        "people": "auto",
         "exports": ["bvh"],
     },
 }

@@ -6,6 +6,7 @@ or fields (``PafFields``), of the range at least.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 from pipeline.clustering.associate import find_people, first_lengths, link_people, sampled_frames
@@ -18,6 +19,8 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Observations, PafFields, Poses3D, Track3D
 from pipeline.detect.chunk import bodies_in
 from pipeline.detect.registry import entry_of
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.life import keep_most_seen
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.parameters import change_parameters
@@ -25,13 +28,34 @@ from pipeline.session import CaptureSession
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
-from pipeline.video.timeline import frames_in, span_s
+from pipeline.video.timeline import cut_timebase, frames_in, span_s
 
 Views = CaptureSession | KeypointSession
 Found = Mapping[str, Detections] | Mapping[str, PafFields]
 """By camera."""
 
 _DEFAULTS = ReconstructionConfig()
+
+
+def restrict(session: Views, frames: range | None) -> Views:
+    """The session, as if its output frames were only some of them (``None``: all), numbered from 0.
+
+    Raises
+    ------
+    InputError
+        If it has no such frames.
+    """
+    if frames is None:
+        return session
+    whole = session.timebase
+    if not 0 <= frames.start < frames.stop <= whole.num_frames:
+        message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."
+        raise InputError([Problem("frame_range", message, hint="The second number is that after the last frame.")])
+    if isinstance(session, CaptureSession):
+        return replace(session, frames=frames)
+    span = span_s(whole, frames.start, frames.stop)
+    wanted = {name: bodies_in(one, frames_in(session.times[name], *span)) for name, one in session.detections.items()}
+    return replace(session, timebase=cut_timebase(whole, frames), detections=wanted)
 
 
 def uses_fields(session: Views, config: ReconstructionConfig) -> bool:
@@ -69,7 +93,8 @@ def track(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Turn all cameras' detections into tracks by cross-view tracking, one pass in time order."""
     parameters = tracking_parameters(session, config.tracking)
-    return reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
+    people = reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
+    return keep_most_seen(*people, config.people)
 
 
 def num_sampled(session: Views, config: ReconstructionConfig) -> int:
@@ -124,7 +149,8 @@ def link(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Link the poses of all ranges to tracks."""
     parameters = clustering_parameters(session, config)
-    return link_people(session.cameras, chunks, session.timebase, joints, parameters)
+    people = link_people(session.cameras, chunks, session.timebase, joints, parameters)
+    return keep_most_seen(*people, config.people)
 
 
 def _seen(session: Views, frames: range, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:

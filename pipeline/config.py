@@ -32,6 +32,10 @@ class ReconstructionConfig:
         Of ``butterworth``.
     feet
         Which feet that stand are held in place: none, where it is likely that they stand, or all.
+    frames
+        Those of the session's output frames that are wanted; ``None``: all.
+    people
+        How many at most: those whom most cameras saw for longest; ``None``: everybody.
     chunk_frames
         Output frames of one chunk: what is decoded and detected as one piece, of one camera.
     processes
@@ -45,5 +49,7 @@ class ReconstructionConfig:
     smoothing: Smoothing = "fit"
     cutoff_hz: float = 6.0
     feet: Feet = "auto"
+    frames: range | None = None
+    people: int | None = None
     chunk_frames: int = 100
     processes: int = 1

@@ -22,6 +22,7 @@ from pipeline.association import (
     locate_people,
     measure_bones,
     num_sampled,
+    restrict,
     track,
     tracking_parameters,
     uses_fields,
@@ -39,7 +40,7 @@ from pipeline.records_npz import encode_fields
 from pipeline.session import CaptureSession
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.smooth import check_smoothing
-from pipeline.video.timeline import chunk_ranges, span_s
+from pipeline.video.timeline import chunk_ranges, frames_in, span_s
 
 _DEFAULTS = ReconstructionConfig()
 _BY_MEMBERSHIP = (
@@ -69,15 +70,16 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a video can't be decoded, or there is no such parameter.
+        If a video can't be decoded, or there are no such frames, or no such parameter.
     ModelError
         If the detector is not installed.
     PipelineError
         If the folder for temporary files can't be written.
     """
-    _check(session, config)
+    wanted = restrict(session, config.frames)
+    _check(wanted, config)
     detector = open_detector(config.detector)
-    ranges = chunk_ranges(session.timebase, config.chunk_frames)
+    ranges = chunk_ranges(session.timebase, config.chunk_frames, config.frames)
     cameras = [camera.name for camera in session.cameras]
     chunks = [(camera, frames) for frames in ranges for camera in cameras]
     if uses_fields(session, config):
@@ -87,11 +89,20 @@ def reconstruct(
                 chunks, _map(_fields_of, session, chunks, detector, config, on_progress), strict=True
             ):
                 files.write(*chunk, fields)
-            tracks = _cluster(session, ranges, files.read, detector.joints, config, on_progress)
-        return _finish(session, tracks, detector.joints, config, on_progress)
+            first = ranges[0].start
+            of_wanted = [range(one.start - first, one.stop - first) for one in ranges]
+            tracks = _cluster(
+                wanted,
+                of_wanted,
+                lambda frames: files.read(range(frames.start + first, frames.stop + first)),
+                detector.joints,
+                config,
+                on_progress,
+            )
+        return _finish(wanted, tracks, detector.joints, config, on_progress)
     detected = _map(_bodies_of, session, chunks, detector, config, on_progress)
     detections = concatenate(detected, cameras, len(detector.joints.names))
-    return _reconstruct_people(session, detections, detector.joints, config, on_progress)
+    return _reconstruct_people(wanted, detections, detector.joints, config, on_progress)
 
 
 def reconstruct_keypoints(
@@ -111,8 +122,10 @@ def reconstruct_keypoints(
     InputError
         If there is no such parameter.
     """
-    _check(session, config)
-    return _reconstruct_people(session, session.detections, session.joints, config, on_progress)
+    wanted = restrict(session, config.frames)
+    assert isinstance(wanted, KeypointSession)  # noqa: S101 - for the type checker
+    _check(wanted, config)
+    return _reconstruct_people(wanted, wanted.detections, wanted.joints, config, on_progress)
 
 
 def _check(session: Views, config: ReconstructionConfig) -> None:
@@ -214,13 +227,16 @@ def _map(
 ) -> Iterator[_Detected]:
     """What was detected in each chunk, in their order."""
     if config.processes == 1:
-        count = _counter("detect", _num_frames(session), on_progress)
+        count = _counter("detect", _num_frames(session, config), on_progress)
         return (detect(session, chunk, detector, count) for chunk in chunks)
     return _map_in_processes(detect, session, chunks, config, on_progress)
 
 
-def _num_frames(session: CaptureSession) -> int:
-    return sum(len(times.time_s) for times in session.times.values())
+def _num_frames(session: CaptureSession, config: ReconstructionConfig) -> int:
+    """How many of all cameras' frames are looked at."""
+    frames = range(session.timebase.num_frames) if config.frames is None else config.frames
+    span = span_s(session.timebase, frames.start, frames.stop)
+    return sum(len(frames_in(times, *span)) for times in session.times.values())
 
 
 class _Worker:
@@ -247,7 +263,8 @@ def _map_in_processes(
     on_progress: OnProgress,
 ) -> Iterator[_Detected]:
     done, total = 0, len(chunks)
-    on_progress(Progress("detect", 0, _num_frames(session)))
+    num_frames = _num_frames(session, config)
+    on_progress(Progress("detect", 0, num_frames))
     pool = ProcessPoolExecutor(
         config.processes,
         mp_context=multiprocessing.get_context("spawn"),
@@ -257,7 +274,7 @@ def _map_in_processes(
     try:
         for detected in pool.map(partial(_Worker.run, detect), chunks):
             done += 1
-            on_progress(Progress("detect", _num_frames(session) * done // total, _num_frames(session)))
+            on_progress(Progress("detect", num_frames * done // total, num_frames))
             yield detected
     except BrokenProcessPool as error:
         raise PipelineError(

@@ -13,7 +13,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.pairing import pair_by_name
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe_in_children
-from pipeline.video.timeline import session_timebase
+from pipeline.video.timeline import cut_timebase, session_timebase
 
 MIN_CAMERAS = 2
 
@@ -32,17 +32,21 @@ class CaptureSession:
         When each camera took its frames, on the session's clock; by camera name.
     warnings
         What a person should know, a sentence each.
+    frames
+        Those of the output frames that are wanted; ``None``: all.
     """
 
     cameras: tuple[Camera, ...]
     videos: tuple[VideoInfo, ...]
     times: Mapping[str, FrameTimes]
     warnings: tuple[str, ...]
+    frames: range | None = None
 
     @property
     def timebase(self) -> Timebase:
-        """The output frames."""
-        return session_timebase(self.times)
+        """The output frames that are wanted, numbered from 0."""
+        whole = session_timebase(self.times)
+        return whole if self.frames is None else cut_timebase(whole, self.frames)
 
 
 @dataclass(frozen=True, slots=True)

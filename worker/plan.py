@@ -42,18 +42,22 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
         nothing to detect. Clustering measures bones (one chunk) and finds people (map) before it associates them.
     """
     inputs = _inputs(session)
+    frames = spec.frames or range(session.preflight["timebase"]["num_frames"])
+    window = {} if spec.frames is None else {"frames": [frames.start, frames.stop]}
     stages: list[StagePlan] = []
     if not is_of_keypoints(session):
         inputs = [
             _key(DETECT, {"detector": spec.detector, **({"leaves": "fields"} if spec.uses_fields else {})}, inputs)
         ]
-        stages.append(StagePlan(DETECT, _map_cameras(session, inputs[0], chunk_frames)))
+        stages.append(StagePlan(DETECT, _map_cameras(session, frames, inputs[0], chunk_frames)))
     if spec.method == "clustering":
-        lengths = _key(LENGTHS, {}, inputs)
-        inputs = [_key(POSES, {}, [*inputs, lengths])]
-        stages.append(StagePlan(LENGTHS, _reduce(lengths, _num_measured(session), {"chunk_frames": chunk_frames})))
-        stages.append(StagePlan(POSES, _map_frames(session, inputs[0], chunk_frames)))
-    associate = _key(ASSOCIATE, {"method": spec.method}, inputs)
+        lengths = _key(LENGTHS, window, inputs)
+        inputs = [_key(POSES, window, [*inputs, lengths])]
+        num_measured = _num_measured(session, len(frames))
+        stages.append(StagePlan(LENGTHS, _reduce(lengths, num_measured, {"chunk_frames": chunk_frames})))
+        stages.append(StagePlan(POSES, _map_frames(frames, inputs[0], chunk_frames)))
+    people = {} if spec.people == "auto" else {"people": spec.people}
+    associate = _key(ASSOCIATE, {"method": spec.method, **window, **people}, inputs)
     smoothing = {
         "smoothing": spec.smoothing,
         "feet": spec.feet,
@@ -71,35 +75,35 @@ def is_of_keypoints(session: Session) -> bool:
     return any(file.kind == "keypoints" for file in session.files)
 
 
-def _ranges(session: Session, chunk_frames: int) -> list[tuple[int, int]]:
-    num_frames = session.preflight["timebase"]["num_frames"]
-    return [(start, min(start + chunk_frames, num_frames)) for start in range(0, num_frames, chunk_frames)]
+def _ranges(frames: range, chunk_frames: int) -> list[tuple[int, int]]:
+    """As ``pipeline.video.timeline.chunk_ranges`` cuts them."""
+    starts = range(frames.start - frames.start % chunk_frames, frames.stop, chunk_frames)
+    return [(max(start, frames.start), min(start + chunk_frames, frames.stop)) for start in starts]
 
 
-def _map_frames(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
-    """Ranges of output frames, the same as those of each camera."""
+def _map_frames(frames: range, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
+    """Ranges of output frames, the same as those of each camera, counted from the first one that is wanted."""
     return tuple(
         ChunkPlan(
             index=index,
-            payload={"start_frame": start, "stop_frame": stop},
+            payload={"start_frame": start - frames.start, "stop_frame": stop - frames.start},
             unit_count=stop - start,
             output_key=_hash([stage_key, start, stop]),
         )
-        for index, (start, stop) in enumerate(_ranges(session, chunk_frames))
+        for index, (start, stop) in enumerate(_ranges(frames, chunk_frames))
     )
 
 
-def _num_measured(session: Session) -> int:
+def _num_measured(session: Session, num_frames: int) -> int:
     """About as many frames as bones are measured in: five a second."""
-    timebase = session.preflight["timebase"]
-    return max(1, min(timebase["num_frames"], round(5 * timebase["num_frames"] / timebase["frame_rate_hz"])))
+    return max(1, min(num_frames, round(5 * num_frames / session.preflight["timebase"]["frame_rate_hz"])))
 
 
-def _map_cameras(session: Session, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
+def _map_cameras(session: Session, frames: range, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
     timebase = session.preflight["timebase"]
     pieces = (
         (camera, start, stop)
-        for start, stop in _ranges(session, chunk_frames)
+        for start, stop in _ranges(frames, chunk_frames)
         for camera in session.preflight["cameras"]
     )
     return tuple(

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from pipeline.association import Found, Views, link, locate_people, measure_bones, track
+from pipeline.association import Found, Views, link, locate_people, measure_bones, restrict, track
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
@@ -107,8 +107,8 @@ def warm_up() -> None:
 
 
 def _views_of(work: Work) -> tuple[Views, JointSet]:
-    """The session, and what its detections' joints are."""
-    views = _open.views(work.session, work.artifacts)
+    """The session, as if it had the frames alone that are wanted, and what its detections' joints are."""
+    views = restrict(_open.views(work.session, work.artifacts), work.claim.spec.frames)
     return views, views.joints if isinstance(views, KeypointSession) else _detector(work.claim.spec.detector).joints
 
 
@@ -120,12 +120,13 @@ def _config(work: Work) -> ReconstructionConfig:
         smoothing=spec.smoothing,
         cutoff_hz=spec.cutoff_hz,
         feet=spec.feet,
+        people=None if spec.people == "auto" else spec.people,
     )
 
 
 def detect(work: Work) -> Outcome:
     """Find all bodies in a range of a camera's frames, or what they could be made of."""
-    session, _ = _views_of(work)
+    session = _open.views(work.session, work.artifacts)
     if isinstance(session, KeypointSession):
         raise PipelineError("A session of keypoints has no videos.")
     chunk = work.claim.payload
@@ -157,8 +158,12 @@ def _found(work: Work, session: Views, joints: JointSet, number: int) -> Found:
 def measure_lengths(work: Work) -> Outcome:
     """Measure everybody's bones in frames all over the session, a chunk of the map at a time."""
     session, joints = _views_of(work)
-    ranges = chunk_ranges(session.timebase, work.claim.payload["chunk_frames"])
-    chunks = ((frames, _found(work, session, joints, number)) for number, frames in enumerate(ranges))
+    first = work.claim.spec.frames.start if work.claim.spec.frames else 0
+    ranges = chunk_ranges(session.timebase, work.claim.payload["chunk_frames"], work.claim.spec.frames)
+    chunks = (
+        (range(frames.start - first, frames.stop - first), _found(work, session, joints, number))
+        for number, frames in enumerate(ranges)
+    )
     return Outcome(encode_lengths(measure_bones(session, chunks, joints, _config(work), work.on_unit)))
 
 

@@ -23,7 +23,7 @@ from api.commands.options import (
     known_smoothing,
 )
 from api.console import StageBars, console, emit, reporting
-from pipeline.association import Views
+from pipeline.association import Views, restrict
 from pipeline.config import Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
@@ -114,6 +114,18 @@ def _check_sources(
         raise InputError(problems)
 
 
+def _frame_range(text: str | None) -> range | None:
+    """FIRST:STOP as a range; whether there are such frames is to be seen."""
+    if text is None:
+        return None
+    first, _, stop = text.partition(":")
+    try:
+        return range(int(first), int(stop))
+    except ValueError:
+        message = f"{text!r} is no FIRST:STOP."
+        raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
+
+
 def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
     """NAME=VALUE pairs as numbers by name."""
     changes: dict[str, float] = {}
@@ -169,6 +181,15 @@ def command(
     ] = None,
     smoothing: SmoothingOption = "fit",
     feet: FeetOption = "auto",
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIRST:STOP", help="Of the output frames, the first and the one after the last; else all."
+        ),
+    ] = None,
+    people: Annotated[
+        int | None, typer.Option(min=1, help="How many at most: those whom most cameras saw for longest.")
+    ] = None,
     exports: ExportsOption = "bvh",
     preset: PresetOption = "default",
     cutoff: Annotated[float, typer.Option(help="Of Butterworth's low-pass, in Hz.")] = 6.0,
@@ -189,6 +210,8 @@ def command(
             smoothing=known_smoothing(smoothing),
             feet=known_feet(feet),
             cutoff_hz=cutoff,
+            frames=_frame_range(frames),
+            people=people,
             chunk_frames=chunk_frames,
             processes=processes,
         )
@@ -202,7 +225,7 @@ def command(
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
             session = open_session(named[0] if len(named) == 1 else named, calibration, recordings)
-        check_exports(session.timebase, formats)
+        check_exports(restrict(session, config.frames).timebase, formats)
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))
         if isinstance(session, KeypointSession):

@@ -62,6 +62,16 @@ def record_life(
     return track, Observations(0, read_only(seen_px), read_only(score))
 
 
+def keep_most_seen(
+    tracks: Sequence[Track3D], observations: Sequence[Observations], most: int | None
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Keep at most so many people, those with the most observations, and number them anew; ``None``: everybody."""
+    people = list(zip(tracks, observations, strict=True))
+    if most is not None:
+        people = sorted(people, key=lambda pair: int(pair[0].views.sum()), reverse=True)[:most]
+    return number_people(people)
+
+
 def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Put people in order of first appearance and number them from 1."""
     ordered = sorted(people, key=lambda pair: pair[0].start_frame)

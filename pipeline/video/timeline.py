@@ -28,10 +28,19 @@ def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float
     )
 
 
-def chunk_ranges(timebase: Timebase, chunk_frames: int) -> list[range]:
-    """Ranges of ``chunk_frames`` output frames each, the last one shorter, without gap or overlap."""
-    starts = range(0, timebase.num_frames, chunk_frames)
-    return [range(start, min(start + chunk_frames, timebase.num_frames)) for start in starts]
+def chunk_ranges(timebase: Timebase, chunk_frames: int, wanted: range | None = None) -> list[range]:
+    """Ranges of output frames without gap or overlap, which begin at multiples of ``chunk_frames``.
+
+    The last one may be shorter, and of ``wanted`` frames (``None``: all) the first one, too.
+    """
+    frames = range(timebase.num_frames) if wanted is None else wanted
+    starts = range(frames.start - frames.start % chunk_frames, frames.stop, chunk_frames)
+    return [range(max(start, frames.start), min(start + chunk_frames, frames.stop)) for start in starts]
+
+
+def cut_timebase(timebase: Timebase, frames: range) -> Timebase:
+    """Some of the output frames, numbered from 0."""
+    return Timebase(timebase.time_s(frames.start), timebase.frame_rate_hz, len(frames))
 
 
 def frames_in(times: FrameTimes, start_s: float, stop_s: float) -> range:

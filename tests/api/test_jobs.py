@@ -40,6 +40,9 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "exports": ["bvh"],
         "bvh": "default",
         "cutoff_hz": 6.0,
+        "frame_range": None,
+        "people": "auto",
+        "callback_url": None,
     }
 
 
@@ -188,3 +191,28 @@ def test_progress_of_a_running_stage(live: Live) -> None:
     live.services.store.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     assert (job["state"], job["stages"][0]["done"], job["stages"][0]["fraction"]) == ("running", 30, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("spec", "status"),
+    [
+        ({"frame_range": [0, 60]}, 202),
+        ({"frame_range": [59, 60]}, 202),
+        ({"frame_range": [0, 61]}, 422),
+        ({"frame_range": [10, 10]}, 422),
+        ({"frame_range": [20, 10]}, 422),
+        ({"frame_range": [-1, 10]}, 422),
+        ({"frame_range": [1]}, 422),
+        ({"people": 1}, 202),
+        ({"people": 0}, 422),
+        ({"people": "some"}, 422),
+    ],
+)
+def test_which_frames_and_how_many_people(live: Live, spec: dict[str, object], status: int) -> None:
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=spec)
+    assert answer.status_code == status, answer.text
+    if status == 202:
+        assert answer.json()["spec"].items() >= spec.items()
+    else:
+        problem = problem_of(answer, 422, "invalid_request")
+        assert all(item["pointer"].startswith(f"/{next(iter(spec))}") for item in problem["errors"])

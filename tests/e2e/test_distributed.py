@@ -24,8 +24,9 @@ from api.commands.reconstruct import write_results
 from api.settings import GIB, MIB
 from pipeline.config import ReconstructionConfig
 from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
+from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.samples import Sample
+from pipeline.session import open_session
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from tests.api.processes import peak_bytes
@@ -69,8 +70,12 @@ class Distributed:
         body = {
             part: ids[some] if isinstance(some, Path) else [ids[path] for path in some] for part, some in paths.items()
         }
-        spec = {"callback_url": callback_url}
-        answer = self.client.post("/v1/jobs", json=body | {"spec": spec}, timeout=600)
+        return self.wait_for(
+            self.client.post("/v1/jobs", json=body | {"spec": {"callback_url": callback_url}}, timeout=600)
+        )
+
+    def wait_for(self, answer: httpx2.Response) -> dict[str, Any]:
+        """The job that was asked for, finished."""
         assert answer.status_code == 202, answer.text
         address = answer.headers["location"]
         while (job := self.client.get(address).raise_for_status().json())["state"] in {"queued", "running"}:
@@ -174,7 +179,7 @@ def test_keypoints(distributed: Distributed, tmp_path: Path, archive_bytes: int)
         path.unlink()
 
 
-def test_videos(distributed: Distributed, sample: Sample, results: Path, receiver: Receiver) -> None:
+def test_videos(distributed: Distributed, sample: Sample, results: Path, receiver: Receiver, tmp_path: Path) -> None:
     store = JobStore(distributed.database_url)
     secret = store.rotate_webhook_secret("default", 0.0)
     store.close()
@@ -188,6 +193,12 @@ def test_videos(distributed: Distributed, sample: Sample, results: Path, receive
         assert "chunk_done" in log
         copies = list((distributed.folder / f"worker-{number}" / "cache").glob("*.copy"))
         assert 0 < len(copies) <= len(sample.videos)
+    config = ReconstructionConfig(frames=range(25, 60), people=1)
+    session = open_session(list(sample.videos.values()), sample.calibration)
+    write_results(reconstruct(session, config), tmp_path)
+    spec = {"frame_range": [25, 60], "people": 1}
+    part = distributed.wait_for(distributed.client.post(f"{job['links']['session']}/jobs", json=spec))
+    assert distributed.downloads(part) == digests(tmp_path)
     assert not (distributed.folder / "api" / "artifacts").exists()
     assert not (distributed.folder / "api" / "multicap.db").exists()
     assert distributed.client.delete(job["links"]["session"]).status_code == 204

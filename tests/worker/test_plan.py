@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.data import Timebase
 from pipeline.detect.registry import REGISTRY
+from pipeline.video.timeline import chunk_ranges
 from worker import plan as planning
 from worker.jobs.model import InputFile, Session
 from worker.jobs.spec import JobSpec
@@ -188,3 +190,33 @@ def test_what_was_said_of_the_videos_is_an_input() -> None:
     found = [keys(make_session()), keys(said(offset_s=0.1)), keys(said(offset_s=0.2))]
     for stage in found[0]:
         assert len({key for one in found for key in one[stage]}) == 3 * len(found[0][stage])
+
+
+@given(num_frames=st.integers(1, 500), chunk_frames=st.integers(1, 60), data=st.data())
+def test_of_the_frames_that_are_wanted_each_is_there_once(
+    num_frames: int, chunk_frames: int, data: st.DataObject
+) -> None:
+    start = data.draw(st.integers(0, num_frames - 1))
+    stop = data.draw(st.integers(start + 1, num_frames))
+    session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
+    detect, _, poses, *_ = plan(session, spec, chunk_frames)
+    timebase = Timebase(0.0, 25.0, num_frames)
+    ranges = [(one.start, one.stop) for one in chunk_ranges(timebase, chunk_frames, spec.frames)]
+    for camera in ("0", "1"):
+        payloads = [chunk.payload for chunk in detect.chunks if chunk.payload["camera"] == camera]
+        assert [(one["start_frame"], one["stop_frame"]) for one in payloads] == ranges
+    found = [(chunk.payload["start_frame"] + start, chunk.payload["stop_frame"] + start) for chunk in poses.chunks]
+    assert found == ranges
+    assert [frame for one in ranges for frame in range(*one)] == list(range(start, stop))
+
+
+def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
+    whole, part = keys(make_session(100)), keys(make_session(100), JobSpec(frame_range=(25, 90)))
+    assert whole[DETECT][2:6] == part[DETECT][:4]  # 25-50 and 50-75 of both cameras
+    assert not set(whole[DETECT]) & set(part[DETECT][4:])  # 75-90
+    assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, FIT, EXPORT))
+
+
+def test_how_many_people_are_wanted_counts_from_association_on() -> None:
+    everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
+    assert {name for name in two if two[name] != everybody[name]} == {ASSOCIATE, FIT, EXPORT}

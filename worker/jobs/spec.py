@@ -1,6 +1,6 @@
 """What a client may ask for."""
 
-from typing import Literal
+from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -33,6 +33,14 @@ class JobSpec(BaseModel):
     feet: Literal["off", "auto", "always"] = Field(
         default="auto",
         description="Which feet that stand are held in place: none, where it is likely that they stand, or all.",
+    )
+
+    frame_range: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = Field(
+        default=None,
+        description="The first of the session's output frames, and the one after the last; all without it.",
+    )
+    people: Literal["auto"] | Annotated[int, Field(ge=1, le=1000)] = Field(
+        default="auto", description="How many at most: those whom most cameras saw for longest. `auto`: everybody."
     )
 
     exports: tuple[Literal["bvh", "glb", "trc", "c3d", "csv"], ...] = Field(
@@ -69,15 +77,25 @@ class JobSpec(BaseModel):
     def problems(self, num_frames: int, frame_rate_hz: float) -> dict[str, tuple[str, str]]:
         """What of this can't be done with a session of so many output frames: code and sentence by field."""
         found = {}
+        if self.frame_range is not None:
+            start, stop = self.frame_range
+            if not start < stop <= num_frames:
+                message = f"The session has the output frames 0 to {num_frames}; the second number is after the last."
+                found["frame_range"] = "frame_range", message
+            else:
+                num_frames = stop - start
         if self.smoothing == "butterworth" and self.cutoff_hz >= frame_rate_hz / 2:
             message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
             found["cutoff_hz"] = "cutoff_range", message
         if "c3d" in self.exports and num_frames > _MAX_C3D_FRAMES:
-            message = (
-                f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; the session has {num_frames}. Use trc or csv."
-            )
+            message = f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; these are {num_frames}. Use trc or csv."
             found["exports"] = "too_long_for_c3d", message
         return found
+
+    @property
+    def frames(self) -> range | None:
+        """``frame_range`` as a range."""
+        return None if self.frame_range is None else range(*self.frame_range)
 
     @property
     def uses_fields(self) -> bool:

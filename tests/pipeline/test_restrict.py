@@ -1,0 +1,74 @@
+"""Some of a session's frames, and some of its people."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.association import restrict
+from pipeline.config import Method, ReconstructionConfig
+from pipeline.data import Reconstruction
+from pipeline.errors import InputError
+from pipeline.keypoints import KeypointSession, open_keypoints
+from pipeline.run import reconstruct_keypoints
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
+    """Three people, four cameras that are not synchronised, 3 s."""
+    folder = tmp_path_factory.mktemp("capture")
+    for name, content in simulation_files(record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+
+
+def positions(found: Reconstruction) -> Mapping[int, np.ndarray]:
+    """Of each person (frames of the session, joints, 3), NaN where away."""
+    whole = {}
+    for track in found.located:
+        xyz_m = np.full((found.timebase.num_frames, *track.xyz_m.shape[1:]), np.nan)
+        xyz_m[track.start_frame : track.start_frame + track.num_frames] = track.xyz_m
+        whole[track.track_id] = xyz_m
+    return whole
+
+
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
+def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Method) -> None:
+    config = ReconstructionConfig(method=method, smoothing="none")
+    whole = positions(reconstruct_keypoints(session, config))
+    part = reconstruct_keypoints(session, replace(config, frames=range(30, 70)))
+    assert part.timebase.num_frames == 40
+    assert part.timebase.start_time_s == pytest.approx(session.timebase.time_s(30))
+    assert len(part.located) == len(whole) == 3
+    for mine in positions(part).values():
+        distances_m = [np.nanmedian(np.linalg.norm(theirs[30:70] - mine, axis=-1)) for theirs in whole.values()]
+        assert min(distances_m) < 0.005
+
+
+def test_all_of_them_are_the_whole(session: KeypointSession) -> None:
+    frames = range(session.timebase.num_frames)
+    whole, same = (reconstruct_keypoints(session, ReconstructionConfig(frames=one)) for one in (None, frames))
+    for one, other in zip(whole.located, same.located, strict=True):
+        np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
+
+
+@pytest.mark.parametrize("frames", [range(-1, 10), range(5, 5), range(9, 5), range(10_000)])
+def test_frames_that_are_not_there(session: KeypointSession, frames: range) -> None:
+    with pytest.raises(InputError, match="output frames 0 to") as error:
+        restrict(session, frames)
+    assert [problem.code for problem in error.value.problems] == ["frame_range"]
+
+
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
+def test_those_whom_most_cameras_saw_for_longest_stay(session: KeypointSession, method: Method) -> None:
+    everybody = reconstruct_keypoints(session, ReconstructionConfig(method=method, smoothing="none")).located
+    seen = sorted((int(track.views.sum()) for track in everybody), reverse=True)
+    for most in (1, 2, 3, 9):
+        some = reconstruct_keypoints(session, ReconstructionConfig(method=method, smoothing="none", people=most))
+        assert [track.track_id for track in some.located] == list(range(1, min(most, 3) + 1))
+        assert sorted((int(track.views.sum()) for track in some.located), reverse=True) == seen[:most]
+        assert len(some.animation.motions) == len(some.located)
