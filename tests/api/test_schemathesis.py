@@ -61,9 +61,11 @@ def unsaid_by_schemas(case: schemathesis.Case[Any]) -> list[Any]:
     names_uploads = isinstance(case.body, dict) and "calibration" in case.body
     if names_uploads or "idempotency-key" in {name.lower() for name in case.headers}:
         return [positive_data_acceptance]
-    # Which cutoff a session's frame rate allows, and where webhooks may go.
+    # Which cutoff a session's frame rate allows, which frames it has, and where webhooks may go.
     asks_more = isinstance(case.body, dict) and (
-        case.body.get("smoothing") == "butterworth" or case.body.get("callback_url") is not None
+        case.body.get("smoothing") == "butterworth"
+        or case.body.get("frame_range") is not None
+        or case.body.get("callback_url") is not None
     )
     return [positive_data_acceptance] if asks_more else []
 
