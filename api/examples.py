@@ -54,6 +54,7 @@ DOCUMENTS: dict[str, Any] = {
         "cutoff_hz": 6.0,
         "feet": "auto",
         "frame_range": None,
+        "output_rate_hz": None,
         "people": "auto",
         "exports": ["bvh"],
     },

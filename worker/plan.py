@@ -64,7 +64,11 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
         **({"cutoff_hz": spec.cutoff_hz} if spec.smoothing == "butterworth" else {}),
     }
     fit = _key(FIT, smoothing, [associate])
-    formats = {"exports": sorted(spec.exports), **({"bvh": spec.bvh} if "bvh" in spec.exports else {})}
+    formats = {
+        "exports": sorted(spec.exports),
+        **({"bvh": spec.bvh} if "bvh" in spec.exports else {}),
+        **({} if spec.output_rate_hz is None else {"output_rate_hz": spec.output_rate_hz}),
+    }
     export = _key(EXPORT, formats, [associate, fit])
     stages.extend(StagePlan(name, _reduce(key)) for name, key in ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export)))
     return tuple(stages)

@@ -212,7 +212,7 @@ def export(work: Work) -> Outcome:
     )
     files = []
     spec = work.claim.spec
-    for path in write_results(reconstruction, work.scratch, spec.exports, spec.bvh):
+    for path in write_results(reconstruction, work.scratch, spec.exports, spec.bvh, spec.output_rate_hz):
         files.append(_result_file(path))
         work.on_unit()
     index = json.dumps({"files": [file.name for file in files]}).encode()

@@ -41,6 +41,7 @@ def write_results(
     folder: Path,
     exports: Collection[Export] = DEFAULT_EXPORTS,
     preset: Preset = "default",
+    frame_rate_hz: float | None = None,
 ) -> list[Path]:
     """Write all result files into a folder, as ``pipeline.export.results`` does.
 
@@ -50,7 +51,7 @@ def write_results(
         If the folder can't be written to or the disk is full.
     """
     try:
-        return list(results.write_results(reconstruction, folder, exports, preset))
+        return list(results.write_results(reconstruction, folder, exports, preset, frame_rate_hz))
     except OSError as error:
         raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
 
@@ -187,6 +188,10 @@ def command(
             metavar="FIRST:STOP", help="Of the output frames, the first and the one after the last; else all."
         ),
     ] = None,
+    output_rate: Annotated[
+        float | None,
+        typer.Option(min=1, max=240, help="Frame rate of the motion in all files, in Hz; else the session's."),
+    ] = None,
     people: Annotated[
         int | None, typer.Option(min=1, help="How many at most: those whom most cameras saw for longest.")
     ] = None,
@@ -232,7 +237,7 @@ def command(
             reconstruction = reconstruct_keypoints(session, config, bars.update)
         else:
             reconstruction = reconstruct(session, config, bars.update)
-        paths = write_results(reconstruction, out, formats, names)
+        paths = write_results(reconstruction, out, formats, names, output_rate)
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:
         emit(

@@ -13,6 +13,7 @@ from pipeline.data import Reconstruction, SkeletonMotion, Timebase, Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.export import bvh, c3d_file, csv_table, glb, skeletons_json, trc
 from pipeline.export.presets import PRESETS
+from pipeline.export.resample import resample
 from pipeline.metrics.quality import encode as encode_metrics
 from pipeline.metrics.quality import quality_report
 from pipeline.skeleton.model import forward_kinematics
@@ -38,6 +39,7 @@ def write_results(
     folder: Path,
     exports: Collection[Export] = DEFAULT_EXPORTS,
     preset: Preset = "default",
+    frame_rate_hz: float | None = None,
 ) -> Iterator[Path]:
     """Write all result files into a folder, which is made if it is missing; yields each as soon as it is there.
 
@@ -50,6 +52,8 @@ def write_results(
         Formats of which everybody gets a file, beside the two files of all.
     preset
         How BVH files name, turn and scale the skeleton.
+    frame_rate_hz
+        Of the motion in all files; ``None``: the session's. What ``metrics.json`` measures is at the session's.
 
     Raises
     ------
@@ -58,20 +62,21 @@ def write_results(
     OSError
         If the folder can't be written to, the disk is full, or a file does not hold what was written.
     """
-    check_exports(reconstruction.timebase, exports)
+    shown = reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
+    check_exports(shown.timebase, exports)
     folder.mkdir(parents=True, exist_ok=True)
     far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in exports}}
     path = folder / "skeletons.json"
-    with _replacing(path, skeletons_json.encode(reconstruction)) as part:
-        for track, read_m in zip(reconstruction.tracks, skeletons_json.read_xyz_m(part), strict=True):
+    with _replacing(path, skeletons_json.encode(shown)) as part:
+        for track, read_m in zip(shown.tracks, skeletons_json.read_xyz_m(part), strict=True):
             far_mm["skeletons"].append(_furthest_mm(path, track.xyz_m, [read_m]))
     yield path
-    for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
+    for track, motion in zip(shown.tracks, shown.motions, strict=True):
         skeleton_m = forward_kinematics(motion)
         for export in dict.fromkeys(exports):
             path = folder / f"{motion.name}.{export}"
             expected_m = skeleton_m if export in _OF_MOTIONS else track.xyz_m
-            with _replacing(path, _encode(export, reconstruction, track, motion, path.name, preset)) as part:
+            with _replacing(path, _encode(export, shown, track, motion, path.name, preset)) as part:
                 far_mm[export].append(_furthest_mm(path, expected_m, _read(export, part, preset)))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}

@@ -41,6 +41,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "bvh": "default",
         "cutoff_hz": 6.0,
         "frame_range": None,
+        "output_rate_hz": None,
         "people": "auto",
         "callback_url": None,
     }
@@ -203,6 +204,9 @@ def test_progress_of_a_running_stage(live: Live) -> None:
         ({"frame_range": [20, 10]}, 422),
         ({"frame_range": [-1, 10]}, 422),
         ({"frame_range": [1]}, 422),
+        ({"output_rate_hz": 30}, 202),
+        ({"output_rate_hz": 0.5}, 422),
+        ({"output_rate_hz": 241}, 422),
         ({"people": 1}, 202),
         ({"people": 0}, 422),
         ({"people": "some"}, 422),

@@ -86,17 +86,22 @@ def test_the_same_files_as_without_the_service(
 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_some_frames_and_some_people(served: Served, capture: Path, tmp_path: Path, method: Method) -> None:
+def test_some_frames_and_some_people_at_another_rate(
+    served: Served, capture: Path, tmp_path: Path, method: Method
+) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
     config = ReconstructionConfig(method=method, frames=range(20, 70), people=2)
-    write_results(reconstruct_keypoints(session, config), tmp_path)
-    spec = ("spec", (None, json.dumps({"method": method, "frame_range": [20, 70], "people": 2})))
+    write_results(reconstruct_keypoints(session, config), tmp_path, frame_rate_hz=24.0)
+    spec = ("spec", (None, json.dumps({"method": method, "frame_range": [20, 70], "output_rate_hz": 24, "people": 2})))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
     assert served.wait_for_end(answer.json()["id"])["state"] == "succeeded"
     assert served.downloads(answer.json()["id"]) == digests(tmp_path)
     skeletons = json.loads((tmp_path / "skeletons.json").read_bytes())
-    assert (skeletons["num_frames"], len(skeletons["tracks"])) == (50, 2)
+    rate_hz = session.timebase.frame_rate_hz
+    assert (skeletons["frame_rate_hz"], skeletons["num_frames"]) == (24.0, int(49 / rate_hz * 24.0) + 1)
+    assert len(skeletons["tracks"]) == 2
+    assert json.loads((tmp_path / "metrics.json").read_bytes())["frame_rate_hz"] == rate_hz
     assert skeletons["start_time_s"] == pytest.approx(session.timebase.time_s(20))
 
 

@@ -39,6 +39,13 @@ class JobSpec(BaseModel):
         default=None,
         description="The first of the session's output frames, and the one after the last; all without it.",
     )
+    output_rate_hz: float | None = Field(
+        default=None,
+        ge=1.0,
+        le=240.0,
+        allow_inf_nan=False,
+        description="Frame rate of the motion in all files; without it the session's, which metrics are of anyway.",
+    )
     people: Literal["auto"] | Annotated[int, Field(ge=1, le=1000)] = Field(
         default="auto", description="How many at most: those whom most cameras saw for longest. `auto`: everybody."
     )
@@ -87,6 +94,8 @@ class JobSpec(BaseModel):
         if self.smoothing == "butterworth" and self.cutoff_hz >= frame_rate_hz / 2:
             message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
             found["cutoff_hz"] = "cutoff_range", message
+        if self.output_rate_hz is not None:
+            num_frames = round((num_frames - 1) * self.output_rate_hz / frame_rate_hz) + 1
         if "c3d" in self.exports and num_frames > _MAX_C3D_FRAMES:
             message = f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; these are {num_frames}. Use trc or csv."
             found["exports"] = "too_long_for_c3d", message

@@ -1,0 +1,107 @@
+"""Motion at another frame rate than the session's, for software that wants its own."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.data import Animation, FootContact, Reconstruction, SkeletonMotion, Source, Timebase, Track3D, read_only
+
+# Where two frames meet but for rounding.
+_SAME = 1e-9
+
+
+def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruction:
+    """Everybody's final positions and skeletons at another rate, from the same first frame on.
+
+    Positions are interpolated between two frames in which a joint is known, rotations along the shortest arc between
+    two frames (slerp). What was located and observed stays at the session's rate. Who lives between two of the new
+    frames is left out.
+
+    Parameters
+    ----------
+    frame_rate_hz
+        Of the new frames.
+    """
+    old = reconstruction.timebase
+    ratio = old.frame_rate_hz / frame_rate_hz  # old frames a new one
+    new = Timebase(old.start_time_s, frame_rate_hz, math.floor((old.num_frames - 1) / ratio + _SAME) + 1)
+    tracks, motions = [], []
+    for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
+        frames = _new_frames(track.start_frame, track.num_frames, ratio)
+        if len(frames):
+            tracks.append(_track_at(track, frames, ratio))
+            motions.append(_motion_at(motion, frames, ratio, frame_rate_hz))
+    animation = Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor)
+    return replace(reconstruction, timebase=new, animation=animation)
+
+
+def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:
+    """New frames that lie within some old ones."""
+    return range(math.ceil(start_frame / ratio - _SAME), math.floor((start_frame + num_frames - 1) / ratio + _SAME) + 1)
+
+
+def _between(
+    frames: range, start_frame: int, num_frames: int, ratio: float
+) -> tuple[Int[np.ndarray, " new"], Int[np.ndarray, " new"], Float[np.ndarray, " new"]]:
+    """Rows before and behind each new frame, and how far it is from the one to the other."""
+    place = np.arange(frames.start, frames.stop) * ratio - start_frame
+    place = np.where(np.abs(place - np.round(place)) < _SAME * num_frames, np.round(place), place)
+    before = np.clip(np.floor(place).astype(np.int64), 0, num_frames - 1)
+    weight = np.clip(place - before, 0.0, 1.0)
+    return before, np.where(weight > 0, np.minimum(before + 1, num_frames - 1), before), weight
+
+
+def _track_at(track: Track3D, frames: range, ratio: float) -> Track3D:
+    before, behind, weight = _between(frames, track.start_frame, track.num_frames, ratio)
+    along = weight[:, None, None]
+    xyz_m = np.where(along > 0, (1 - along) * track.xyz_m[before] + along * track.xyz_m[behind], track.xyz_m[before])
+    nearest = np.where(weight < 0.5, before, behind)
+    known = np.isfinite(xyz_m).all(-1)
+    return Track3D(
+        track_id=track.track_id,
+        start_frame=frames.start,
+        xyz_m=read_only(xyz_m),
+        score=read_only(np.where(known, track.score[nearest], 0.0)),
+        source=read_only(np.where(known, track.source[nearest], np.int8(Source.ABSENT))),
+        error_px=read_only(np.where(known, track.error_px[nearest], np.nan)),
+        views=read_only(np.where(known, track.views[nearest], 0)),
+    )
+
+
+def _motion_at(motion: SkeletonMotion, frames: range, ratio: float, frame_rate_hz: float) -> SkeletonMotion:
+    before, behind, weight = _between(frames, motion.start_frame, len(motion.root_m), ratio)
+    along = weight[:, None]
+    return replace(
+        motion,
+        start_frame=frames.start,
+        frame_rate_hz=frame_rate_hz,
+        root_m=read_only((1 - along) * motion.root_m[before] + along * motion.root_m[behind]),
+        parent_from_joint=read_only(
+            _slerp(motion.parent_from_joint[before], motion.parent_from_joint[behind], weight[:, None, None])
+        ),
+        contacts=tuple(_contact_at(one, motion.start_frame, frames, ratio) for one in motion.contacts),
+    )
+
+
+def _contact_at(contact: FootContact, start_frame: int, frames: range, ratio: float) -> FootContact:
+    held = _new_frames(start_frame + contact.start_frame, contact.num_frames, ratio)
+    return replace(contact, start_frame=held.start - frames.start, num_frames=len(held))
+
+
+def _slerp(
+    one: Float[np.ndarray, "*rotations 4"], other: Float[np.ndarray, "*rotations 4"], weight: Float[np.ndarray, "*_ 1"]
+) -> Float[np.ndarray, "*rotations 4"]:
+    """Between two unit quaternions, along the shorter arc (Shoemake, SIGGRAPH 1985)."""
+    cosine = np.sum(one * other, axis=-1, keepdims=True)
+    other, cosine = np.where(cosine < 0, -other, other), np.clip(np.abs(cosine), 0.0, 1.0)
+    angle = np.arccos(cosine)
+    sine = np.sin(angle)
+    # Where both are nearly one the arc is a line.
+    is_arc = sine > 1e-6
+    divisor = np.where(is_arc, sine, 1.0)
+    first = np.where(is_arc, np.sin((1 - weight) * angle) / divisor, 1 - weight)
+    second = np.where(is_arc, np.sin(weight * angle) / divisor, weight)
+    mixed = first * one + second * other
+    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)

@@ -1,0 +1,100 @@
+"""Motion at another rate."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Reconstruction
+from pipeline.export.resample import _slerp, resample
+from pipeline.export.results import write_results
+from pipeline.keypoints import KeypointSession
+from pipeline.run import reconstruct_keypoints
+from pipeline.skeleton.model import forward_kinematics
+from tests.pipeline.test_restrict import session
+
+__all__ = ["session"]
+
+
+@pytest.fixture(scope="module")
+def take(session: KeypointSession) -> Reconstruction:
+    return reconstruct_keypoints(session, ReconstructionConfig())
+
+
+def test_the_session_s_own_rate_changes_nothing(take: Reconstruction) -> None:
+    same = resample(take, take.timebase.frame_rate_hz)
+    assert asdict(same.timebase) == asdict(take.timebase)
+    for one, other in zip(take.tracks, same.tracks, strict=True):
+        np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
+        np.testing.assert_array_equal(one.source, other.source)
+    for mine, theirs in zip(take.motions, same.motions, strict=True):
+        np.testing.assert_allclose(mine.parent_from_joint, theirs.parent_from_joint, atol=1e-12)
+        assert mine.contacts == theirs.contacts
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_of_a_multiple_each_second_or_third_frame_is_the_session_s(take: Reconstruction, factor: int) -> None:
+    fine = resample(take, factor * take.timebase.frame_rate_hz)
+    assert fine.timebase.num_frames == factor * (take.timebase.num_frames - 1) + 1
+    for one, other in zip(take.tracks, fine.tracks, strict=True):
+        assert other.start_frame == factor * one.start_frame
+        np.testing.assert_allclose(other.xyz_m[::factor], one.xyz_m, atol=1e-12)
+    for mine, theirs in zip(take.motions, fine.motions, strict=True):
+        np.testing.assert_allclose(forward_kinematics(theirs)[::factor], forward_kinematics(mine), atol=1e-9)
+        assert theirs.frame_rate_hz == factor * mine.frame_rate_hz
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 23.976, 24.0, 29.97, 60.0, 120.0])
+def test_everybody_is_where_they_are_between_two_frames(take: Reconstruction, rate_hz: float) -> None:
+    other = resample(take, rate_hz)
+    old, new = take.timebase, other.timebase
+    assert (new.start_time_s, new.frame_rate_hz) == (old.start_time_s, rate_hz)
+    assert new.time_s(new.num_frames - 1) <= old.time_s(old.num_frames - 1) + 1e-6
+    assert new.time_s(new.num_frames) > old.time_s(old.num_frames - 1)
+    assert len(other.tracks) == len(take.tracks)
+    for track, mine in zip(take.tracks, other.tracks, strict=True):
+        for frame in range(mine.num_frames):
+            place = (mine.start_frame + frame) / rate_hz * old.frame_rate_hz - track.start_frame
+            before, behind = (
+                track.xyz_m[int(np.clip(round_(place), 0, track.num_frames - 1))] for round_ in (np.floor, np.ceil)
+            )
+            low, high = np.minimum(before, behind) - 1e-6, np.maximum(before, behind) + 1e-6
+            found = mine.xyz_m[frame]
+            known = np.isfinite(found).all(-1)
+            assert ((found[known] >= low[known]) & (found[known] <= high[known])).all()
+            assert (mine.source[frame][~known] == 0).all()
+            assert (mine.source[frame][known] > 0).all()
+    for motion, track in zip(other.motions, other.tracks, strict=True):
+        assert (motion.start_frame, len(motion.root_m)) == (track.start_frame, track.num_frames)
+        np.testing.assert_allclose(np.linalg.norm(motion.parent_from_joint, axis=-1), 1.0, atol=1e-9)
+        assert all(0 <= one.start_frame <= len(motion.root_m) for one in motion.contacts)
+
+
+def test_who_lives_between_two_frames_is_left_out(take: Reconstruction) -> None:
+    short = replace(take.tracks[0], start_frame=1, **{
+        name: getattr(take.tracks[0], name)[:2] for name in ("xyz_m", "score", "source", "error_px", "views")
+    })  # fmt: skip
+    motion = take.motions[0]
+    motion = replace(
+        motion, start_frame=1, root_m=motion.root_m[:2], parent_from_joint=motion.parent_from_joint[:2], contacts=()
+    )
+    animation = replace(take.animation, tracks=(short, *take.tracks[1:]), motions=(motion, *take.motions[1:]))
+    assert len(resample(replace(take, animation=animation), 1.0).tracks) == len(take.tracks) - 1
+
+
+@given(seed=st.integers(0, 1000), weight=st.floats(0.0, 1.0))
+def test_between_two_rotations_it_is_scipy_s(seed: int, weight: float) -> None:
+    one, other = Rotation.random(2, rng=np.random.default_rng(seed))
+    expected = Slerp([0, 1], Rotation.concatenate([one, other]))(weight)
+    found = Rotation.from_quat(_slerp(one.as_quat(), -other.as_quat(), np.array([weight])))
+    assert (found.inv() * expected).magnitude() < 1e-6
+
+
+def test_all_formats_hold_it(take: Reconstruction, tmp_path: Path) -> None:
+    # Each file is read back and compared as it is written.
+    assert len(list(write_results(take, tmp_path, ("bvh", "glb", "trc", "c3d", "csv"), frame_rate_hz=48.0))) == 17
