@@ -45,6 +45,7 @@ DOCUMENTS: dict[str, Any] = {
     "manifest": {
         "name": "Handshake, take 3",
         "cameras": [{"name": "cam_1", "file": "GX010042.mp4", "offset_s": 0.48}],
+        "units": "mm",
         "metadata": {"scene": 12},
     },
     "spec": {

@@ -279,6 +279,8 @@ def _arguments(form: Form, manifest: Manifest) -> list[str]:
     for pointer, file in _files(form).items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
+    if manifest.units != "m":
+        arguments.append(f"--units={manifest.units}")
     if manifest.cameras:
         said = [
             {"camera": one.name, "file": one.file, "offset_s": one.offset_s, "frame_rate_hz": one.rate}

@@ -2,7 +2,7 @@
 
 import json
 import unicodedata
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
@@ -81,6 +81,9 @@ class Manifest(BaseModel):
     )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Of sessions of videos: what is known of some cameras."
+    )
+    units: Literal["m", "cm", "mm"] = Field(
+        default="m", description="Of the calibration, if its format does not say (TOML, and JSON with K, R, t)."
     )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
         default={}, description="Anything; it comes back with the session."

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.registry import Units, read_calibration
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
@@ -67,7 +67,11 @@ class KeypointSession:
 
 
 def open_keypoints(
-    folder: Path, calibration: Path, timestamps: Path | None = None, frame_rate_hz: float | None = None
+    folder: Path,
+    calibration: Path,
+    timestamps: Path | None = None,
+    frame_rate_hz: float | None = None,
+    units: Units = "m",
 ) -> KeypointSession:
     """Open a folder with a folder of keypoint files a camera.
 
@@ -81,6 +85,8 @@ def open_keypoints(
         starts at 0. Without it frame k of all cameras is at k / ``frame_rate_hz``.
     frame_rate_hz
         25 by default, with a warning; not allowed beside ``timestamps``.
+    units
+        As of ``read_calibration``.
 
     Raises
     ------
@@ -91,7 +97,7 @@ def open_keypoints(
     warnings: list[str] = []
     cameras: tuple[Camera, ...] = ()
     try:
-        cameras = read_calibration(calibration)
+        cameras = read_calibration(calibration, units)
     except InputError as error:
         problems.extend(error.problems)
     folders = _camera_folders(folder, warnings, problems)

@@ -1,9 +1,10 @@
 """Check a session in a process of its own.
 
 ``python -m pipeline.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
-[--frame-rate HZ]) --calibration FILE`` prints one JSON object: ``{"problems": [...]}`` with exit code 2, or what the
-session is. So a caller that must not load the science, or must not be hurt by a stranger's file, can still know all
-about a session. ``--record FILE`` keeps what was found, so that nobody has to look through the files again.
+[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: what the session is, or
+``{"problems": [...]}`` with exit code 2. So a caller that must not load the science, or must not be hurt by a stranger's
+file, can still know all about a session. ``--record FILE`` keeps what was found, so that nobody has to look through the
+files again.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from pipeline.calibration.registry import UNITS_M
 from pipeline.errors import InputError
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.keypoints_zip import unpack_keypoints
@@ -26,7 +28,7 @@ EXIT_BAD_INPUT = 2
 
 
 def report(
-    session: CaptureSession | KeypointSession, files: Sequence[str], recordings: Sequence[Recording] = ()
+    session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
 ) -> dict[str, Any]:
     """Cameras with their files, the shared clock, warnings, and what was said of the videos."""
     starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
@@ -50,21 +52,26 @@ def report(
         "timebase": asdict(session.timebase),
         "warnings": list(session.warnings),
         "recordings": [asdict(one) for one in recordings],
+        "units": units,
     }
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
     recordings = [Recording(**one) for one in json.loads(arguments.recordings)]
-    session = open_session(arguments.videos, arguments.calibration, recordings)
-    return report(session, [video.path.name for video in session.videos], recordings), encode_session(session)
+    session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
+    return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
+        session
+    )
 
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         unpack_keypoints(arguments.keypoints, Path(folder))
-        session = open_keypoints(Path(folder), arguments.calibration, arguments.timestamps, arguments.frame_rate)
+        session = open_keypoints(
+            Path(folder), arguments.calibration, arguments.timestamps, arguments.frame_rate, arguments.units
+        )
     files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
-    return report(session, files), encode_keypoints(session)
+    return report(session, files, arguments.units), encode_keypoints(session)
 
 
 def main() -> int:
@@ -77,6 +84,7 @@ def main() -> int:
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
+    parser.add_argument("--units", choices=UNITS_M, default="m", help="Of the calibration.")
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args()
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.registry import Units, read_calibration
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.pairing import pair_by_name
@@ -72,7 +72,7 @@ class Recording:
 
 
 def open_session(
-    videos: Path | Sequence[Path], calibration: Path, recordings: Sequence[Recording] = ()
+    videos: Path | Sequence[Path], calibration: Path, recordings: Sequence[Recording] = (), units: Units = "m"
 ) -> CaptureSession:
     """Open a folder of videos, or the videos named, with a calibration.
 
@@ -84,6 +84,8 @@ def open_session(
     ----------
     recordings
         What is known of some cameras' videos, at most one a camera.
+    units
+        As of ``read_calibration``.
 
     Raises
     ------
@@ -93,7 +95,7 @@ def open_session(
     paths, warnings, problems = _find_videos(videos)
     cameras: tuple[Camera, ...] = ()
     try:
-        cameras = read_calibration(calibration)
+        cameras = read_calibration(calibration, units)
     except InputError as error:
         problems.extend(error.problems)
 

@@ -131,6 +131,8 @@ def _reduce(
 def _inputs(session: Session) -> list[str]:
     """What the files are, how they are timed; names count: files and cameras find each other by name."""
     files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
+    if (units := session.preflight.get("units", "m")) != "m":
+        files.append(units)
     if is_of_keypoints(session):
         return [*files, repr(session.preflight["timebase"]["frame_rate_hz"])]
     recordings = sorted(json.dumps(one, sort_keys=True) for one in session.preflight.get("recordings", ()))

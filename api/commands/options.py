@@ -5,6 +5,7 @@ from typing import Annotated, cast, get_args
 
 import typer
 
+from pipeline.calibration.registry import UNITS_M, Units
 from pipeline.config import Export, Feet, Method, Preset, Smoothing
 from pipeline.errors import InputError, Problem
 
@@ -45,6 +46,11 @@ def known_smoothing(name: str) -> Smoothing:
 def known_feet(name: str) -> Feet:
     """Check what to do with feet; ``InputError`` if there is nothing of that name."""
     return cast(Feet, _known("feet", name, FEET))
+
+
+def known_units(name: str) -> Units:
+    """Check the name of a unit; ``InputError`` if there is none of that name."""
+    return cast(Units, _known("units", name, tuple(UNITS_M)))
 
 
 def known_exports(names: str) -> tuple[Export, ...]:

@@ -21,9 +21,11 @@ from api.commands.options import (
     known_method,
     known_preset,
     known_smoothing,
+    known_units,
 )
 from api.console import StageBars, console, emit, reporting
 from pipeline.association import Views, restrict
+from pipeline.calibration.registry import UNITS_M
 from pipeline.config import Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
@@ -157,6 +159,9 @@ def command(
             help="When a video's first frame was taken, on a common clock; as often as needed.",
         ),
     ] = None,
+    units: Annotated[
+        str, typer.Option(help=f"Of a calibration whose format does not say: {', '.join(UNITS_M)}.")
+    ] = "m",
     keypoints: Annotated[
         Path | None,
         typer.Option(help="Instead of videos: a folder with a folder of OpenPose's JSON files a camera."),
@@ -225,11 +230,11 @@ def command(
         _check_sources(videos, keypoints, timestamps, frame_rate, offsets)
         session: Views
         if keypoints is not None:
-            session = open_keypoints(keypoints, calibration, timestamps, frame_rate)
+            session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
         else:
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
-            session = open_session(named[0] if len(named) == 1 else named, calibration, recordings)
+            session = open_session(named[0] if len(named) == 1 else named, calibration, recordings, known_units(units))
         check_exports(restrict(session, config.frames).timebase, formats)
         for warning in session.warnings:
             console.print(Text.assemble(("warning ", "yellow"), warning))

@@ -1,11 +1,18 @@
 """Which reader reads a calibration file."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from pipeline.calibration import json_formats, qca, toml_format
-from pipeline.data import Camera
+from pipeline.data import Camera, read_only
 from pipeline.errors import InputError, Problem
+from pipeline.geometry.rigid import Rigid3
+
+Units = Literal["m", "cm", "mm"]
+
+UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 # 128 cameras take some 200 kB in the wordiest format.
 MAX_BYTES = 4 * 2**20
@@ -24,8 +31,23 @@ def _reader(name: str, content: bytes) -> Callable[[bytes, str], tuple[Camera, .
     return _BY_ENDING.get(Path(name).suffix.lower()) or {b"<": qca.read, b"{": json_formats.read}.get(head)
 
 
-def read_calibration(path: Path) -> tuple[Camera, ...]:
+def _says_its_unit(reader: Callable[[bytes, str], tuple[Camera, ...]], content: bytes) -> bool:
+    """Whether a format leaves no doubt of what lengths are in: Qualisys' millimetres, our own ``translation_m``."""
+    return reader is qca.read or (reader is json_formats.read and b'"translation_m"' in content)
+
+
+def _scaled(camera: Camera, unit_m: float) -> Camera:
+    moved = Rigid3(camera.cam_from_world.rotation, read_only(camera.cam_from_world.translation_m * unit_m))
+    return replace(camera, cam_from_world=moved)
+
+
+def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
     """Read cameras from a file in any of the formats that Multicap knows.
+
+    Parameters
+    ----------
+    units
+        What lengths are in, where the format does not say so.
 
     Raises
     ------
@@ -57,4 +79,11 @@ def read_calibration(path: Path) -> tuple[Camera, ...]:
             "This is no calibration format that Multicap knows.",
             "Use Qualisys QCA (XML), Caliscope/anipose TOML, or JSON.",
         )
-    return reader(content, file)
+    cameras = reader(content, file)
+    if units == "m":
+        return cameras
+    if _says_its_unit(reader, content):
+        raise refuse(
+            "calibration_units", f"This format says what lengths are in; it is not {units}.", "Leave units away."
+        )
+    return tuple(_scaled(camera, UNITS_M[units]) for camera in cameras)

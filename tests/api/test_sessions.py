@@ -157,7 +157,7 @@ def test_wrong_parts(live: Live, parts: Any, errors: set[tuple[str, str]]) -> No
         (b"{", "/manifest"),
         (b"[]", "/manifest"),
         (b"\xff", "/manifest"),
-        (b'{"units": "mm"}', "/manifest/units"),
+        (b'{"scale": 2}', "/manifest/scale"),
         (b'{"name": 3}', "/manifest/name"),
         (b'{"frame_rate_hz": 0}', "/manifest/frame_rate_hz"),
         (b'{"name": "a\\u0000b"}', "/manifest/name"),

@@ -187,9 +187,11 @@ def test_what_was_said_of_the_videos_is_an_input() -> None:
         plain = make_session()
         return replace(plain, preflight={**plain.preflight, "recordings": [{"camera": "0", **recording}]})
 
-    found = [keys(make_session()), keys(said(offset_s=0.1)), keys(said(offset_s=0.2))]
+    plain = make_session()
+    in_mm = replace(plain, preflight={**plain.preflight, "units": "mm"})
+    found = [keys(plain), keys(said(offset_s=0.1)), keys(said(offset_s=0.2)), keys(in_mm)]
     for stage in found[0]:
-        assert len({key for one in found for key in one[stage]}) == 3 * len(found[0][stage])
+        assert len({key for one in found for key in one[stage]}) == 4 * len(found[0][stage])
 
 
 @given(num_frames=st.integers(1, 500), chunk_frames=st.integers(1, 60), data=st.data())

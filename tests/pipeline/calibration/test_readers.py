@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline import samples
-from pipeline.calibration.registry import MAX_BYTES, read_calibration
+from pipeline.calibration.registry import MAX_BYTES, Units, read_calibration
 from pipeline.calibration.write import encode
 from pipeline.data import Camera
 from pipeline.errors import InputError
@@ -227,3 +227,31 @@ def test_200_megabytes_are_refused_unread(tmp_path: Path) -> None:
         file.truncate(200 * 2**20)
     assert path.stat().st_size > MAX_BYTES
     assert problems_of(path) == [("calibration_too_large", None, None)]
+
+
+@pytest.mark.parametrize(("units", "factor"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001)])
+def test_units_are_those_that_a_person_says_where_the_format_does_not(
+    tmp_path: Path, units: Units, factor: float
+) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        """
+[cam_1]
+size = [640, 480]
+matrix = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = []
+rotation = [0.0, 0.0, 0.0]
+translation = [500.0, 0.0, 4000.0]
+"""
+    )
+    (camera,) = read_calibration(path, units)
+    np.testing.assert_allclose(camera.cam_from_world.translation_m, np.array([500.0, 0.0, 4000.0]) * factor)
+
+
+def test_units_of_a_format_that_says_its_own_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps({"schema_version": 1, "cameras": [own()]}))
+    assert len(read_calibration(path, "m")) == 1
+    with pytest.raises(InputError, match="says what lengths are in") as error:
+        read_calibration(path, "mm")
+    assert [problem.code for problem in error.value.problems] == ["calibration_units"]
