@@ -2,9 +2,9 @@
 
 ``python -m pipeline.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
 [--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: what the session is, or
-``{"problems": [...]}`` with exit code 2. So a caller that must not load the science, or must not be hurt by a stranger's
-file, can still know all about a session. ``--record FILE`` keeps what was found, so that nobody has to look through the
-files again.
+``{"problems": [...]}`` with exit code 2. So a caller that must not load the science, or must not be hurt by a
+stranger's file, can still know all about a session. ``--record FILE`` keeps what was found, so that nobody has to look
+through the files again.
 """
 
 import argparse
