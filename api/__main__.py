@@ -13,6 +13,7 @@ from api.settings import Settings
 from worker import tracing
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
+from worker.settings import read_settings
 
 # How long open requests may go on after SIGTERM.
 _GRACE_S = 5
@@ -27,7 +28,7 @@ def main() -> None:
     parser.add_argument("--fd", type=int, help="An inherited socket that listens, instead of MULTICAP_HOST and _PORT.")
     fd = parser.parse_args().fd
     configure_logs()
-    settings = Settings()
+    settings = read_settings(Settings)
     _refuse_strangers(settings)
     # An answer needs the interpreter again and again: threads that take in uploads have to hand it over sooner.
     sys.setswitchinterval(_SWITCH_S)

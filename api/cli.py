@@ -1,9 +1,15 @@
 """`multicap`, the command line."""
 
+import sys
+
 import typer
+from pydantic import ValidationError
 
 from api.commands import audit, benchmark, demo, evaluate, keys, models, reconstruct, samples, serve, simulate, webhooks
+from api.console import EXIT_BAD_INPUT, refusal
+from api.settings import Settings
 from pipeline.memory import keep_freed_memory
+from worker.settings import explain
 
 app = typer.Typer(
     name="multicap",
@@ -28,7 +34,14 @@ app.add_typer(webhooks.app, name="webhooks")
 def main() -> None:
     """Run the command line."""
     keep_freed_memory()
-    app()
+    try:
+        app()
+    except ValidationError as error:
+        if error.title != Settings.__name__:
+            raise
+        for sentence in explain(error):
+            refusal(sentence)
+        sys.exit(EXIT_BAD_INPUT)
 
 
 if __name__ == "__main__":

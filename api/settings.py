@@ -8,6 +8,7 @@ import platformdirs
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from worker.jobs.stores import ARTIFACTS_URL
 from worker.plan import DEFAULT_CHUNK_FRAMES
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
@@ -37,7 +38,9 @@ class Settings(BaseSettings):
         description="Folder of the artifacts, uploads on their way, and the database unless database_url says else.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
-    artifacts_url: str = Field(default="", description="s3://bucket/prefix; empty for a folder in data_dir.")
+    artifacts_url: str = Field(
+        default="", pattern=ARTIFACTS_URL, description="s3://bucket/prefix; empty for a folder in data_dir."
+    )
     signed_downloads_s: float | None = Field(
         default=None,
         gt=0,

@@ -3,7 +3,7 @@
 import argparse
 
 from worker.app import create_celery
-from worker.settings import WorkerSettings
+from worker.settings import WorkerSettings, read_settings
 
 
 def main() -> None:
@@ -11,7 +11,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m worker", description="Work on jobs.")
     parser.add_argument("--workers", type=int, default=1, help="Chunks worked on at once, a process each.")
     workers = parser.parse_args().workers
-    celery = create_celery(WorkerSettings())
+    celery = create_celery(read_settings(WorkerSettings))
     celery.worker_main(
         [
             "--quiet",

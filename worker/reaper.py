@@ -18,7 +18,7 @@ from worker.jobs.queue import WorkQueue
 from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
-from worker.settings import WorkerSettings
+from worker.settings import WorkerSettings, read_settings
 from worker.webhooks import Sender, deliver_forever
 
 log = structlog.get_logger()
@@ -39,7 +39,7 @@ def reap(store: JobStore, artifacts: ArtifactStore, publish: Callable[[], object
 def main() -> None:
     """Reap until SIGTERM or SIGINT."""
     configure_logs()
-    settings = WorkerSettings()
+    settings = read_settings(WorkerSettings)
     store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)
     artifacts = settings.open_artifacts()
     # Beside the rest: whom a webhook goes to may be slow.

@@ -1,13 +1,33 @@
 """What a worker process is told by its environment; every variable begins with ``MULTICAP_``."""
 
+import sys
 from pathlib import Path
+from typing import TypeVar
 
 import platformdirs
-from pydantic import Field
+from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.stores import DEFAULT_CACHE_BYTES, DEFAULT_CACHE_HOURS, open_artifacts
+from worker.jobs.stores import ARTIFACTS_URL, DEFAULT_CACHE_BYTES, DEFAULT_CACHE_HOURS, open_artifacts
+
+_Settings = TypeVar("_Settings", bound=BaseSettings)
+
+
+def read_settings(kind: type[_Settings]) -> _Settings:
+    """Read the environment; a program that finds it wrong ends with a sentence a variable."""
+    try:
+        return kind()
+    except ValidationError as error:
+        sys.exit("\n".join(f"error: {sentence}" for sentence in explain(error)))
+
+
+def explain(error: ValidationError) -> list[str]:
+    """What is wrong with the environment's variables, a sentence each."""
+    return [
+        f"MULTICAP_{'_'.join(map(str, detail['loc'])).upper()}={detail['input']!r}: {detail['msg']}."
+        for detail in error.errors()
+    ]
 
 
 class WorkerSettings(BaseSettings):
@@ -20,7 +40,9 @@ class WorkerSettings(BaseSettings):
         description="Folder of the artifacts, and of the database unless database_url says else.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
-    artifacts_url: str = Field(default="", description="s3://bucket/prefix; empty for a folder in data_dir.")
+    artifacts_url: str = Field(
+        default="", pattern=ARTIFACTS_URL, description="s3://bucket/prefix; empty for a folder in data_dir."
+    )
     cache_bytes: int = Field(
         default=DEFAULT_CACHE_BYTES, gt=0, description="Copies in data_dir of files that are at artifacts_url."
     )

@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,3 +26,16 @@ def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, t
     assert api.resolved_database_url == worker.resolved_database_url
     assert api.artifacts_url == worker.artifacts_url
     assert api.broker_url == worker.broker_url
+
+
+@pytest.mark.parametrize(
+    ("program", "status"),
+    [(["api.cli", "keys", "list"], 2), (["api"], 1), (["worker"], 1), (["worker.reaper"], 1)],
+)
+def test_wrong_variables_are_named(tmp_path: Path, program: list[str], status: int) -> None:
+    wrong = {"MULTICAP_ARTIFACTS_URL": "gs://bucket", "MULTICAP_DATA_DIR": str(tmp_path)}
+    command = [sys.executable, "-m", *program]
+    done = subprocess.run(command, env=os.environ | wrong, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == status
+    assert "MULTICAP_ARTIFACTS_URL" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -5,6 +5,9 @@ from pathlib import Path
 from worker.jobs.artifacts import ArtifactStore, LocalArtifacts
 from worker.jobs.file_cache import FileCache
 
+# What the settings of API and workers take.
+ARTIFACTS_URL = r"^(s3://[^/\s]+(/\S*)?)?$"
+
 DEFAULT_CACHE_BYTES = 64 * 2**30
 DEFAULT_CACHE_HOURS = 12.0
 
