@@ -144,8 +144,9 @@ class UploadSpool:
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
 
     def remove(self, upload_id: str) -> None:
-        """Remove a file; there may be none."""
-        self.path(upload_id).unlink(missing_ok=True)
+        """Remove a file with what was to become part of it; there may be none."""
+        for name in (upload_id, f"{upload_id}{_PIECE_SUFFIX}"):
+            (self._folder / name).unlink(missing_ok=True)
 
     def is_written(self, upload_id: str) -> bool:
         """Whether somebody writes to an upload now."""

@@ -118,7 +118,11 @@ async def create_upload(
     def begin(records: Records) -> Upload:
         upload_id = services.uploads.create()
         keep_s = services.settings.upload_keep_s
-        return records.create_upload(upload_id, name, length, upload_metadata or "", keep_s)
+        try:
+            return records.create_upload(upload_id, name, length, upload_metadata or "", keep_s)
+        except BaseException:
+            services.uploads.remove(upload_id)
+            raise
 
     response = await run_in_threadpool(once.run, [length, upload_metadata], begin, _begun)
     if has_piece:

@@ -340,6 +340,7 @@ def test_quota(make_settings: Callable[..., Settings]) -> None:
         problem_of(tus.create(101), 403, "quota_exceeded")
         tus.begin(100)
         problem_of(tus.create(0), 403, "quota_exceeded")
+        assert len(live.kept()) == 2
         quotas = live.client.get("/v1/caller").json()["quotas"]
         assert (quotas["uploads"], quotas["stored_bytes"]["used"]) == ({"used": 2, "limit": 2}, 1000)
         live.client.delete(address, headers=TUS)
