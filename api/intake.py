@@ -151,6 +151,8 @@ async def _check_and_keep(
                 )
         except InvalidFilesError as invalid:
             errors.extend(_located(item, form) for item in invalid.errors)
+    if preflight:
+        errors.extend(_beyond_limits(services, preflight))
     if preflight and arrival.spec:
         errors.extend(spec_errors(arrival.spec, preflight, SPEC))
     if arrival.spec:
@@ -170,6 +172,24 @@ def spec_errors(spec: JobSpec, preflight: Mapping[str, Any], *field: str) -> lis
         ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
         for name, (code, message) in problems.items()
     ]
+
+
+def _beyond_limits(services: Services, preflight: Mapping[str, Any]) -> list[ErrorItem]:
+    """What of a session is longer or finer than the operator allows."""
+    settings, timebase = services.settings, preflight["timebase"]
+    duration_s = timebase["num_frames"] / timebase["frame_rate_hz"]
+    found = []
+    if settings.max_duration_s is not None and duration_s > settings.max_duration_s:
+        message = f"The session lasts {duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
+        found.append(ErrorItem(code="session_too_long", message=message, hint="Cut it into several sessions."))
+    if settings.max_pixels is not None:
+        for camera in preflight["cameras"]:
+            width, height = camera["size_px"]
+            if width * height > settings.max_pixels:
+                message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
+                item = ErrorItem(code="frames_too_large", message=message, file=camera["file"], camera=camera["name"])
+                found.append(item)
+    return found
 
 
 def callback_errors(spec: JobSpec, services: Services, records: Records, *field: str) -> list[ErrorItem]:

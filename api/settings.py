@@ -76,6 +76,13 @@ class Settings(BaseSettings):
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
     max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
 
+    max_duration_s: float | None = Field(
+        default=None, gt=0, description="Of a session, from the first camera's first frame to the last one's last."
+    )
+    max_pixels: int | None = Field(
+        default=None, gt=0, description="Of a frame; without it 8192 x 4320, which the check bears."
+    )
+
     max_tenant_sessions: int | None = Field(
         default=None, ge=0, description="Sessions of a tenant; without it any number."
     )

@@ -303,3 +303,25 @@ class TestManifest:
         answer = self.send(live, {"cameras": [{"name": "cam_0"}]}, files=keypoint_form())
         problem = problem_of(answer, 422, "invalid_request")
         assert [item["code"] for item in problem["errors"]] == ["cameras_of_keypoints"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "codes"),
+    [
+        ({"max_duration_s": 2.4, "max_pixels": 640 * 480}, []),  # 60 frames at 25 Hz
+        ({"max_duration_s": 2.39}, ["session_too_long"]),
+        ({"max_pixels": 640 * 480 - 1}, ["frames_too_large", "frames_too_large"]),
+        ({"max_duration_s": 1.0, "max_pixels": 1}, ["session_too_long", "frames_too_large", "frames_too_large"]),
+    ],
+)
+def test_duration_and_pixels_at_their_limits_and_beyond(
+    make_settings: Callable[..., Settings], limits: dict[str, float], codes: list[str]
+) -> None:
+    with running(make_settings(**limits)) as live:
+        answer = live.post_session()
+        if not codes:
+            assert answer.status_code == 201
+            return
+        problem = problem_of(answer, 422, "invalid_request")
+        assert [item["code"] for item in problem["errors"]] == codes
+        assert live.kept() == []
