@@ -82,6 +82,8 @@ class BreakingLine:
         with contextlib.suppress(OSError):
             while data := source.recv(_BLOCK_BYTES):
                 target.sendall(data)
+        # Also when the service was killed: who waits for its answer has to know that there will be none.
+        with contextlib.suppress(OSError):
             target.shutdown(socket.SHUT_WR)
 
     def _cut(self, one: socket.socket) -> None:

@@ -83,7 +83,8 @@ def test_lines_break_and_the_service_is_killed(
     settings, port = make_settings(), free_port()
     paths = make_files(tmp_path / "take", 3, 12 * MIB)
     (tmp_path / "calibration.toml").write_text("[cam_0]")
-    with breaking_line(port, cuts=9, most_bytes=6 * MIB) as line, ThreadPoolExecutor(1) as pool:
+    # The line ends before the pool: a client that waits for ever is cut off, and the test ends.
+    with ThreadPoolExecutor(1) as pool, breaking_line(port, cuts=9, most_bytes=6 * MIB) as line:
         endpoint = f"http://127.0.0.1:{line.port}/v1/uploads"
         with serving(settings, port) as (_, process):
             sending = pool.submit(send, endpoint, paths, 5 * MIB)

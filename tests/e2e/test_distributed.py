@@ -78,7 +78,9 @@ class Distributed:
         """The job that was asked for, finished."""
         assert answer.status_code == 202, answer.text
         address = answer.headers["location"]
+        deadline_s = time.monotonic() + 600
         while (job := self.client.get(address).raise_for_status().json())["state"] in {"queued", "running"}:
+            assert time.monotonic() < deadline_s, job
             time.sleep(0.2)
         assert job["state"] == "succeeded", job
         return dict(job)

@@ -295,6 +295,7 @@ def dripping() -> Iterator[Callable[[bytes], str]]:
 
     def start(first: bytes) -> str:
         listening = socket.create_server(("127.0.0.1", 0))
+        listening.settimeout(20)
         servers.append((listening, threading.Thread(target=serve, args=[listening, first])))
         servers[-1][1].start()
         return f"http://127.0.0.1:{listening.getsockname()[1]}/"
