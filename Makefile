@@ -34,12 +34,12 @@ browser:  ## Install Chromium for the tests of the page, where Debian's packages
 		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium >/dev/null; } \
 		|| echo "There is no Chromium, and it can't be installed here: the tests of the page are skipped."
 
-readers: $(READERS)/node_modules/.installed  ## Install three.js and the glTF validator for the tests of exports
+readers: $(READERS)/node_modules/.installed  ## Install three.js, the glTF validator and tus-js-client for the tests
 
 $(READERS)/node_modules/.installed: $(READERS)/package-lock.json $(VENV)/.installed
 	@mkdir -p $(@D)
 	@$(BIN)/npm ci --prefix $(READERS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
-		|| echo "npm's packages can't be installed here: what needs three.js and the glTF validator is skipped."
+		|| echo "npm's packages can't be installed here: what needs three.js, the glTF validator or tus-js-client is skipped."
 
 $(BLENDER)/.installed: $(READERS)/blender.lock
 	@test "$$(id -u)" != 0 || ! command -v apt-get >/dev/null || { apt-get update -qq && DEBIAN_FRONTEND=noninteractive \

@@ -21,6 +21,7 @@ from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
 from api.errors import ApiError
+from worker.jobs.disk import sync
 from worker.jobs.errors import NotFound
 from worker.jobs.store import JobStore
 
@@ -73,7 +74,7 @@ class UploadSpool:
         """Begin a file; returns the id of its upload, which is to be recorded at once."""
         upload_id = str(uuid7())
         self.path(upload_id).open("xb").close()
-        _sync_folder(self._folder)
+        sync(self._folder)
         return upload_id
 
     def path(self, upload_id: str) -> Path:
@@ -260,14 +261,6 @@ def _is_old(path: Path) -> bool:
         return time.time() - path.stat().st_mtime > _UNRECORDED_S
     except FileNotFoundError:
         return False
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _locked() -> ApiError:

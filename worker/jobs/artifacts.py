@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
+from worker.jobs.disk import sync
 from worker.jobs.errors import NotFound
 
 _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
@@ -141,7 +142,7 @@ class LocalArtifacts:
             except OSError:
                 shutil.copyfile(path, temporary)
             temporary.chmod(_MODE)
-            _sync(temporary)
+            sync(temporary)
             self._publish(temporary, target)
         path.unlink(missing_ok=True)
 
@@ -150,7 +151,7 @@ class LocalArtifacts:
         target = self._path(key)
         with self._temporary() as temporary:
             temporary.write_bytes(data)
-            _sync(temporary)
+            sync(temporary)
             self._publish(temporary, target)
 
     def open(self, key: str) -> BinaryIO:
@@ -224,18 +225,10 @@ class LocalArtifacts:
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary.replace(target)
         for folder in [target.parent, *(made.parent for made in missing)]:
-            _sync(folder)
+            sync(folder)
 
 
 def _unless_gone(function: object, path: str, error: _ExcInfo) -> None:
     """Go on where another process has removed something in the meantime."""
     if not isinstance(error[1], FileNotFoundError | NotADirectoryError):
         raise error[1]
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
