@@ -1,17 +1,28 @@
 """Webhooks: what arrives, what is tried again, and where nothing ever goes."""
 
+import contextlib
 import itertools
 import json
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
+import httpcore2
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
 from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
@@ -42,8 +53,8 @@ class Receiver:
         return f"http://127.0.0.1:{self.port}/hook?x=1"
 
 
-@pytest.fixture
-def receiver() -> Iterator[Receiver]:
+@contextlib.contextmanager
+def receiving(context: ssl.SSLContext | None = None) -> Iterator[Receiver]:
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
@@ -58,12 +69,35 @@ def receiver() -> Iterator[Receiver]:
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        if context is not None:
+            server.socket = context.wrap_socket(server.socket, server_side=True)
         found = Receiver(server.server_address[1])
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield found
         server.shutdown()
         thread.join()
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    with receiving() as found:
+        yield found
+
+
+def certify(folder: Path, name: str) -> tuple[Path, Path]:
+    """A certificate of a host that it has signed itself, and its key."""
+    key, subject = ec.generate_private_key(ec.SECP256R1()), x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    now, day = datetime.now(UTC), timedelta(days=1)
+    certificate = (
+        x509.CertificateBuilder(subject, subject, key.public_key(), x509.random_serial_number(), now - day, now + day)
+        .add_extension(x509.SubjectAlternativeName([x509.DNSName(name)]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    plain = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    (folder / "key.pem").write_bytes(key.private_bytes(*plain))
+    (folder / "certificate.pem").write_bytes(certificate.public_bytes(Encoding.PEM))
+    return folder / "certificate.pem", folder / "key.pem"
 
 
 def end_job(bench: Bench, url: str) -> Job:
@@ -276,6 +310,21 @@ class TestNowhereElse:
         Sender(allow_private=True).send(message("http://127.0.0.1:9/"), secret())
         assert connected == ["127.0.0.1"]
         assert receiver.received == []
+
+
+def test_over_tls_the_name_is_verified_not_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    certificate, key = certify(tmp_path, "localhost")
+    serving = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    serving.load_cert_chain(certificate, key)
+    with receiving(serving) as receiver:
+        address = f"https://localhost:{receiver.port}/hook"
+        assert Sender(allow_private=True).send(message(address), secret()) == "The connection failed."  # unknown signer
+        known = partial(httpcore2.ConnectionPool, ssl_context=ssl.create_default_context(cafile=certificate))
+        monkeypatch.setattr(httpcore2, "ConnectionPool", known)
+        assert Sender(allow_private=True).send(message(address), secret()) is None
+        other = f"https://127.0.0.1:{receiver.port}/hook"
+        assert Sender(allow_private=True).send(message(other), secret()) == "The connection failed."
+    assert [headers["host"] for headers, _ in receiver.received] == [f"localhost:{receiver.port}"]
 
 
 @pytest.fixture
