@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import io
 import math
 import multiprocessing
 import tempfile
@@ -86,11 +87,29 @@ class Uploads:
     errors: list[str]
 
 
-def upload(url: str, videos: Sequence[Path], calibration: Path, num_clients: int, duration_s: float) -> Uploads:
-    """Have clients send sessions and delete them, one after the other."""
+class _Line(io.FileIO):
+    """A file that is read no faster than a line takes it."""
+
+    def __init__(self, path: Path, bytes_per_s: float) -> None:
+        super().__init__(path)
+        self._bytes_per_s, self._free_s = bytes_per_s, time.perf_counter()
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read, once what was read before is through."""
+        time.sleep(max(0.0, self._free_s - time.perf_counter()))
+        data = super().read(size) or b""
+        self._free_s = max(self._free_s, time.perf_counter()) + len(data) / self._bytes_per_s
+        return data
+
+
+def upload(
+    url: str, videos: Sequence[Path], calibration: Path, num_clients: int, duration_s: float, mbit_per_s: float
+) -> Uploads:
+    """Have clients send sessions and delete them, one after the other, at so much in all."""
     found = Uploads(0, [])
     end_s = time.perf_counter() + duration_s
-    arguments = (url, [*videos, calibration], end_s, found, threading.Lock())
+    bytes_per_s = mbit_per_s * 1e6 / 8 / max(1, num_clients)
+    arguments = (url, [*videos, calibration], bytes_per_s, end_s, found, threading.Lock())
     threads = [threading.Thread(target=_upload_as, args=arguments) for _ in range(num_clients)]
     for thread in threads:
         thread.start()
@@ -99,14 +118,16 @@ def upload(url: str, videos: Sequence[Path], calibration: Path, num_clients: int
     return found
 
 
-def _upload_as(url: str, paths: Sequence[Path], end_s: float, found: Uploads, lock: threading.Lock) -> None:
+def _upload_as(
+    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, found: Uploads, lock: threading.Lock
+) -> None:
     with httpx2.Client(base_url=url, timeout=120.0, trust_env=False) as http:
         while time.perf_counter() < end_s:
             try:
                 with contextlib.ExitStack() as opened:
                     parts = ["videos"] * (len(paths) - 1) + ["calibration"]
                     files = [
-                        (part, (path.name, opened.enter_context(path.open("rb"))))
+                        (part, (path.name, opened.enter_context(_Line(path, bytes_per_s))))
                         for part, path in zip(parts, paths, strict=True)
                     ]
                     answer = http.post("/v1/sessions", files=files)
@@ -133,7 +154,9 @@ def _units_done(client: Client, jobs: Sequence[Json]) -> int:
     return sum(stage["done"] for job in jobs for stage in client.get(job["links"]["self"])["stages"])
 
 
-def measure(sample: Sample, folder: Path, duration_s: float, polling: int, uploading: int) -> dict[str, Any]:
+def measure(
+    sample: Sample, folder: Path, duration_s: float, polling: int, uploading: int, mbit_per_s: float
+) -> dict[str, Any]:
     """Load a fresh service."""
     videos = [folder / path.name for path in sample.videos.values()]
     spawn = multiprocessing.get_context("spawn")
@@ -146,7 +169,7 @@ def measure(sample: Sample, folder: Path, duration_s: float, polling: int, uploa
         _wait_until_running(client, jobs[0])
         before = _units_done(client, jobs)
         paths = [job["links"]["self"] for job in jobs]
-        uploads = pool.submit(upload, client.url, videos, sample.calibration, uploading, duration_s)
+        uploads = pool.submit(upload, client.url, videos, sample.calibration, uploading, duration_s, mbit_per_s)
         polls = pool.submit(poll, client.url, paths, polling, duration_s).result()
         sent = uploads.result()
         after = _units_done(client, jobs)
@@ -168,13 +191,16 @@ def measure(sample: Sample, folder: Path, duration_s: float, polling: int, uploa
 def load(
     duration_s: Annotated[float, typer.Option("--duration", min=5, max=3600, help="Seconds.")] = 120.0,
     polling: Annotated[int, typer.Option(min=1, max=1000, help="Clients that ask for a job once a second.")] = 64,
-    uploading: Annotated[int, typer.Option(min=0, max=16, help="Clients that upload as fast as they can.")] = 4,
+    uploading: Annotated[int, typer.Option(min=0, max=16, help="Clients that upload.")] = 4,
+    upload_mbit: Annotated[
+        float, typer.Option(min=1, help="What all that upload come to, in Mbit/s; without it as fast as they can.")
+    ] = math.inf,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Time the answers of a service with two busy workers while clients poll and upload."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         models.install(JobSpec().detector)
-        result = measure(samples.install(), Path(folder), duration_s, polling, uploading)
+        result = measure(samples.install(), Path(folder), duration_s, polling, uploading, upload_mbit)
     if as_json:
         emit(result)
         return
