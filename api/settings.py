@@ -156,11 +156,6 @@ class Settings(BaseSettings):
         return self.data_dir / "uploads"
 
     @property
-    def artifacts_dir(self) -> Path:
-        """Root of the local artifact store."""
-        return self.data_dir / "artifacts"
-
-    @property
     def spool_dir(self) -> Path:
         """Where what a request brings is until it is checked; emptied at each start."""
         return self.data_dir / "spool"

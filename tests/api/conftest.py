@@ -81,7 +81,7 @@ class Live:
 
     def kept(self) -> list[Path]:
         """All files that the service holds of sessions and uploads."""
-        folders = (self.settings.spool_dir, self.settings.uploads_dir, self.settings.artifacts_dir)
+        folders = (self.settings.spool_dir, self.settings.uploads_dir, self.settings.data_dir / "artifacts")
         return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
 
     def post_session(self, videos: int = 2, **options: Any) -> httpx2.Response:
@@ -200,7 +200,7 @@ def live(service: Live) -> Iterator[Live]:
     for path in service.settings.uploads_dir.iterdir():
         path.unlink()
     for folder in ("sessions", "jobs"):
-        shutil.rmtree(service.settings.artifacts_dir / folder, ignore_errors=True)
+        shutil.rmtree(service.settings.data_dir / "artifacts" / folder, ignore_errors=True)
 
 
 def raw(address: tuple[str, int], request: bytes) -> bytes:
