@@ -8,6 +8,7 @@ or fields (``PafFields``), of the range at least.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import overload
 
 from pipeline.clustering.associate import find_people, first_lengths, link_people, sampled_frames
 from pipeline.clustering.bone_lengths import LimbLengths
@@ -35,6 +36,14 @@ Found = Mapping[str, Detections] | Mapping[str, PafFields]
 """By camera."""
 
 _DEFAULTS = ReconstructionConfig()
+
+
+@overload
+def restrict(session: KeypointSession, frames: range | None) -> KeypointSession: ...
+
+
+@overload
+def restrict(session: Views, frames: range | None) -> Views: ...
 
 
 def restrict(session: Views, frames: range | None) -> Views:

@@ -123,7 +123,6 @@ def reconstruct_keypoints(
         If there is no such parameter.
     """
     wanted = restrict(session, config.frames)
-    assert isinstance(wanted, KeypointSession)  # noqa: S101 - for the type checker
     _check(wanted, config)
     return _reconstruct_people(wanted, wanted.detections, wanted.joints, config, on_progress)
 
