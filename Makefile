@@ -3,22 +3,31 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READERS := tests/e2e/readers
+LINTER := tests/api/linter
 BLENDER := .venv-blender
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers test verify-exports soak check benchmark format lock clean
+.PHONY: help setup demo serve browser readers linter test verify-exports soak check benchmark format lock clean
 
 help:  ## Say what there is
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(VENV)/.installed  ## Install everything, pinned and checked by hash, into .venv
+setup: $(VENV)/.compiled  ## Install everything, pinned and checked by hash, into .venv
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
 		--only-binary :all: --no-binary bvh-converter -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	$(BIN)/python -m pipeline.warm_up
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+# Of kernels, and of all that is compiled into them: a `git pull` that changes them has them compiled anew here, before
+# anything is started. It takes a moment where nothing has to be.
+KERNELS := pipeline/compiled.py pipeline/warm_up.py $(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py))),$(wildcard $(folder)*.py))
+
+$(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
+	@echo "Compiling the numeric kernels; the first time takes about a minute."
+	$(BIN)/python -P -m pipeline.warm_up
 	touch $@
 
 demo: setup  ## Start the service, send it a real four-camera capture, leave the results in demo-output/
@@ -41,43 +50,52 @@ $(READERS)/node_modules/.installed: $(READERS)/package-lock.json $(VENV)/.instal
 	@$(BIN)/npm ci --prefix $(READERS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
 		|| echo "npm's packages can't be installed here: what needs three.js, the glTF validator or tus-js-client is skipped."
 
+linter: $(LINTER)/node_modules/.installed  ## Install the linter of the API's contract
+
+$(LINTER)/node_modules/.installed: $(LINTER)/package-lock.json $(VENV)/.installed
+	@mkdir -p $(@D)
+	@$(BIN)/npm ci --prefix $(LINTER) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
+		|| echo "npm's packages can't be installed here: the API's contract is not linted."
+
 $(BLENDER)/.installed: $(READERS)/blender.lock
 	@test "$$(id -u)" != 0 || ! command -v apt-get >/dev/null || { apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
 		apt-get install -qq -y --no-install-recommends libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 \
 		libgl1 >/dev/null; }
 	$(PYTHON) -m venv --clear $(BLENDER)
-	$(BLENDER)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+	$(BLENDER)/bin/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
 		--only-binary :all: -r $<
 	touch $@
 
 verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender (800 MB), three.js and other software
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap samples install
-	MULTICAP_PICTURES=build/exports $(BIN)/python -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
+	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
 	@echo "Blender's pictures are in build/exports/."
 
 test: setup browser readers  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak"
+	$(BIN)/python -P -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak"
 
 soak: setup  ## Disturb 200 jobs by faults at random moments; half an hour
-	$(BIN)/python -m pytest -s -m soak tests/faults
+	$(BIN)/python -P -m pytest -s -m soak tests/faults
 
-check: setup  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
+check: setup linter  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m api.openapi --check
+	$(BIN)/python -P -m api.openapi --check
+	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
+		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile
 	$(MAKE) test
 
 benchmark: setup  ## Measure what the README states of the service; quiet machines only
 	$(BIN)/multicap benchmark pipeline
 	$(BIN)/multicap benchmark service
-	$(BIN)/python -m pytest -m benchmark
+	$(BIN)/python -P -m pytest -m benchmark
 
 format: setup  ## Format and mend what can be mended
 	$(BIN)/ruff format .
@@ -91,4 +109,4 @@ lock:  ## Pin the dependencies anew (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove what the targets made
-	rm -rf $(VENV) $(BLENDER) $(READERS)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,16 +1,21 @@
 """``python -m api [--fd N]``: the web API alone, as its environment says."""
 
 import argparse
+import contextlib
 import socket
 import sys
 
 import uvicorn
 from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
+from sqlalchemy.exc import SQLAlchemyError
 
-from api.app import ExposedError, create_app, refuse_strangers
+from api.app import ExposedError, create_app, refuse_strangers, unusable_database
 from api.connections import bounded_protocol
 from api.settings import Settings
 from worker import tracing
+from worker.jobs.disk import DiskSpace
+from worker.jobs.errors import NewerDatabase
+from worker.jobs.private_files import keep_files_private, make_private
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
 from worker.settings import read_settings
@@ -27,9 +32,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m api", description="Serve the web API.")
     parser.add_argument("--fd", type=int, help="An inherited socket that listens, instead of MULTICAP_HOST and _PORT.")
     fd = parser.parse_args().fd
-    configure_logs()
+    keep_files_private()
     settings = read_settings(Settings)
-    _refuse_strangers(settings)
+    configure_logs(settings.log_level)
+    _check_database(settings)
     # An answer needs the interpreter again and again: threads that take in uploads have to hand it over sooner.
     sys.setswitchinterval(_SWITCH_S)
     app = create_app(settings)
@@ -45,24 +51,23 @@ def main() -> None:
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=_GRACE_S,
-        log_level="warning",
+        log_config=None,
     )
     uvicorn.Server(config).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
     tracing.stop()
 
 
-def _refuse_strangers(settings: Settings) -> None:
-    if not settings.is_exposed:
-        return
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
-    store = JobStore(settings.resolved_database_url)
+def _check_database(settings: Settings) -> None:
+    """End with a sentence where the service must not start."""
     try:
-        store.migrate()
-        refuse_strangers(settings, store)
-    except ExposedError as error:
+        make_private(settings.data_dir)
+        with contextlib.closing(JobStore(settings.resolved_database_url)) as store:
+            DiskSpace(settings.data_dir).using_reserve(store.migrate)
+            refuse_strangers(settings, store)
+    except (ExposedError, NewerDatabase) as error:
         sys.exit(f"error: {error}")
-    finally:
-        store.close()
+    except (SQLAlchemyError, ImportError, OSError) as error:  # of another database there is no driver
+        sys.exit(f"error: {unusable_database(settings, error)}")
 
 
 if __name__ == "__main__":

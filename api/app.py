@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import shlex
 import shutil
 from collections.abc import AsyncIterator
 
@@ -10,22 +11,26 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
-from api import contract, errors
+from api import contract, errors, validation
 from api.dependencies import Services
 from api.events import JobChanges
 from api.metrics import RequestMetrics
-from api.middleware import ForeignPageGuard, RequestContext, SlowClientGuard, TusProtocol
+from api.middleware import FailureAnswer, ForeignPageGuard, HeadByGet, RequestContext, SlowClientGuard, TusProtocol
 from api.preflight import Preflight
-from api.rates import Rates
-from api.routes import callers, events, health, jobs, page, results, sessions, uploads
+from api.rates import RATE_HEADERS, Rates
+from api.routes import callers, events, health, jobs, options, page, results, sessions, uploads
 from api.settings import Settings
 from api.uploads import UploadSpool
+from worker.jobs.backup.linked import release_abandoned
+from worker.jobs.disk import DiskSpace, is_disk_full
+from worker.jobs.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
-from worker.jobs.stores import open_artifacts
+from worker.jobs.stores import default_data_dir, open_artifacts
 
 _EXPOSED_HEADERS = [
-    *("Content-Disposition", "Content-Range", "ETag", "Location", "Retry-After", "X-Request-ID"),
+    *("Content-Disposition", "Content-Range", "ETag", "Idempotent-Replayed", "Location", "Retry-After", "X-Request-ID"),
+    *RATE_HEADERS,
     *("Tus-Checksum-Algorithm", "Tus-Extension", "Tus-Max-Size", "Tus-Resumable", "Tus-Version"),
     *("Upload-Expires", "Upload-Length", "Upload-Metadata", "Upload-Offset"),
 ]
@@ -49,12 +54,18 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.metrics = RequestMetrics()
     app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
-    for router in (uploads.router, sessions.router, jobs.router, jobs.small, events.router, results.router):
+    for router in (
+        *(uploads.router, sessions.router, jobs.router, jobs.small, events.router, results.router),
+        options.router,
+    ):
         app.include_router(router, responses=contract.problems(401, 429))
     for router in (uploads.described, callers.router, health.router, page.router):
         app.include_router(router)
     contract.declare_webhooks(app)
     errors.install(app)
+    validation.install(app)
+    app.add_middleware(FailureAnswer)
+    app.add_middleware(HeadByGet)
     # What a browser may do for pages from elsewhere: never with a cookie.
     app.add_middleware(
         CORSMiddleware,
@@ -74,6 +85,14 @@ def create_app(settings: Settings) -> FastAPI:
     return app
 
 
+def unusable_database(settings: Settings, error: Exception) -> str:
+    """Sentence that says what to do when the database can't be opened or written."""
+    if is_disk_full(error):
+        return f"The disk of the folder {settings.data_dir} is full. Make room on it, then try again."
+    where = "MULTICAP_DATABASE_URL" if settings.database_url else f"the folder {settings.data_dir}"
+    return f"The database can't be used. See that it runs and that {where} is right."
+
+
 class ExposedError(Exception):
     """Strangers could use the service; the text says what to do."""
 
@@ -81,9 +100,10 @@ class ExposedError(Exception):
 def refuse_strangers(settings: Settings, store: JobStore) -> None:
     """Raise ``ExposedError`` if others than this machine may reach a service that asks for no keys."""
     if settings.is_exposed and not store.has_keys():
+        data = "" if settings.data_dir == default_data_dir() else f" --data {shlex.quote(str(settings.data_dir))}"
         raise ExposedError(
             f"{settings.host} can be reached from elsewhere, and there are no keys: anybody could use the service. "
-            "Make one with `multicap keys create NAME`, or listen on 127.0.0.1."
+            f"Make one with `multicap keys create NAME{data}`, or listen on 127.0.0.1."
         )
 
 
@@ -105,16 +125,21 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 def _start(settings: Settings) -> Services:
     # What an earlier process was receiving when it was killed; the folder is this process's alone.
     shutil.rmtree(settings.spool_dir, ignore_errors=True)
-    settings.spool_dir.mkdir(parents=True)
+    make_private(settings.data_dir)
+    disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
+    disk.using_reserve(lambda: settings.spool_dir.mkdir(exist_ok=True))
     store = JobStore(settings.resolved_database_url)
-    store.migrate()
+    disk.using_reserve(store.migrate)
     refuse_strangers(settings, store)
-    uploads = UploadSpool(settings.uploads_dir)
+    release_abandoned(settings.data_dir)
+    uploads = UploadSpool(settings.uploads_dir, disk)
     uploads.remove_pieces()
+    disk.set_aside()
     return Services(
         settings=settings,
         store=store,
         artifacts=open_artifacts(settings.artifacts_url, settings.data_dir),
+        disk=disk,
         uploads=uploads,
         queue=WorkQueue(settings.broker_url),
         preflight=Preflight(

@@ -61,7 +61,7 @@ def _find_caller(
         key = None
     caller = Caller(DEFAULT_TENANT, frozenset(Scope), None) if key is None else Caller(key.tenant, key.scopes, key)
     request.state.caller = caller
-    services.rates.count(caller.tenant)
+    request.state.rate_limit = services.rates.count(caller.tenant)
     return caller
 
 

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 import httpx2
 
 from api.commands.serve import READY
+from pipeline.child_processes import module_command
 from pipeline.errors import PipelineError
 from worker.lifeline import tied
 
@@ -130,7 +130,7 @@ def served(data_dir: Path, workers: int) -> Iterator[Client]:
         If it does not start.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-P", "-m", "api.cli", "serve", "--port", "0"]
+    command = module_command("api.cli", "serve", "--port", "0")
     log = data_dir / "serve.log"
     with (
         log.open("wb") as output,

@@ -1,21 +1,59 @@
 """What the routes declare of themselves in OpenAPI: their errors, their forms."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, Any
 
-from fastapi import Body, FastAPI
+from fastapi import APIRouter, Body, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
+from starlette.routing import BaseRoute
 
 from api import examples
 from api.errors import ErrorItem, ProblemDetails
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS
+from api.rates import RATE_HEADERS
 from api.schemas import JobEnded, Manifest, UploadedCapture, UploadedSession
 from worker.jobs.spec import JobSpec
 
+Responses = dict[int | str, dict[str, Any]]
+
 _SCHEMA_REF = "#/components/schemas/{model}"
 _DOCUMENTS: dict[str, type[BaseModel]] = {"manifest": Manifest, "spec": JobSpec}
+
+_ENDED = "Receive a job's end"
+_GONE: Responses = {410: {"description": "The receiver is gone: the message is not sent again."}}
+
+_CONVENTIONS = """
+
+- `HEAD` is answered wherever `GET` is: by the same headers, without a body.
+- Every POST that makes or changes something takes an `Idempotency-Key`. A repeated request with the same key gets the
+  first answer, with `Idempotent-Replayed: true`.
+- `ETag` and `If-None-Match` save a client from getting a job or a session again that has not changed (304).
+- Where requests a minute are limited, every answer to a key has `RateLimit-Limit`, `RateLimit-Remaining` and
+  `RateLimit-Reset` (seconds).
+- Errors are `application/problem+json` with a stable `code`; `errors` lists all that is wrong with the request."""
+_TAGS = {
+    "uploads": "Send large files in pieces, by tus 1.0: after a broken line a client goes on where it was.",
+    "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
+    "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
+    "results": "Files that a job made: BVH and other formats for each person, joints, metrics.",
+    "callers": "The key of the caller, and browsers that have shown one.",
+    "health": "Whether the service is alive and ready, and its metrics.",
+}
+_RATE_HEADERS = dict(
+    zip(
+        RATE_HEADERS,
+        (
+            {"description": "Requests a minute.", "schema": {"type": "integer"}},
+            {"description": "Requests that are left.", "schema": {"type": "integer"}},
+            {"description": "Seconds until there are more.", "schema": {"type": "integer"}},
+        ),
+        strict=True,
+    )
+)
+RETRY_AFTER = {"Retry-After": {"description": "Seconds until it is worth asking.", "schema": {"type": "integer"}}}
+_PROBLEM_HEADERS: Mapping[int, Mapping[str, Any]] = {429: RETRY_AFTER | _RATE_HEADERS, 503: RETRY_AFTER}
 
 _MEANINGS = {
     400: "The request can't be read.",
@@ -37,8 +75,6 @@ _MEANINGS = {
     503: "A part of the service is away.",
     507: "The service's disk is full; of a form nothing was kept.",
 }
-
-Responses = dict[int | str, dict[str, Any]]
 
 
 def answer(example: str) -> dict[str, Any]:
@@ -109,14 +145,27 @@ def _uploaded(documents: Collection[str]) -> type[BaseModel]:
     return UploadedCapture if "spec" in documents else UploadedSession
 
 
+def _job_ended(
+    message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": examples.JOB_ENDED}})],
+) -> None:
+    """Sent to `callback_url` when the job has ended. Repeated for a day until the receiver answers 2xx or 410."""
+
+
 def declare_webhooks(app: FastAPI) -> None:
     """Say what the service sends of itself."""
+    app.webhooks.post("job-ended", operation_id="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
+        _job_ended
+    )
 
-    @app.webhooks.post("job-ended", operation_id="jobEnded", status_code=204)
-    def job_ended(
-        message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": examples.JOB_ENDED}})],
-    ) -> None:
-        """Told to a job's `callback_url` when it has ended. What is not answered with 2xx is sent again for a day."""
+
+def job_ended_callbacks(operation_id: str, pointer: str) -> list[BaseRoute]:
+    """Declare that an operation leads to a message; ``pointer`` is where its body names the receiver."""
+    router = APIRouter()
+    address = f"{{$request.body#{pointer}}}"
+    router.post(address, operation_id=operation_id, name="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
+        _job_ended
+    )
+    return router.routes
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
@@ -125,34 +174,62 @@ def describe(app: FastAPI) -> dict[str, Any]:
         schema = get_openapi(
             title=app.title,
             version=app.version,
-            description=app.description,
+            description=app.description + _CONVENTIONS,
+            license_info={"name": "Apache License 2.0", "identifier": "Apache-2.0"},
+            servers=[{"url": "/", "description": "Where this document comes from."}],
+            tags=[{"name": name, "description": text} for name, text in _TAGS.items()],
             routes=app.routes,
             webhooks=app.webhooks.routes,
         )
-        _drop_unused_errors(schema)
+        for operation in _operations(schema):
+            _finish(operation)
+        for name in ("HTTPValidationError", "ValidationError"):
+            schema["components"]["schemas"].pop(name, None)
         models = schema["components"]["schemas"]
         sent: list[type[BaseModel]] = [*_DOCUMENTS.values(), UploadedSession, UploadedCapture]
         for model in (ErrorItem, ProblemDetails):
             _describe(models, model, "serialization")
         for part_model in sent:
             _describe(models, part_model, "validation")
-        schema["components"] = {
+        schema["components"] |= {
             "examples": {name: {"value": value} for name, value in examples.ANSWERS.items()},
             "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
             "schemas": dict(sorted(models.items())),
         }
+        _plain_tuples(schema)
         app.openapi_schema = schema
     return app.openapi_schema
 
 
-def _drop_unused_errors(schema: dict[str, Any]) -> None:
-    """Take out the framework's own form of a 422: it stands where no parameter can be wrong."""
-    for path in (*schema["paths"].values(), *schema["webhooks"].values()):
+def _operations(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """All operations: those of the service, and those that it expects of others."""
+    for path in (*schema["paths"].values(), *schema.get("webhooks", {}).values()):
         for operation in path.values():
-            if "content" in operation["responses"].get("422", {}):
-                del operation["responses"]["422"]
-    for name in ("HTTPValidationError", "ValidationError"):
-        schema["components"]["schemas"].pop(name, None)
+            yield operation
+            for callback in operation.get("callbacks", {}).values():
+                yield from _operations({"paths": callback})
+
+
+def _finish(operation: dict[str, Any]) -> None:
+    """Take out the framework's own form of a 422, which no answer has; say where no key is needed."""
+    if "content" in operation["responses"].get("422", {}):
+        del operation["responses"]["422"]
+    operation.setdefault("security", [])
+    for answer in operation["responses"].values():
+        if "$ref" in answer:  # the framework's description would stand in the way of the problem's own
+            answer.pop("description", None)
+
+
+def _plain_tuples(node: Any) -> None:
+    """Describe tuples, whose items are of one kind here, as lists of so many items, which all generators know."""
+    if isinstance(node, dict):
+        if "prefixItems" in node:
+            node["items"], *_ = node.pop("prefixItems")
+        for value in node.values():
+            _plain_tuples(value)
+    elif isinstance(node, list):
+        for value in node:
+            _plain_tuples(value)
 
 
 def _describe(models: dict[str, Any], model: type[BaseModel], mode: JsonSchemaMode) -> None:
@@ -170,4 +247,5 @@ def _problem_name(status: int) -> str:
 def _problem(status: int) -> dict[str, Any]:
     schema = {"$ref": _SCHEMA_REF.format(model=ProblemDetails.__name__)}
     content = {"application/problem+json": {"schema": schema, "example": examples.problem(status)}}
-    return {"description": _MEANINGS[status], "content": content}
+    headers = {"headers": _PROBLEM_HEADERS[status]} if status in _PROBLEM_HEADERS else {}
+    return {"description": _MEANINGS[status], **headers, "content": content}

@@ -14,6 +14,7 @@ from api.rates import Rates
 from api.settings import Settings
 from api.uploads import UploadSpool
 from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.disk import DiskSpace
 from worker.jobs.errors import NotFound
 from worker.jobs.queue import WorkQueue
 from worker.jobs.quotas import Quotas
@@ -29,6 +30,7 @@ class Services:
     settings: Settings
     store: JobStore
     artifacts: ArtifactStore
+    disk: DiskSpace
     uploads: UploadSpool
     queue: WorkQueue
     preflight: Preflight

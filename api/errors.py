@@ -4,16 +4,13 @@ A problem's words are written here or by the code that found it: never an except
 is stable and documented; ``errors`` holds everything that is wrong with a request, never the first thing only.
 """
 
-import errno
 from collections.abc import Iterator, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
 import structlog
 from fastapi import FastAPI
-from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
-from pydantic_core import ErrorDetails
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
@@ -21,11 +18,13 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
+from worker.jobs.disk import is_disk_full
 from worker.jobs.errors import (
     ArtifactsUnavailable,
     JobStoreError,
     KeyBusy,
     KeyReused,
+    NoResults,
     NotFinished,
     NotFound,
     QuotaExceeded,
@@ -33,10 +32,12 @@ from worker.jobs.errors import (
 
 _log = structlog.get_logger(__name__)
 
-_DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _RETRY_AFTER_S = 5
 # Until a job of a tenant that has as many as it may have is likely to have ended.
 _QUOTA_RETRY_AFTER_S = 30
+# As many as a check of files gives, and some of the request itself.
+_MAX_LISTED = 80
+_MAX_POINTER = 500
 
 _CODES: Mapping[int, str] = {
     400: "malformed_request",
@@ -58,12 +59,34 @@ _DETAILS: Mapping[int, str] = {
 }
 
 
+MEANINGS: Mapping[str, str] = {
+    "unknown_field": "the request has a field that is not known there",
+    "missing_field": "a field or parameter that is needed is not there",
+    "malformed_json": "the part is not JSON",
+    "wrong_type": "the value is of another type than the field",
+    "value_not_allowed": "the value is none of those that are allowed",
+    "out_of_range": "the number is outside of the limits",
+    "wrong_length": "the text or the list is too short or too long",
+    "wrong_format": "the text does not have the form that is asked for",
+    "control_characters": "the text has control characters",
+    "json_value": "it is no valid JSON: NaN, infinity, half surrogates",
+    "export_repeated": "a format is named twice",
+    "invalid_value": "the value is wrong in another way",
+    "more_problems": "more is wrong than is listed",
+}
+"""Codes of ``errors[]`` that are about a field, with their meanings: part of the API, so they stay."""
+
+
 class ErrorItem(BaseModel):
     """One thing that is wrong with a request."""
 
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
-    code: str = Field(description="Stable, such as `video_truncated`.")
+    code: str = Field(
+        description="Stable, such as `video_truncated`. Of fields and parameters: "
+        + "; ".join(f"`{code}` ({meaning})" for code, meaning in MEANINGS.items())
+        + "."
+    )
     message: str = Field(description="One sentence for a person.")
     pointer: str | None = Field(default=None, description="JSON pointer to the field, parameter or part of the form.")
     file: str | None = Field(default=None, description="Name of the file.")
@@ -128,19 +151,29 @@ class ApiError(Exception):
 def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
     """The answer to a request with things wrong in it."""
     count = "One thing is" if len(errors) == 1 else f"{len(errors)} things are"
-    return ApiError(422, "invalid_request", f"{count} wrong with the request.", errors=errors)
+    return ApiError(422, "invalid_request", f"{count} wrong with the request.", errors=_listed(errors))
+
+
+def _listed(errors: Sequence[ErrorItem]) -> list[ErrorItem]:
+    """Some dozens of errors at most; the last one says how many more there are."""
+    shown = [_cut(error) for error in errors[:_MAX_LISTED]]
+    if more := len(errors) - len(shown):
+        message = f"{more:,} more problems are not listed."
+        shown.append(ErrorItem(code="more_problems", message=message, hint="Correct these first."))
+    return shown
+
+
+def _cut(error: ErrorItem) -> ErrorItem:
+    """Without the rest of a field's name that is as long as the request."""
+    if error.pointer is None or len(error.pointer) <= _MAX_POINTER:
+        return error
+    return error.model_copy(update={"pointer": error.pointer[:_MAX_POINTER] + "..."})
 
 
 def service_away(code: str, detail: str, errors: Sequence[ErrorItem] = ()) -> ApiError:
     """The answer while a part of the service is away."""
     headers = {"Retry-After": str(_RETRY_AFTER_S)}
     return ApiError(503, code, detail, errors=errors, retryable=True, headers=headers)
-
-
-def validation_items(errors: Sequence[ErrorDetails], prefix: str = "") -> Iterator[ErrorItem]:
-    """Pydantic's findings as items, with pointers below ``prefix``."""
-    for error in errors:
-        yield ErrorItem(code=error["type"], message=f"{error['msg']}.", pointer=prefix + pointer_to(*error["loc"]))
 
 
 def pointer_to(*steps: str | int) -> str:
@@ -178,8 +211,6 @@ def as_api_error(error: Exception) -> ApiError:
     match error:
         case ApiError():
             return error
-        case RequestValidationError():
-            return _from_validation(error)
         case HTTPException():
             return _from_status(error)
         case JobStoreError():
@@ -201,17 +232,18 @@ def handle(request: Request, error: Exception) -> Response:
 def install(app: FastAPI) -> None:
     """Make ``handle`` the handler of everything that routes raise on purpose.
 
-    What nobody raised on purpose is caught by ``api.middleware.RequestContext``.
+    What nobody raised on purpose is caught by ``api.middleware.FailureAnswer``.
     """
-    for kind in (ApiError, RequestValidationError, HTTPException, JobStoreError, ClientDisconnect):
+    for kind in (ApiError, HTTPException, JobStoreError, ClientDisconnect):
         app.add_exception_handler(kind, handle)
 
 
 def _methods_at(request: Request) -> Iterator[str]:
     """What the address of a request does take; the framework names the methods of one of its routes only."""
     for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"):
-        scope = {**request.scope, "method": method}
-        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
+        # HEAD is answered by what answers GET, if by nothing else.
+        scopes = [{**request.scope, "method": one} for one in (method, *(["GET"] if method == "HEAD" else []))]
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes for scope in scopes):
             yield method
 
 
@@ -235,15 +267,6 @@ def _without_surrogates(value: Any) -> Any:
             return value
 
 
-def _from_validation(error: RequestValidationError) -> ApiError:
-    details = error.errors()
-    if any(detail["type"] == "json_invalid" for detail in details):
-        return ApiError(400, "malformed_json", "The body is not JSON.")
-    in_body = [detail | {"loc": detail["loc"][1:]} for detail in details if detail["loc"][0] == "body"]
-    elsewhere = [detail for detail in details if detail["loc"][0] != "body"]
-    return unprocessable([*validation_items(elsewhere), *validation_items(in_body)])
-
-
 def _from_status(error: HTTPException) -> ApiError:
     status = error.status_code
     code = _CODES.get(status, HTTPStatus(status).name.lower())
@@ -263,11 +286,27 @@ def _from_store(error: JobStoreError) -> ApiError:
         case KeyBusy():
             headers = {"Retry-After": str(_RETRY_AFTER_S)}
             return ApiError(409, "idempotency_key_busy", str(error), retryable=True, headers=headers)
+        case _:
+            return _from_conflict(error)
+
+
+def _from_conflict(error: JobStoreError) -> ApiError:
+    match error:
         case NotFinished():
             hint = "Ask for the job until its state is succeeded."
             return ApiError(409, "not_finished", str(error), hint=hint, retryable=True)
+        case NoResults():
+            reason = f"The job's error is {error.reason} " if error.reason else ""
+            return ApiError(409, "no_results", str(error), hint=reason + _instead_of(error))
         case _:
             return ApiError(409, "conflict", str(error))
+
+
+def _instead_of(error: NoResults) -> str:
+    """Advice for a job without results."""
+    if error.state == "expired":
+        return "Start another job of its session."
+    return "Retry the job." if error.retryable else "Correct the input and send a new session."
 
 
 def _from_quota(error: QuotaExceeded) -> ApiError:
@@ -278,15 +317,20 @@ def _from_quota(error: QuotaExceeded) -> ApiError:
     return ApiError(403, "quota_exceeded", str(error), hint="Delete sessions that are no longer needed.")
 
 
+def _storage_full() -> ApiError:
+    hint = "Delete sessions that are no longer needed, or have the operator make room; then send it again."
+    return ApiError(507, "storage_full", "The service's disk is full.", hint=hint, retryable=True)
+
+
 def _from_failure(error: Exception) -> ApiError:
     match error:
         case ClientDisconnect():
             return ApiError(400, "client_disconnected", "The client hung up.", retryable=True)
+        case _ if is_disk_full(error):
+            return _storage_full()
         case OperationalError() | PoolTimeoutError():
             return service_away("database_unavailable", "The database is away.")
         case ArtifactsUnavailable():
             return service_away("artifacts_unavailable", "The artifact store is away.")
-        case OSError() if error.errno in _DISK_FULL:
-            return ApiError(507, "storage_full", "The service's disk is full.", retryable=True)
         case _:
             return ApiError(500, "internal_error", "The service failed; the log says why.", retryable=True)

@@ -86,6 +86,7 @@ _SESSION: dict[str, Any] = {
         {"name": "cam_1.mp4", "kind": "video", "num_bytes": 5242880, "sha256": _SHA256},
         {"name": "calibration.toml", "kind": "calibration", "num_bytes": 1024, "sha256": _SHA256},
     ],
+    "num_bytes": 10486784,
     "preflight": _PREFLIGHT,
     "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{_SESSION_ID}", "jobs": f"/v1/sessions/{_SESSION_ID}/jobs"},
@@ -109,6 +110,9 @@ def _stage(name: str, state: str, done: int, total: int) -> dict[str, Any]:
 _JOB: dict[str, Any] = {
     "id": _JOB_ID,
     "session_id": _SESSION_ID,
+    "session_name": "Handshake, take 3",
+    "num_frames": 300,
+    "duration_s": 12.0,
     "state": "running",
     "spec": DOCUMENTS["spec"],
     "attempt": 1,
@@ -127,6 +131,7 @@ _JOB: dict[str, Any] = {
     "expires_at": None,
     "error": None,
     "warnings": [],
+    "result_warnings": [],
     "links": {
         "self": f"/v1/jobs/{_JOB_ID}",
         "session": f"/v1/sessions/{_SESSION_ID}",
@@ -135,7 +140,7 @@ _JOB: dict[str, Any] = {
         "results": f"/v1/jobs/{_JOB_ID}/results",
         "results_zip": f"/v1/jobs/{_JOB_ID}/results.zip",
         "cancel": f"/v1/jobs/{_JOB_ID}/cancel",
-        "retry": f"/v1/jobs/{_JOB_ID}/retry",
+        "retry": None,
     },
 }
 
@@ -185,7 +190,7 @@ _ATTEMPTS: dict[str, Any] = {
 JOB_ENDED: dict[str, Any] = {
     "type": "job.succeeded",
     "timestamp": "2026-03-01T09:32:10.250000Z",
-    "data": {"id": _JOB_ID, "session_id": _SESSION_ID, "state": "succeeded", "attempt": 1},
+    "data": {"id": _JOB_ID, "session_id": _SESSION_ID, "state": "succeeded", "attempt": 1, "warnings": []},
 }
 
 EVENT: dict[str, Any] = {"id": "17", "event": "job", "data": json.dumps(_JOB), "retry": 2000}
@@ -212,7 +217,17 @@ ANSWERS: dict[str, dict[str, Any]] = {
     "Health": {"status": "ok"},
     "Readiness": {
         "status": "ready",
-        "checks": {"database": True, "broker": True, "artifacts": True, "model": True},
+        "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),
+        "disk_free_bytes": 214748364800,
+    },
+    "Options": {
+        "detectors": [
+            {
+                "name": "movenet-multipose",
+                "installed": True,
+                "install": "Run: multicap models install movenet-multipose",
+            }
+        ]
     },
 }
 

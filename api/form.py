@@ -114,7 +114,8 @@ class Parts:
         if self._num_parts > self._limits.max_videos + _MAX_OTHER_PARTS:
             raise ApiError(400, "too_many_parts", "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
-        self._max_bytes = self._limits.max_json_bytes
+        # A refused part is read to its end, so that the answer says that it is refused, not that it is large.
+        self._max_bytes = self._limits.max_session_bytes
         self._write = _discard
         if part in self._files:
             self._max_bytes = self._max_file_bytes[part]
@@ -122,6 +123,7 @@ class Parts:
                 self._open = _OpenFile(self._file_name, (self._folder / self._file_name).open("xb"))
                 self._write = self._open.write
         elif part in self._document_names and part not in self._documents:
+            self._max_bytes = self._limits.max_json_bytes
             self._write = self._documents.setdefault(part, bytearray()).extend
         elif part in self._documents:
             self._blame("duplicate_part", "This part is there more than once.", f"/{part}")

@@ -18,19 +18,21 @@ from starlette.concurrency import run_in_threadpool
 
 from api.bodies import announced_bytes, limited
 from api.dependencies import Services
-from api.errors import ApiError, ErrorItem, pointer_to, unprocessable, validation_items
+from api.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
 from api.idempotency import Once, respond
 from api.multipart import receive_form
 from api.preflight import InvalidFilesError
 from api.schemas import Manifest, UploadedCapture, UploadedSession
-from worker.addresses import is_public
+from api.validation import model_items
+from worker.addresses import may_be_public, url_fault
 from worker.jobs.artifacts import input_key, record_key, session_prefix
 from worker.jobs.errors import NotFound
 from worker.jobs.model import InputFile
 from worker.jobs.receipts import Answer
 from worker.jobs.records import Records
-from worker.jobs.spec import JobSpec
+from worker.jobs.spec import INSTALL_COMMANDS, JobSpec
+from worker.jobs.workers import installed_detectors
 
 MANIFEST, SPEC = "manifest", "spec"
 
@@ -103,14 +105,18 @@ async def take_in(
     """
     names_uploads = request.headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
     to_come = 0 if names_uploads else announced_bytes(request)
-    if not await run_in_threadpool(once.is_answered):
+    # A request that comes again may need no more room than there is.
+    is_answered = await run_in_threadpool(once.is_answered)
+    if not is_answered:
         await run_in_threadpool(once.records.require_room, to_come, unfinished_jobs=int(SPEC in documents))
     async with _folder(services.settings.spool_dir) as folder:
         if names_uploads:
+            if not is_answered:
+                services.disk.require_room()
             sent = await _receive_names(request, services, documents)
             parts: object = sent.model_dump(mode="json")
         else:
-            form = await receive_form(request, folder, services.limits, documents)
+            form = await receive_form(request, folder, services.limits, documents, services.disk)
             parts = _parts_of(form)
         if (before := await run_in_threadpool(once.claim, parts, render)) is not None:
             return before
@@ -123,7 +129,7 @@ async def take_in(
                 if names_uploads
                 else _parsed(form)
             )
-            recorded = await _check_and_keep(services, once.records, folder, arrival, record)
+            recorded = await _check_and_keep(services, once.records, folder, arrival, SPEC in documents, record)
     return respond(render(recorded))
 
 
@@ -132,6 +138,7 @@ async def _check_and_keep(
     records: Records,
     folder: Path,
     arrival: Arrival,
+    with_job: bool,
     record: Callable[[Records, NewSession], _Recorded],
 ) -> _Recorded:
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
@@ -150,13 +157,15 @@ async def _check_and_keep(
                     limiter=services.preflight_limiter,
                 )
         except InvalidFilesError as invalid:
-            errors.extend(_located(item, form) for item in invalid.errors)
+            errors.extend(_located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)
     if preflight:
         errors.extend(_beyond_limits(services, preflight))
     if preflight and arrival.spec:
         errors.extend(spec_errors(arrival.spec, preflight, SPEC))
     if arrival.spec:
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
+    if arrival.spec and with_job and not form.keypoints:
+        errors.extend(await run_in_threadpool(detector_errors, arrival.spec, services, pointer_to(SPEC, "detector")))
     if errors or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
     return await run_in_threadpool(
@@ -196,12 +205,14 @@ def callback_errors(spec: JobSpec, services: Services, records: Records, *field:
     """Why nobody could be told at a spec's address; ``field`` as above."""
     if spec.callback_url is None:
         return []
-    address = urlsplit(spec.callback_url)
     found: list[tuple[str, str, str | None]] = []
-    if not services.settings.webhook_private:
+    if fault := url_fault(spec.callback_url):
+        found.append(("callback_invalid", fault, None))
+    elif not services.settings.webhook_private:
+        address = urlsplit(spec.callback_url)
         if address.scheme != "https":
             found.append(("callback_not_https", "Webhooks go to https addresses only.", None))
-        if _is_private(address.hostname or ""):
+        if not may_be_public(address.hostname or ""):
             found.append(("callback_not_public", "Webhooks go to public addresses only.", None))
     if not records.has_webhook_secret():
         hint = "Have the operator make one with `multicap webhooks rotate`."
@@ -210,11 +221,17 @@ def callback_errors(spec: JobSpec, services: Services, records: Records, *field:
     return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
 
 
-def _is_private(host: str) -> bool:
-    try:
-        return not is_public(host)
-    except ValueError:  # A name: what it stands for is looked at when a message goes there.
-        return False
+def detector_errors(spec: JobSpec, services: Services, pointer: str | None) -> list[ErrorItem]:
+    """Refuse a detector that no worker has installed; without any worker nobody knows, and the job waits for one.
+
+    For sessions of videos; ``pointer`` is where the detector is in what the client sent, if it is there.
+    """
+    installed = installed_detectors(services.store.workers())
+    if installed is None or spec.detector in installed:
+        return []
+    message = f"The detector {spec.detector} is not installed."
+    hint = INSTALL_COMMANDS[spec.detector]
+    return [ErrorItem(code="detector_not_installed", message=message, pointer=pointer, hint=hint)]
 
 
 @contextlib.asynccontextmanager
@@ -241,7 +258,7 @@ def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None
     try:
         return model.model_validate_json(form.documents.get(part, b"{}")), []
     except ValidationError as error:
-        return None, list(validation_items(error.errors(), f"/{part}"))
+        return None, model_items(error.errors(), model, part)
 
 
 def _parts_of(form: Form) -> object:
@@ -252,12 +269,13 @@ def _parts_of(form: Form) -> object:
 
 async def _receive_names(request: Request, services: Services, documents: frozenset[str]) -> UploadedSession:
     body = await limited(request, services.settings.max_json_bytes).body()
+    model = UploadedCapture if SPEC in documents else UploadedSession
     try:
-        return (UploadedCapture if SPEC in documents else UploadedSession).model_validate_json(body)
+        return model.model_validate_json(body)
     except ValidationError as error:
         if any(detail["type"] == "json_invalid" for detail in error.errors()):
             raise ApiError(400, "malformed_json", "The body is not JSON.") from None
-        raise unprocessable(list(validation_items(error.errors()))) from None
+        raise unprocessable(model_items(error.errors(), model)) from None
 
 
 def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSession) -> Arrival:
@@ -310,8 +328,16 @@ def _arguments(form: Form, manifest: Manifest) -> list[str]:
     return arguments if manifest.frame_rate_hz is None else [*arguments, f"--frame-rate={manifest.frame_rate_hz!r}"]
 
 
-def _located(item: ErrorItem, form: Form) -> ErrorItem:
-    """Point from a problem with a file, or with what is in an archive, to the file's part of the form."""
+def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
+    """Point from a problem to what the client sent: the manifest's entry of a camera, or a file's part of the form.
+
+    An archive's part stands for what is in it. Of several entries of a camera the last one is the wrong one.
+    """
+    if item.code.startswith("recording_") or item.code == "no_overlap":
+        of_camera = [index for index, one in enumerate(manifest.cameras) if one.name == item.camera]
+        return (
+            item.model_copy(update={"pointer": pointer_to(MANIFEST, "cameras", of_camera[-1])}) if of_camera else item
+        )
     pointers = {file.name: pointer for pointer, file in _files(form).items()}
     of_archive = {PurePosixPath(file.name).stem: pointers[file.name] for file in form.keypoints}
     file = item.file or ""

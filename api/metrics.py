@@ -5,10 +5,11 @@ Every replica of the API says the same of jobs: ask one, or take the largest.
 
 from collections.abc import Iterator
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from worker.jobs.disk import DiskSpace
 from worker.jobs.store import JobStore
 from worker.jobs.totals import Total
 
@@ -41,14 +42,22 @@ class RequestMetrics:
             buckets=_SECONDS,
             registry=self.registry,
         )
+        self._free_bytes = Gauge(
+            "disk_free_bytes", "Room on the disk of the data folder.", namespace=_PREFIX, registry=self.registry
+        )
+        self._headroom_bytes = Gauge(
+            "disk_headroom_bytes", "Room that is kept free there.", namespace=_PREFIX, registry=self.registry
+        )
 
     def count(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request. ``route`` is a path with names in the places of ids."""
         self._requests.labels(method, route, str(status)).inc()
         self._seconds.labels(method, route).observe(seconds)
 
-    def expose(self, store: JobStore) -> bytes:
+    def expose(self, store: JobStore, disk: DiskSpace) -> bytes:
         """Everything in Prometheus' text format."""
+        self._free_bytes.set(disk.free_bytes)
+        self._headroom_bytes.set(disk.headroom_bytes)
         of_jobs = CollectorRegistry()
         of_jobs.register(_JobCollector(store))
         return generate_latest(self.registry) + generate_latest(of_jobs)

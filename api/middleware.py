@@ -1,4 +1,4 @@
-"""What surrounds every request: an id, a guard against foreign pages, safe headers, and a last catch."""
+"""Middleware of every request: an id, a guard against foreign pages, safe headers, and an answer to failures."""
 
 import time
 from collections.abc import Collection
@@ -6,11 +6,13 @@ from http import HTTPStatus
 from urllib.parse import urlsplit
 
 import anyio
+import anyio.lowlevel
 import structlog
 import uuid_utils
 from fastapi import HTTPException
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
+from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, handle, problem_response
@@ -19,11 +21,14 @@ from api.metrics import RequestMetrics
 _log = structlog.get_logger(__name__)
 
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
-_SAFE_HEADERS = {
+_MAX_LOGGED_PATH = 200
+SAFE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self'; "
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
+    # Default of answers that set nothing else: caches must not keep what only a key may read.
+    "Cache-Control": "no-store",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -32,7 +37,7 @@ _SAFE_HEADERS = {
 
 
 class RequestContext:
-    """Give a request its id, its answer safe headers, the log a line, and a failure of ours an answer; count it."""
+    """Give a request its id, its answer safe headers, and the log a line; count it."""
 
     def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
         self._app = app
@@ -54,17 +59,13 @@ class RequestContext:
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = request_id
-                for name, value in _SAFE_HEADERS.items():
-                    headers[name] = value
+                headers.update(scope["state"].get("rate_limit", {}))
+                for name, value in SAFE_HEADERS.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         with structlog.contextvars.bound_contextvars(request_id=request_id):
-            try:
-                await self._app(scope, receive, send_dressed)
-            except Exception as error:
-                if status:  # Too late for another answer; the server cuts the connection.
-                    raise
-                await handle(Request(scope), error)(scope, receive, send_dressed)
+            await self._app(scope, receive, send_dressed)
             seconds = time.monotonic() - started_s
             # Ids in paths, and paths that strangers make up, would be series without end.
             route = scope["route"].path if "route" in scope else "unknown"
@@ -74,7 +75,7 @@ class RequestContext:
             _log.info(
                 "request",
                 method=scope["method"],
-                path=scope["path"],
+                path=scope["path"][:_MAX_LOGGED_PATH],
                 status=status,
                 seconds=round(seconds, 4),
                 **({"tenant": key.tenant, "key": key.id} if key else {}),
@@ -83,6 +84,35 @@ class RequestContext:
 
 def _known_method(method: str) -> str:
     return method if method in _METHODS else "other"
+
+
+class FailureAnswer:
+    """Answer failures that no route foresees, such as a full disk.
+
+    It is the innermost of all, so that these answers too get the headers that the others add.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        started = False
+
+        async def send_noted(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_noted)
+        except Exception as error:
+            if started:  # Too late for another answer; the server cuts the connection.
+                raise
+            await handle(Request(scope), error)(scope, receive, send)
 
 
 class SlowClientGuard:
@@ -172,6 +202,42 @@ class TusProtocol:
         if scope["method"] == "POST" and method in _METHODS:
             scope["method"] = method
         await self._app(scope, receive, send_versioned)
+
+
+class HeadByGet:
+    """Answer HEAD wherever GET is answered: by GET's own answer, cut off before its body.
+
+    What would be streamed is not even begun.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] != "http" or scope["method"] != "HEAD" or _is_routed(scope):
+            await self._app(scope, receive, send)
+            return
+        with anyio.CancelScope() as answering:
+
+            async def send_head(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    await send(message)
+                    await send({"type": "http.response.body", "body": b""})
+                    answering.cancel()
+                await anyio.lowlevel.checkpoint()
+
+            # For routes whose answer would send a client elsewhere with its method.
+            scope["state"]["by_head"] = True
+            # A copy: the server must see HEAD, or it waits for the body. What the route notes goes back.
+            as_get = {**scope, "method": "GET"}
+            await self._app(as_get, receive, send_head)
+        scope.update({name: as_get[name] for name in ("route",) if name in as_get})
+
+
+def _is_routed(scope: Scope) -> bool:
+    """Whether a route takes the very method of a request."""
+    return any(route.matches(scope)[0] is Match.FULL for route in scope["app"].routes)
 
 
 class ForeignPageGuard:

@@ -14,12 +14,16 @@ from starlette.requests import Request
 from api.bodies import announced_bytes, blocks, drain
 from api.errors import ApiError
 from api.form import Form, Limits, Parts, too_large
+from worker.jobs.disk import DiskSpace
 
 # Boundaries and headers of the parts, on top of the files' own bytes.
 _ENVELOPE_BYTES = 2**20
+_TAKEN = "A session is sent as multipart/form-data, or as application/json that names uploads."
 
 
-async def receive_form(request: Request, folder: Path, limits: Limits, documents: frozenset[str]) -> Form:
+async def receive_form(
+    request: Request, folder: Path, limits: Limits, documents: frozenset[str], disk: DiskSpace
+) -> Form:
     """Stream a request's form to disk.
 
     Parameters
@@ -28,6 +32,8 @@ async def receive_form(request: Request, folder: Path, limits: Limits, documents
         An empty folder, the caller's to remove whatever happens.
     documents
         Names of the JSON parts that may be there.
+    disk
+        Where there must be room for what comes.
 
     Raises
     ------
@@ -42,10 +48,12 @@ async def receive_form(request: Request, folder: Path, limits: Limits, documents
     stream = aiter(request.stream())
     try:
         _check_announced_length(request, limits)
+        disk.require_room(announced_bytes(request))
         parts = Parts(folder, limits, documents)
         reader = _Reader(boundary, parts)
         try:
             async for block in blocks(stream):
+                disk.require_room(len(block))
                 await run_in_threadpool(reader.feed, block)
             return await run_in_threadpool(reader.finish)
         finally:
@@ -58,7 +66,7 @@ async def receive_form(request: Request, folder: Path, limits: Limits, documents
 def _boundary_of(request: Request) -> str:
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != b"multipart/form-data":
-        raise ApiError(415, "unsupported_media_type", "A session is sent as multipart/form-data.")
+        raise ApiError(415, "unsupported_media_type", _TAKEN)
     boundary = options.get(b"boundary", b"").decode("latin-1")
     if not boundary:
         raise _malformed()

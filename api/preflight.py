@@ -4,6 +4,7 @@ The API knows nothing of videos and calibrations. A program does (``python -m pi
 found as one JSON object: the session, or ``{"problems": [...]}``.
 """
 
+import errno
 import json
 import os
 import resource
@@ -24,6 +25,7 @@ from worker.niceness import stand_back
 _log = structlog.get_logger(__name__)
 
 _EXIT_BAD_INPUT = 2
+_EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
 # Behind the API's answers, before the workers: a client waits for it.
 _NICE = 5
@@ -58,7 +60,8 @@ class Preflight:
         arguments
             The files of the session, and what was said of them.
         record
-            Where the program is to keep what the workers need to know of the files.
+            Where the program is to keep what the workers need to know of the files. The program's temporary files go
+            to the same folder, which the caller removes: a program that is killed leaves them behind.
 
         Returns
         -------
@@ -70,20 +73,30 @@ class Preflight:
             With everything that is wrong with the files.
         ApiError
             500 if the program itself fails.
+        OSError
+            If the disk is full.
         """
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
-            exit_code = self._run([*self.command, *arguments, "--record", str(record)], output, log)
+            command = [*self.command, *arguments, "--record", str(record)]
+            exit_code = self._run(command, record.parent, output, log)
             said = _read(output, self.max_bytes)
             if exit_code == 0 and record.is_file() and (found := _parsed(said)) is not None:
                 return found
             if exit_code == _EXIT_BAD_INPUT and (problems := _problems(said)):
                 raise InvalidFilesError(problems)
+            if exit_code == _EXIT_DISK_FULL:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             _log.error("preflight_failed", exit_code=exit_code, said=len(said), log=_tail(log))
         raise ApiError(500, "preflight_failed", "The check of the files failed; the log says why.", retryable=True)
 
-    def _run(self, command: Sequence[str], output: IO[bytes], log: IO[bytes]) -> int:
+    def _run(self, command: Sequence[str], temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
         with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=log, start_new_session=True
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=log,
+            env=os.environ | {"TMPDIR": str(temporary)},
+            start_new_session=True,
         ) as child:
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
             stand_back(_NICE, child.pid)

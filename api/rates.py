@@ -9,6 +9,9 @@ from limits.strategies import MovingWindowRateLimiter
 
 from api.errors import ApiError
 
+RATE_HEADERS = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
+"""By the IETF's draft: how many requests a minute, how many of them are left, and seconds until there are more."""
+
 
 class Rates:
     """Counts the requests of the last minute by tenant, in this process.
@@ -23,16 +26,26 @@ class Rates:
         self._item = None if per_minute is None else RateLimitItemPerMinute(per_minute)
         self._limiter = MovingWindowRateLimiter(MemoryStorage())
 
-    def count(self, tenant: str) -> None:
-        """Count a request; 429 if it is one too many."""
-        if self._item is None or self._limiter.hit(self._item, tenant):
-            return
-        wait_s = max(1, math.ceil(self._limiter.get_window_stats(self._item, tenant).reset_time - time.time()))
+    def count(self, tenant: str) -> dict[str, str]:
+        """Count a request; 429 if it is one too many.
+
+        Returns
+        -------
+            Headers that say how many more there may be; none without a limit.
+        """
+        if self._item is None:
+            return {}
+        allowed = self._limiter.hit(self._item, tenant)
+        stats = self._limiter.get_window_stats(self._item, tenant)
+        wait_s = max(1, math.ceil(stats.reset_time - time.time()))
+        headers = dict(zip(RATE_HEADERS, map(str, (self._item.amount, stats.remaining, wait_s)), strict=True))
+        if allowed:
+            return headers
         raise ApiError(
             429,
             "too_many_requests",
             f"At most {self._item.amount} requests a minute are allowed.",
             hint="Ask less often: event streams tell of a job's changes by one request.",
             retryable=True,
-            headers={"Retry-After": str(wait_s)},
+            headers={"Retry-After": str(wait_s), **headers},
         )

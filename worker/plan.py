@@ -17,7 +17,8 @@ from worker.jobs.spec import JobSpec
 DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
 
 # A stage's number goes up with every change of its code that changes what it leaves.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 1, POSES: 1, ASSOCIATE: 3, FIT: 3, EXPORT: 3}
+# `tests/worker/test_code_versions.py` fails when the code changed and the number did not.
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 2, POSES: 2, ASSOCIATE: 3, FIT: 4, EXPORT: 4}
 
 DEFAULT_CHUNK_FRAMES = 100
 

@@ -6,6 +6,7 @@ time is over, and files of what was deleted that are still there. Sends webhooks
 """
 
 import contextlib
+import os
 import signal
 import threading
 import time
@@ -14,41 +15,60 @@ from collections.abc import Callable
 import structlog
 
 from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.disk import DiskSpace
+from worker.jobs.private_files import keep_files_private
 from worker.jobs.queue import WorkQueue
 from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
-from worker.settings import WorkerSettings, read_settings
+from worker.settings import WorkerSettings, read_settings, require_known_schema
 from worker.webhooks import Sender, deliver_forever
 
 log = structlog.get_logger()
 
 
-def reap(store: JobStore, artifacts: ArtifactStore, publish: Callable[[], object], lease_s: float) -> None:
+def reap(
+    store: JobStore, artifacts: ArtifactStore, disk: DiskSpace, publish: Callable[[], object], lease_s: float
+) -> None:
     """Look once; what can't be done now, such as with a database that is away, is tried again the next time."""
-    try:
+
+    def free_leases() -> None:
         if store.reap(lease_s):
             publish()
-        for job_id in store.expire():
+
+    def expire() -> None:
+        for job_id in disk.using_reserve(store.expire):
             log.info("job_expired", job=job_id)
-        remove_files(store, artifacts)
-    except Exception:
-        log.exception("reap_failed")
+
+    def remove() -> None:
+        disk.using_reserve(lambda: remove_files(store, artifacts))
+
+    # Each by itself: on a full disk the last makes room for the others.
+    for step in (free_leases, expire, remove):
+        try:
+            step()
+        except Exception:
+            log.exception("reap_failed", step=step.__name__)
 
 
 def main() -> None:
     """Reap until SIGTERM or SIGINT."""
-    configure_logs()
+    keep_files_private()
     settings = read_settings(WorkerSettings)
+    configure_logs(settings.log_level)
     store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)
+    require_known_schema(store)
     artifacts = settings.open_artifacts()
+    disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
     # Beside the rest: whom a webhook goes to may be slow.
     threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
         while True:
+            reap(store, artifacts, disk, queue.publish, settings.lease_s)
             time.sleep(settings.reap_interval_s)
-            reap(store, artifacts, queue.publish, settings.lease_s)
+    # Without waiting for messages under way: they are sent again when their leases end.
+    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,6 @@
 """Claim chunks, run them, record what came of it: the one loop of every worker."""
 
 import hashlib
-import os
-import socket
 import time
 from collections.abc import Callable
 from functools import partial
@@ -14,10 +12,12 @@ from opentelemetry.trace import StatusCode
 from worker import tracing
 from worker.execution import ResultFile, Stages, StoppedError, Work
 from worker.jobs.artifacts import ArtifactStore, result_key, stage_key
+from worker.jobs.errors import NewerDatabase
 from worker.jobs.model import Claim, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.plan import EXPORT
+from worker.presence import process_name
 from worker.problems import problem_of
 from worker.scratch import scratch_folder
 
@@ -44,6 +44,8 @@ class Runner:
         Says whether the worker shuts down: the chunk at hand is given back, and no more is claimed.
     on_stuck
         See ``Lease``; called after the chunk was released.
+    has_room
+        Says whether there is room on the disk for a chunk's output; without it none is claimed, and jobs wait.
     """
 
     def __init__(
@@ -56,22 +58,28 @@ class Runner:
         heartbeat_s: float,
         stopping: Callable[[], bool],
         on_stuck: Callable[[], None],
+        has_room: Callable[[], bool],
     ) -> None:
         self._store, self._artifacts, self._publish, self._stages = store, artifacts, publish, stages
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
-        self._stopping, self._on_stuck = stopping, on_stuck
-        self._name = f"{socket.gethostname()}:{os.getpid()}"
+        self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
+        self._name = process_name()
 
     def work(self, claim_for_s: float) -> int:
         """Run ready chunks until there are none, or for about ``claim_for_s`` seconds; returns how many were run.
 
         One message may stand for many chunks: a worker that finds work wakes the next one before it begins.
         """
+        if not self._knows_schema():
+            return 0
         deadline_s = time.monotonic() + claim_for_s
         num_run = 0
         while not self._stopping():
             if time.monotonic() > deadline_s:
                 self._publish()
+                break
+            if not self._has_room():
+                log.warning("disk_full")  # the reaper wakes a worker as long as there is work
                 break
             claim = self._store.claim(self._name, self._lease_s)
             if claim is None:
@@ -81,6 +89,15 @@ class Runner:
             self._run(claim)
             num_run += 1
         return num_run
+
+    def _knows_schema(self) -> bool:
+        """Whether no newer version has upgraded the database while this one ran: its work is not ours."""
+        try:
+            self._store.require_known_schema()
+        except NewerDatabase as error:
+            log.error("newer_database", detail=str(error))  # noqa: TRY400 - there is no mistake to trace
+            return False
+        return True
 
     def _run(self, claim: Claim) -> None:
         with (
@@ -136,7 +153,12 @@ class Runner:
         self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), outcome.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return self._store.finish(
-            claim.chunk_id, claim.lease_token, _sha256(outcome.content), len(outcome.content), results=results
+            claim.chunk_id,
+            claim.lease_token,
+            _sha256(outcome.content),
+            len(outcome.content),
+            results=results,
+            warnings=outcome.warnings,
         )
 
     def _reusable(self, claim: Claim) -> tuple[str, int] | None:

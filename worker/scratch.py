@@ -22,11 +22,12 @@ def remove_abandoned() -> None:
     """Remove folders of processes that are gone."""
     for folder in Path(tempfile.gettempdir()).iterdir():
         owner = _NAME.fullmatch(folder.name)
-        if owner is not None and not _is_running(int(owner[1])):
+        if owner is not None and not is_running(int(owner[1])):
             shutil.rmtree(folder, ignore_errors=True)  # another process may be at it, too
 
 
-def _is_running(pid: int) -> bool:
+def is_running(pid: int) -> bool:
+    """Whether there is a process of this number."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -1,15 +1,27 @@
 """What a worker process is told by its environment; every variable begins with ``MULTICAP_``."""
 
+import json
+import os
 import sys
 from pathlib import Path
 from typing import TypeVar
 
-import platformdirs
 from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
+from sqlalchemy.exc import SQLAlchemyError
 
 from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.stores import ARTIFACTS_URL, DEFAULT_CACHE_BYTES, DEFAULT_CACHE_HOURS, open_artifacts
+from worker.jobs.errors import NewerDatabase
+from worker.jobs.store import JobStore
+from worker.jobs.stores import (
+    ARTIFACTS_URL,
+    DEFAULT_CACHE_BYTES,
+    DEFAULT_CACHE_HOURS,
+    default_data_dir,
+    open_artifacts,
+)
+from worker.logs import LogLevel
+from worker.requirements import Schema, requirement
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)
 
@@ -18,16 +30,55 @@ def read_settings(kind: type[_Settings]) -> _Settings:
     """Read the environment; a program that finds it wrong ends with a sentence a variable."""
     try:
         return kind()
-    except ValidationError as error:
-        sys.exit("\n".join(f"error: {sentence}" for sentence in explain(error)))
+    except (ValidationError, SettingsError) as error:
+        sys.exit("\n".join(f"error: {sentence}" for sentence in explain(kind, error)))
 
 
-def explain(error: ValidationError) -> list[str]:
-    """What is wrong with the environment's variables, a sentence each."""
-    return [
-        f"MULTICAP_{'_'.join(map(str, detail['loc'])).upper()}={detail['input']!r}: {detail['msg']}."
-        for detail in error.errors()
-    ]
+def explain(kind: type[BaseSettings], error: ValidationError | SettingsError) -> list[str]:
+    """Faults of the environment's variables, a sentence each, with all that is allowed."""
+    root = kind.model_json_schema()
+    wrong = _undecodable(root) if isinstance(error, SettingsError) else _refused(error)
+    sentences = []
+    for name, shown in wrong.items():
+        schema = root["properties"][name]
+        form = "JSON, " if _is_json(schema) else ""
+        sentences.append(f"MULTICAP_{name.upper()}{shown}: must be {form}{requirement(schema, root, null=False)}.")
+    return sentences
+
+
+def _refused(error: ValidationError) -> dict[str, str]:
+    """Settings that were refused, with their values; of an item of a list only the setting is named."""
+    return {
+        str(detail["loc"][0]): f"={detail['input']}" if len(detail["loc"]) == 1 else ""
+        for detail in reversed(error.errors())
+    }
+
+
+def _undecodable(root: Schema) -> dict[str, str]:
+    """Settings that are to be JSON and are not."""
+    found = {}
+    for name, schema in root["properties"].items():
+        value = os.environ.get(f"MULTICAP_{name.upper()}")
+        if value is not None and _is_json(schema):
+            try:
+                json.loads(value)
+            except ValueError:
+                found[name] = f"={value}"
+    return found
+
+
+def _is_json(schema: Schema) -> bool:
+    return schema.get("type") in {"array", "object"}
+
+
+def require_known_schema(store: JobStore) -> None:
+    """End the program with a sentence if the database is of a newer version of Multicap."""
+    try:
+        store.require_known_schema()
+    except NewerDatabase as error:
+        sys.exit(f"error: {error}")
+    except SQLAlchemyError:  # it may come later
+        return
 
 
 class WorkerSettings(BaseSettings):
@@ -36,12 +87,15 @@ class WorkerSettings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
 
     data_dir: Path = Field(
-        default_factory=lambda: platformdirs.user_data_path("multicap", appauthor=False) / "service",
+        default_factory=default_data_dir,
         description="Folder of the artifacts, and of the database unless database_url says else.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
     artifacts_url: str = Field(
-        default="", pattern=ARTIFACTS_URL, description="s3://bucket/prefix; empty for a folder in data_dir."
+        default="",
+        pattern=ARTIFACTS_URL,
+        examples=["s3://bucket/prefix"],
+        description="s3://bucket/prefix; empty for a folder in data_dir.",
     )
     cache_bytes: int = Field(
         default=DEFAULT_CACHE_BYTES, gt=0, description="Copies in data_dir of files that are at artifacts_url."
@@ -50,6 +104,13 @@ class WorkerSettings(BaseSettings):
         default=DEFAULT_CACHE_HOURS, gt=0, description="How long such a copy stays that nobody uses."
     )
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
+    headroom_bytes: int | None = Field(
+        default=None,
+        ge=0,
+        description="Bytes of data_dir's disk that are kept free: beyond it no chunk is begun; without it 5 % of the "
+        "disk, at most 256 MiB.",
+    )
+    log_level: LogLevel = Field(default="info", description="Least severe events that are logged.")
     lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
     heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
     webhook_private: bool = Field(

@@ -16,9 +16,10 @@ from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import open_detector
 from pipeline.errors import ModelError, PipelineError
-from pipeline.export.results import write_results
+from pipeline.export.results import METRICS, write_results
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
+from pipeline.metrics.quality import all_checks
 from pipeline.records_npz import (
     decode_animation,
     decode_detections,
@@ -40,7 +41,7 @@ from pipeline.video.timeline import chunk_ranges, span_s
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore, record_key
-from worker.jobs.model import Session
+from worker.jobs.model import ResultWarning, Session
 from worker.jobs.spec import JobSpec
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, is_of_keypoints
 
@@ -216,7 +217,8 @@ def export(work: Work) -> Outcome:
         files.append(_result_file(path))
         work.on_unit()
     index = json.dumps({"files": [file.name for file in files]}).encode()
-    return Outcome(index, tuple(files))
+    report = json.loads((work.scratch / METRICS).read_bytes())
+    return Outcome(index, tuple(files), tuple(ResultWarning(**check) for check in all_checks(report)))
 
 
 def _result_file(path: Path) -> ResultFile:

@@ -1,7 +1,8 @@
-"""Keep a few programs running as one: started in order, started again when they crash, stopped in order.
+"""Keep a few programs running as one: started in order, started again when they crash, stopped together.
 
 No child outlives the supervisor, not even when it is killed: each is tied to it by ``worker.lifeline``, in a process
-group of its own that is swept after it. So Ctrl-C in a terminal reaches the supervisor alone, and it decides the order.
+group of its own that is swept after it. So Ctrl-C in a terminal reaches the supervisor alone, and it decides the order:
+all programs at once, then those that the others need until their end.
 """
 
 import contextlib
@@ -14,13 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from worker.lifeline import tied
+from worker.log_files import LogFile
 
 _LOOK_S = 0.1
 _FIRST_DELAY_S = 0.5
 _LONGEST_DELAY_S = 30.0
 # A child that lived this long had started well: the next crash counts as the first.
 _HEALTHY_S = 20.0
-_MAX_LOG_BYTES = 16 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,8 @@ class Program:
         Open files that it inherits.
     stop_s
         How long it may take to end after SIGTERM before it is killed.
+    stops_last
+        Whether it is stopped only when all others have ended.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Program:
     env: Mapping[str, str]
     pass_fds: Sequence[int] = ()
     stop_s: float = 10.0
+    stops_last: bool = False
 
 
 @dataclass(slots=True)
@@ -51,6 +55,7 @@ class _Child:
     """A program and its present process, or when to start it next."""
 
     program: Program
+    log: LogFile
     process: subprocess.Popen[bytes] | None = None
     started_s: float = 0.0
     crashes: int = 0
@@ -58,21 +63,21 @@ class _Child:
 
 
 class Supervisor:
-    """Runs programs, in the order of starting; they are stopped in the reverse order.
+    """Runs programs.
 
     Parameters
     ----------
     programs
-        What to run.
+        What to run, in the order of starting.
     logs_dir
-        Each program's output goes to a file there.
+        Each program's output goes to a file there, see ``worker.log_files``.
     say
         Tells a person what happened, a sentence each.
     """
 
     def __init__(self, programs: Sequence[Program], logs_dir: Path, say: Callable[[str], None]) -> None:
-        self._children = [_Child(program) for program in programs]
-        self._logs_dir, self._say = logs_dir, say
+        self._children = [_Child(program, LogFile(logs_dir / f"{program.name}.log")) for program in programs]
+        self._say = say
         self._stop = False
 
     def run(self) -> None:
@@ -84,8 +89,8 @@ class Supervisor:
                         self._look_after(child)
                     time.sleep(_LOOK_S)
             finally:
-                for child in reversed(self._children):
-                    self._end(child)
+                for last in (False, True):
+                    self._end([child for child in self._children if child.program.stops_last is last])
 
     @contextlib.contextmanager
     def _stopped_by(self, *numbers: signal.Signals) -> Iterator[None]:
@@ -103,7 +108,7 @@ class Supervisor:
         now_s = time.monotonic()
         if child.process is None:
             if now_s >= child.start_at_s:
-                child.process, child.started_s = self._start(child.program), now_s
+                child.process, child.started_s = _start(child), now_s
             return
         status = child.process.poll()
         if status is None:
@@ -116,32 +121,36 @@ class Supervisor:
         name = child.program.name
         self._say(f"The {name} {_ending(status)}; it starts again in {delay_s:g} s. See {name}.log.")
 
-    def _start(self, program: Program) -> subprocess.Popen[bytes]:
-        self._logs_dir.mkdir(parents=True, exist_ok=True)
-        path = self._logs_dir / f"{program.name}.log"
-        if path.exists() and path.stat().st_size > _MAX_LOG_BYTES:
-            path.replace(path.with_suffix(".log.1"))
-        with path.open("ab") as log:
-            return subprocess.Popen(  # noqa: S603 - commands are ours
-                tied(program.command),
-                env=dict(program.env),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                pass_fds=program.pass_fds,
-                start_new_session=True,
-            )
+    def _end(self, children: Sequence[_Child]) -> None:
+        running = [(child, child.process) for child in children if child.process is not None]
+        for _, process in running:
+            process.terminate()
+        terminated_s = time.monotonic()
+        for child, process in running:
+            program = child.program
+            try:
+                process.wait(max(0.0, terminated_s + program.stop_s - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                self._say(f"The {program.name} did not end in {program.stop_s:g} s and is killed.")
+            _sweep(process)
+            process.wait()
+        for child in children:
+            child.log.close()
 
-    def _end(self, child: _Child) -> None:
-        if child.process is None:
-            return
-        child.process.terminate()
-        try:
-            child.process.wait(child.program.stop_s)
-        except subprocess.TimeoutExpired:
-            self._say(f"The {child.program.name} did not end in {child.program.stop_s:g} s and is killed.")
-        _sweep(child.process)
-        child.process.wait()
+
+def _start(child: _Child) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen(  # noqa: S603 - commands are ours
+        tied(child.program.command),
+        env=dict(child.program.env),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        pass_fds=child.program.pass_fds,
+        start_new_session=True,
+    )
+    if process.stdout is not None:
+        child.log.follow(process.stdout)
+    return process
 
 
 def _sweep(process: subprocess.Popen[bytes]) -> None:

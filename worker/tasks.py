@@ -1,5 +1,6 @@
 """The one task: work on whatever is ready."""
 
+import contextlib
 import functools
 import mmap
 import os
@@ -8,16 +9,27 @@ import threading
 import time
 
 import structlog
+from sqlalchemy.exc import SQLAlchemyError
 
+from pipeline.kernel_cache import is_complete
+from worker.compilation import COMPILING
 from worker.jobs.artifacts import ArtifactStore
+from worker.jobs.disk import DiskSpace
+from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
+from worker.presence import Presence, forget_lost, process_name
 from worker.runner import Runner
 from worker.settings import WorkerSettings
 
 log = structlog.get_logger()
 
 _SWEEP_INTERVAL_S = 600.0
+
+LOADING, CONNECTING = "A worker loads its libraries", "A worker connects to the broker"
+NO_ROOM = "A worker has no room on its disk"
+FAILED = "A worker can't load what it needs; its log says why"
+WORKING = "A worker works on what is ready"
 
 
 class ForkedFlag:
@@ -39,6 +51,22 @@ class ForkedFlag:
 
 
 shutting_down = ForkedFlag()
+# The main process takes messages from the broker: a child that is loaded can be given work.
+consuming = ForkedFlag()
+
+
+# This process could not load the science. Another one is forked in its place when it ends.
+_failed = threading.Event()
+
+
+def load() -> None:
+    """Load the science; what keeps it from that is logged, and said in the list of workers."""
+    try:
+        process_runner()
+    except Exception:
+        _failed.set()
+        log.exception("worker_not_loaded")
+        raise
 
 
 @functools.cache
@@ -60,7 +88,58 @@ def process_runner() -> Runner:
         heartbeat_s=settings.heartbeat_s,
         stopping=shutting_down.is_set,
         on_stuck=_end_process,
+        has_room=_disk().has_room,
     )
+
+
+@functools.cache
+def _disk() -> DiskSpace:
+    settings = WorkerSettings()
+    return DiskSpace(settings.data_dir, settings.headroom_bytes)
+
+
+def is_loaded() -> bool:
+    """Whether this process has loaded the science."""
+    return process_runner.cache_info().currsize > 0
+
+
+def tell_loading() -> None:
+    """List the main process among the workers for a moment, until its children list themselves."""
+    store = JobStore(WorkerSettings().resolved_database_url)
+    with contextlib.suppress(SQLAlchemyError):  # the database may come later
+        forget_lost(store)
+        store.report_worker(WorkerStatus(process_name(), WorkerState.STARTING, LOADING))
+    store.close()  # before children are forked
+
+
+def start_presence() -> Presence:
+    """List this process among the workers from now on, and say whether it could start a chunk."""
+    store = JobStore(WorkerSettings().resolved_database_url)
+    presence = Presence(store, _status)
+    presence.start()
+    return presence
+
+
+def _status() -> WorkerStatus | None:
+    if shutting_down.is_set():
+        return None
+    if _failed.is_set():
+        return WorkerStatus(process_name(), WorkerState.STARTING, FAILED)
+    if not is_loaded():
+        activity = LOADING if is_complete() else COMPILING
+        return WorkerStatus(process_name(), WorkerState.STARTING, activity)
+    if not consuming.is_set():
+        return WorkerStatus(process_name(), WorkerState.STARTING, CONNECTING)
+    if not _disk().has_room():
+        return WorkerStatus(process_name(), WorkerState.STARTING, NO_ROOM)
+    return WorkerStatus(process_name(), WorkerState.READY, WORKING, detectors=_installed_detectors())
+
+
+def _installed_detectors() -> tuple[str, ...]:
+    # Each time: one may be installed while this runs.
+    from pipeline.detect.models import status  # noqa: PLC0415 - see above
+
+    return tuple(model.name for model in status() if model.installed)
 
 
 def work() -> None:

@@ -7,9 +7,11 @@ followed, no proxy of the environment is used, and each try has an end.
 
 import socket
 import ssl
+import threading
 import time
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -19,7 +21,8 @@ import httpcore2
 import structlog
 from standardwebhooks import Webhook
 
-from worker.addresses import is_public
+from worker.addresses import is_public, url_fault
+from worker.jobs.deliveries import MAX_TRIES
 from worker.jobs.model import Delivery, WebhookSecret
 from worker.jobs.store import JobStore
 
@@ -28,7 +31,8 @@ log = structlog.get_logger()
 _TRY_S = 15.0
 _LEASE_S = 4 * _TRY_S
 _LOOK_S = 1.0
-_AT_ONCE = 8
+_AT_ONCE = 16
+_AT_ONCE_A_TENANT = 8
 _GONE = 410
 
 
@@ -36,13 +40,27 @@ class _RefusedError(Exception):
     """The address is none that a message may go to."""
 
 
-def resolve(host: str, port: int, allow_private: bool) -> str:
+def resolve(host: str, port: int, allow_private: bool, timeout_s: float = _TRY_S) -> str:
     """The first address of a host that a message may go to; raises if there is none."""
-    found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
-    for address in found:
-        if allow_private or is_public(address.partition("%")[0]):
+    for address in _look_up(host, port, timeout_s):
+        if allow_private or is_public(address):
             return address
     raise _RefusedError
+
+
+def _look_up(host: str, port: int, timeout_s: float) -> list[str]:
+    """All addresses of a host; ``TimeoutError`` if its name servers let us wait."""
+    answer: Future[list[str]] = Future()
+
+    def ask() -> None:
+        try:
+            answer.set_result([str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)])
+        except Exception as error:
+            answer.set_exception(error)
+
+    # The system's look-up takes no time limit; a thread that hangs in it ends by itself, later.
+    threading.Thread(target=ask, daemon=True).start()
+    return answer.result(timeout_s)
 
 
 class _BoundedStream(httpcore2.NetworkStream):
@@ -91,8 +109,9 @@ class _CheckedBackend(httpcore2.NetworkBackend):
         socket_options: Iterable[Any] | None = None,
     ) -> httpcore2.NetworkStream:
         deadline_s = time.monotonic() + self._try_s
-        address = resolve(host, port, self._allow_private)
-        stream = self._backend.connect_tcp(address, port, self._try_s, local_address, socket_options)
+        address = resolve(host, port, self._allow_private, self._try_s)
+        left_s = max(deadline_s - time.monotonic(), 0.001)
+        stream = self._backend.connect_tcp(address, port, left_s, local_address, socket_options)
         return _BoundedStream(stream, deadline_s)
 
 
@@ -113,6 +132,8 @@ class Sender:
 
     def send(self, delivery: Delivery, secrets: Sequence[WebhookSecret]) -> str | None:
         """Send a message, signed with all secrets; what went wrong, or ``None`` if it is done with."""
+        if fault := url_fault(delivery.url):
+            return fault
         sent_at = datetime.now(UTC)
         signatures = [Webhook(one.secret).sign(delivery.message_id, sent_at, delivery.body) for one in secrets]
         headers: dict[bytes | str, bytes | str] = {
@@ -123,6 +144,9 @@ class Sender:
             "webhook-timestamp": str(int(sent_at.timestamp())),
             "webhook-signature": " ".join(signatures),
         }
+        return self._post(delivery, headers)
+
+    def _post(self, delivery: Delivery, headers: dict[bytes | str, bytes | str]) -> str | None:
         backend = _CheckedBackend(self.allow_private, self.try_s)
         try:
             # Of what is answered only the status is of interest; the rest is not read.
@@ -139,39 +163,83 @@ class Sender:
             return "The answer took too long."
         except (httpcore2.NetworkError, httpcore2.ProtocolError, OSError) as error:
             log.info("webhook_connection_failed", message=delivery.message_id, error=type(error).__name__)
-            return "The connection failed."
+            return _connection_fault(error)
         if 200 <= status < 300 or status == _GONE:
             return None
         return f"It was answered with {status}."
 
 
-def deliver_due(store: JobStore, sender: Sender, pool: ThreadPoolExecutor) -> int:
-    """Send what is due; returns how much there was."""
-    due = store.claim_deliveries(_AT_ONCE, _LEASE_S)
-    list(pool.map(lambda delivery: _deliver(store, sender, delivery), due))
-    return len(due)
+def _connection_fault(error: Exception) -> str:
+    match error.__context__:
+        case ssl.SSLCertVerificationError():
+            return "The certificate is not valid for this name."
+        case ssl.SSLError():
+            return "The TLS handshake failed."
+        case _:
+            return "The connection failed."
+
+
+class Courier:
+    """Sends what is due, several messages at a time; slow receivers of one tenant leave places to the others."""
+
+    def __init__(self, store: JobStore, sender: Sender, pool: ThreadPoolExecutor) -> None:
+        self._store, self._sender, self._pool = store, sender, pool
+        self._running: dict[Future[None], str] = {}
+
+    def start_due(self) -> int:
+        """Begin to send what is due, as far as there are places; returns how much that is."""
+        self._running = {one: tenant for one, tenant in self._running.items() if not one.done()}
+        free = _AT_ONCE - len(self._running)
+        if free == 0:
+            return 0
+        busy = Counter(self._running.values())
+        due = self._store.claim_deliveries(free, _LEASE_S, _AT_ONCE_A_TENANT, busy)
+        for delivery in due:
+            self._running[self._pool.submit(_deliver, self._store, self._sender, delivery)] = delivery.tenant
+        return len(due)
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until one of the messages that are being sent has ended, or the time is over."""
+        if self._running:
+            wait(self._running, timeout_s, FIRST_COMPLETED)
+        else:
+            time.sleep(timeout_s)
 
 
 def deliver_forever(store: JobStore, sender: Sender) -> None:
     """Send what is due, whenever there is something."""
     with ThreadPoolExecutor(_AT_ONCE) as pool:
+        courier = Courier(store, sender, pool)
         while True:
             try:
-                num_sent = deliver_due(store, sender, pool)
+                courier.start_due()
             except Exception:
                 log.exception("webhooks_failed")
-                num_sent = 0
-            if num_sent == 0:
-                time.sleep(_LOOK_S)
+            courier.wait(_LOOK_S)
 
 
 def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
+    """Try once and record what became of it, whatever happens."""
     known = {"message": delivery.message_id, "job": delivery.job_id, "tries": delivery.tries}
-    problem = sender.send(delivery, store.webhook_secrets(delivery.tenant))
-    if problem is None:
-        store.delivered(delivery)
-        log.info("webhook_delivered", **known)
-    elif store.not_delivered(delivery, problem):
-        log.warning("webhook_not_delivered", problem=problem, **known)
-    else:
-        log.error("webhook_given_up", problem=problem, **known)
+    try:
+        problem = _try(store, sender, delivery)
+        if problem is None:
+            store.delivered(delivery)
+            log.info("webhook_delivered", **known)
+        elif store.not_delivered(delivery, problem):
+            log.warning("webhook_not_delivered", problem=problem, **known)
+        else:
+            log.error("webhook_given_up", problem=problem, **known)
+    except Exception:  # The store: the message is due again when its lease ends.
+        log.exception("webhook_not_recorded", **known)
+
+
+def _try(store: JobStore, sender: Sender, delivery: Delivery) -> str | None:
+    if delivery.tries > MAX_TRIES:
+        return delivery.problem or "No try came to its end."
+    secrets = store.webhook_secrets(delivery.tenant)
+    try:
+        return sender.send(delivery, secrets)
+    except Exception:  # Whatever it was, it is a try: one that is not recorded would come again for ever.
+        log.exception("webhook_try_failed", message=delivery.message_id)
+        return "The try failed; the reaper's log says why."

@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Column, Table
 
 from api.commands.store import store_in
-from api.console import console, emit
+from api.console import emit, print_table
 
 
 def command(
@@ -34,8 +33,14 @@ def command(
         ]
         emit({"deeds": listed})
         return
-    table = Table("when", "tenant", "key", "did", Column("to", no_wrap=True, min_width=36))
-    for deed in deeds:
-        who = names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else ""
-        table.add_row(f"{deed.done_at:%Y-%m-%d %H:%M:%S}", deed.tenant, who, deed.act, deed.subject)
-    console.print(table)
+    rows = (
+        (
+            f"{deed.done_at:%Y-%m-%d %H:%M:%S} UTC",
+            deed.tenant,
+            names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else "",
+            deed.act,
+            deed.subject,
+        )
+        for deed in deeds
+    )
+    print_table(("when", "tenant", "key", "did", "to"), rows)

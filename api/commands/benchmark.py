@@ -1,17 +1,14 @@
 """`multicap benchmark`: speed and memory, as ratios within one run."""
 
-import multiprocessing
 import tempfile
 import time
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from datetime import datetime
 from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from api.client import Json, served
 from api.commands.benchmark_cancel import cancel
@@ -24,8 +21,9 @@ from api.commands.benchmark_takes import peak_rss_mib
 from api.commands.benchmark_tracking import tracking
 from api.commands.benchmark_videos import loop_video
 from api.commands.reconstruct import write_results
-from api.console import StageBars, console, emit, reporting
+from api.console import StageBars, emit, print_table, reporting
 from pipeline import samples
+from pipeline.child_processes import ProcessPool
 from pipeline.config import ReconstructionConfig
 from pipeline.detect import models
 from pipeline.detect.detector import open_detector
@@ -78,7 +76,7 @@ def pipeline(
         if loops > 1:
             looped = [Path(folder) / path.name for path in videos]
             # In a process of its own: its memory is not the pipeline's.
-            with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            with ProcessPool(1) as pool:
                 list(pool.map(loop_video, videos, looped, repeat(loops)))
             videos = looped
         warm_up()
@@ -105,11 +103,8 @@ def pipeline(
     if as_json:
         emit(result)
         return
-    table = Table("stage", "seconds")
-    for name, seconds in stages.items():
-        table.add_row(name, f"{seconds:.2f}")
-    console.print(table)
-    console.print(
+    print_table(("stage", "seconds"), ((name, f"{seconds:.2f}") for name, seconds in stages.items()))
+    typer.echo(
         f"{result['frames']} frames in {wall_s:.1f} s, the network alone {network_s:.1f} s: "
         f"overhead {wall_s / network_s:.3f}, peak memory {peak_mib:.0f} MiB"
     )
@@ -174,7 +169,7 @@ def service(
     if as_json:
         emit(result)
         return
-    console.print(
+    typer.echo(
         f"Library {library_s:.1f} s; service with one worker {one['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
         f"with two {two['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
         f"detection {result['detect_speedup']:.2f} times"

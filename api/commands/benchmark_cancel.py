@@ -18,7 +18,7 @@ import psutil
 import typer
 
 from api.client import Client, Json, ServiceError, served
-from api.console import console, emit, reporting
+from api.console import emit, reporting
 from pipeline import samples
 from pipeline.detect import models
 from pipeline.samples import Sample
@@ -154,7 +154,7 @@ def cancel(
         emit(result)
         return
     stages = ", ".join(f"{number} in {stage}" for stage, number in sorted(result["stages"].items()))
-    console.print(
+    typer.echo(
         f"{cancels} cancels ({stages}): median {result['p50_s']:.1f} s, p95 {result['p95_s']:.1f}, "
         f"longest {result['max_s']:.1f} until nobody works on the job"
     )

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
-from rich.table import Table
 
 from api.commands.benchmark_takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
-from api.console import console, emit, reporting
+from api.console import emit, print_table, reporting
 from pipeline.config import Export, ReconstructionConfig
 from pipeline.data import Animation, Reconstruction, SkeletonMotion, Timebase, Track3D
 from pipeline.export.results import write_results
@@ -100,11 +99,14 @@ def export(
     if as_json:
         emit(result)
         return
-    table = Table("files", "seconds", "MiB")
-    for kind, seconds in result["seconds"].items():
-        table.add_row(kind, f"{seconds:.1f}", f"{result['bytes'][kind] / 2**20:.1f}")
-    console.print(table)
-    console.print(
+    print_table(
+        ("files", "seconds", "MiB"),
+        (
+            (kind, f"{seconds:.1f}", f"{result['bytes'][kind] / 2**20:.1f}")
+            for kind, seconds in result["seconds"].items()
+        ),
+    )
+    typer.echo(
         f"{people} people x {frames} frames in {result['wall_s']:.1f} s; peak memory {result['peak_rss_mib']:.0f} MiB, "
         f"{result['peak_rss_before_mib']:.0f} MiB of it before the first file"
     )

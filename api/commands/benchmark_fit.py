@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from api.commands.benchmark_takes import longer_observations, longer_track
-from api.console import console, emit, reporting, show_sizes
+from api.console import emit, reporting, show_sizes
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Observations, SkeletonMotion, Timebase, Track3D
 from pipeline.simulation.scenes import SCENES, record
@@ -91,7 +91,7 @@ def fit(
         return
     show_sizes(sizes, as_json)
     for figure in figures.get("memory", ()):
-        console.print(
+        typer.echo(
             f"{figure['minutes']:g} minutes of one person: {figure['working_mib']:.0f} MiB beside "
             f"{figure['records_mib']:.0f} MiB of records"
         )

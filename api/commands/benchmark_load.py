@@ -4,12 +4,10 @@ import asyncio
 import contextlib
 import io
 import math
-import multiprocessing
 import tempfile
 import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,8 +18,9 @@ import typer
 
 from api.client import Client, Json, ServiceError, served
 from api.commands.benchmark_videos import loop_video
-from api.console import console, emit, reporting
+from api.console import emit, reporting
 from pipeline import samples
+from pipeline.child_processes import ProcessPool
 from pipeline.detect import models
 from pipeline.samples import Sample
 from worker.jobs.spec import JobSpec
@@ -159,8 +158,7 @@ def measure(
 ) -> dict[str, Any]:
     """Load a fresh service."""
     videos = [folder / path.name for path in sample.videos.values()]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, mp_context=spawn) as pool, served(folder / "service", _WORKERS) as client:
+    with ProcessPool(2) as pool, served(folder / "service", _WORKERS) as client:
         list(pool.map(loop_video, sample.videos.values(), videos, [_UPLOAD_LOOPS] * len(videos)))
         jobs = [
             client.submit(f"Work {number}", list(sample.videos.values()), sample.calibration)
@@ -204,10 +202,10 @@ def load(
     if as_json:
         emit(result)
         return
-    console.print(
+    typer.echo(
         f"{result['polls']} answers, {len(result['errors'])} errors: median {result['p50_ms']:.1f} ms, "
         f"p95 {result['p95_ms']:.1f}, p99 {result['p99_ms']:.1f}, longest {result['max_ms']:.0f}; "
         f"meanwhile {result['uploaded_mib']:.0f} MiB were uploaded and {result['worked_units']} units of work done"
     )
     for error in result["errors"][:10]:
-        console.print(error)
+        typer.echo(error)

@@ -5,7 +5,6 @@ import os
 import random
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -18,7 +17,8 @@ import httpx2
 import typer
 
 from api.client import ServiceError
-from api.console import console, emit, reporting
+from api.console import emit, reporting
+from pipeline.child_processes import module_command
 from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
@@ -53,7 +53,7 @@ def api(data_dir: Path) -> Iterator[httpx2.Client]:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         fd, port = listening.fileno(), listening.getsockname()[1]
         environment = os.environ | {"MULTICAP_DATA_DIR": str(data_dir)}
-        command = tied([sys.executable, "-P", "-m", "api", "--fd", str(fd)])
+        command = tied(module_command("api", "--fd", str(fd)))
         with (
             (data_dir / "api.log").open("wb") as log,
             subprocess.Popen(command, env=environment, pass_fds=[fd], stderr=log) as process,  # noqa: S603 - ours
@@ -123,7 +123,7 @@ def queue(
         return
     for what in ("poll", "claim"):
         figures = result[what]
-        console.print(
+        typer.echo(
             f"{what}: {figures['few_ms']:.2f} ms beside {_FEW} jobs, {figures['many_ms']:.2f} ms beside {jobs}: "
             f"{figures['ratio']:.2f} times"
         )

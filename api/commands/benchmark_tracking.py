@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
-from api.console import console, emit, reporting
+from api.console import emit, print_table, reporting
 from pipeline.simulation.clocks import Clock
 from pipeline.simulation.detector import Detector
 from pipeline.simulation.director import Cast
@@ -151,13 +150,20 @@ def tracking(
     if as_json:
         emit({"sizes": sizes, "scaling": scaling, "growth": growth})
         return
-    table = Table("cameras", "people", "frames a second", "in plain numpy (association alone)")
-    for size in sizes:
-        table.add_row(*(f"{size[name]:.0f}" for name in ("cameras", "people", "fps", "reference_fps")))
-    console.print(table)
-    table = Table("cameras", "ms a frame", "pairs of views")
-    for point in scaling:
-        pairwise_ms = "-" if point["pairwise_ms"] is None else f"{point['pairwise_ms']:.1f}"
-        table.add_row(str(point["cameras"]), f"{point['ms']:.3f}", pairwise_ms)
-    console.print(table)
-    console.print(f"{_NUM_CAMERAS[-1]} cameras take {growth:.2f} times as long as 4.")
+    names = ("cameras", "people", "fps", "reference_fps")
+    print_table(
+        ("cameras", "people", "frames a second", "in plain numpy (association alone)"),
+        ([f"{size[name]:.0f}" for name in names] for size in sizes),
+    )
+    print_table(
+        ("cameras", "ms a frame", "pairs of views"),
+        (
+            (
+                str(point["cameras"]),
+                f"{point['ms']:.3f}",
+                "" if point["pairwise_ms"] is None else f"{point['pairwise_ms']:.1f}",
+            )
+            for point in scaling
+        ),
+    )
+    typer.echo(f"{_NUM_CAMERAS[-1]} cameras take {growth:.2f} times as long as 4.")

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from api.commands.options import FeetOption, MethodOption, SmoothingOption, known_feet, known_method, known_smoothing
-from api.console import StageBars, console, emit, reporting
+from api.console import StageBars, emit, print_table, reporting
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import Method, ReconstructionConfig
@@ -61,10 +60,7 @@ def rendered(
     if as_json:
         emit(scores)
         return
-    table = Table("measure", "value")
-    for name, value in scores.items():
-        table.add_row(name, "-" if value is None else f"{value:.4g}")
-    console.print(table)
+    print_table(("measure", "value"), ((name, _shown(value)) for name, value in scores.items()))
 
 
 @app.command()
@@ -119,24 +115,29 @@ def shelf(
 
 def _print_shelf(result: dict[str, Any]) -> None:
     pcp = result["pcp"]
-    table = Table("part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS)))
-    for name, values in [*pcp["parts"].items(), ("all", pcp["actors"])]:
-        table.add_row(name, *(f"{value:.2f}" for value in values))
-    console.print(table)
+    parts = [*pcp["parts"].items(), ("all", pcp["actors"])]
+    columns = ["part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS))]
+    print_table(columns, ([name, *(f"{value:.2f}" for value in values)] for name, values in parts))
     rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
-    console.print(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
+    typer.echo(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
     if result["association_accuracy"] is not None:
-        console.print(f"Association accuracy {result['association_accuracy']:.4f}")
-    console.print(
+        typer.echo(f"Association accuracy {result['association_accuracy']:.4f}")
+    typer.echo(
         f"Identity switches {result['switches']}, ghost tracks {result['ghost_tracks']}, standard deviation of bone "
         f"lengths {result['bone_std_cm']:.2f} cm, {result['fps']:.0f} frames a second"
     )
-    table = Table("camera", "MOTA", "IDF1", "false positives", "missed")
-    for name in result["mota"]:
-        fractions = (f"{result[metric][name]:.4f}" for metric in ("mota", "idf1"))
-        table.add_row(name, *fractions, *(str(result[metric][name]) for metric in ("false_positives", "missed")))
-    console.print(table)
-    console.print("Actors are annotated in some images only: a track that matches none counts as false near one.")
+    print_table(
+        ("camera", "MOTA", "IDF1", "false positives", "missed"),
+        (
+            [
+                name,
+                *(f"{result[metric][name]:.4f}" for metric in ("mota", "idf1")),
+                *(str(result[metric][name]) for metric in ("false_positives", "missed")),
+            ]
+            for name in result["mota"]
+        ),
+    )
+    typer.echo("Actors are annotated in some images only: a track that matches none counts as false near one.")
 
 
 def _print_ablation(ablation: dict[str, Any]) -> None:
@@ -146,18 +147,13 @@ def _print_ablation(ablation: dict[str, Any]) -> None:
         ("A tracker that sees one camera", "measure", ablation["single_view"]),
     ):
         columns = list(next(iter(rows.values())))
-        table = Table(first, *columns, title=title)
-        for name, values in rows.items():
-            table.add_row(name, *(f"{values[column]:.4g}" for column in columns))
-        console.print(table)
+        cells = ([name, *(f"{values[column]:.4g}" for column in columns)] for name, values in rows.items())
+        print_table([first, *columns], cells, title)
     for title, rows in (
         ("Weights of correspondence", ablation["weights"]),
         ("PCP, every n-th image", ablation["every"]),
     ):
-        table = Table(*rows[0], title=title)
-        for row in rows:
-            table.add_row(*(f"{value:.4g}" for value in row.values()))
-        console.print(table)
+        print_table(list(rows[0]), ([f"{value:.4g}" for value in row.values()] for row in rows), title)
 
 
 @app.command()
@@ -214,7 +210,7 @@ def simulated(
     _print_simulated({f"{num_views} cameras": scores for num_views, scores in by_views.items()})
     if ablation:
         for num_views, scores in by_views.items():
-            console.print(f"\nClustering's parts, {num_views} cameras (see docs/clustering.md)")
+            typer.echo(f"\nClustering's parts, {num_views} cameras (see docs/clustering.md)")
             _print_simulated(scores["ablation"])
 
 
@@ -269,15 +265,16 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
 
 def _print_simulated(columns: Mapping[str, Mapping[str, Any]]) -> None:
     """One column of scores each; the errors of joints below the rest."""
-    table = Table("measure", *columns)
     first = next(iter(columns.values()))
-    for name in first:
-        if not isinstance(first[name], dict):
-            table.add_row(name, *(_shown(scores.get(name)) for scores in columns.values()))
+    rows = [
+        [name, *(_shown(scores.get(name)) for scores in columns.values())]
+        for name in first
+        if not isinstance(first[name], dict)
+    ]
     for joint in first["mpjpe_by_joint_mm"]:
         errors = (scores["mpjpe_by_joint_mm"][joint] for scores in columns.values())
-        table.add_row(f"mpjpe_mm of the {joint}", *(_shown(error) for error in errors))
-    console.print(table)
+        rows.append([f"mpjpe_mm of the {joint}", *(_shown(error) for error in errors)])
+    print_table(["measure", *columns], rows)
 
 
 def _shown(value: float | None) -> str:

@@ -1,13 +1,14 @@
 """`multicap keys`: who may use the service, as which tenant, and for what."""
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Column, Table
 
-from api.commands.store import store_in
-from api.console import console, emit, refusal
+from api.commands.store import opened_store, settings_in, store_in
+from api.console import console, emit, print_table, refusal, shown_time
+from worker.jobs.disk import DiskSpace
 from worker.jobs.errors import NotFound
 from worker.jobs.model import Key, Scope
 from worker.jobs.tables import DEFAULT_TENANT
@@ -64,13 +65,18 @@ def list_(data: Data = None, as_json: AsJson = False) -> None:
     if as_json:
         emit({"keys": [_document(key) for key in found]})
         return
-    table = Table(Column("id", no_wrap=True, min_width=36), "tenant", "name", "scopes", "until")
-    for key in found:
-        until = (
-            "revoked" if key.revoked_at else f"{key.expires_at:%Y-%m-%d %H:%M}" if key.expires_at else "revoked only"
-        )
-        table.add_row(key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), until)
-    console.print(table)
+    now = datetime.now(UTC)
+    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in found)
+    print_table(("id", "tenant", "name", "scopes", "until"), rows)
+
+
+def _until(key: Key, now: datetime) -> str:
+    """How long a key is valid, or since when it no longer is."""
+    if key.revoked_at is not None:
+        return f"revoked {shown_time(key.revoked_at)}"
+    if key.expires_at is None:
+        return "no end"
+    return f"{'expired ' if key.expires_at <= now else ''}{shown_time(key.expires_at)}"
 
 
 @app.command()
@@ -78,9 +84,11 @@ def revoke(
     key_id: Annotated[str, typer.Argument(metavar="ID", help="Of `multicap keys list`.")], data: Data = None
 ) -> None:
     """End a key at once and for good."""
-    with store_in(data) as store:
+    settings = settings_in(data)
+    with opened_store(settings) as store:
         try:
-            key = store.revoke_key(key_id)
+            # A key in the wrong hands must go, also where the disk is full.
+            key = DiskSpace(settings.data_dir).using_reserve(lambda: store.revoke_key(key_id))
         except NotFound:
             raise refusal("There is no such key. `multicap keys list` says which there are.") from None
     console.print(f"Key {key.id} ({key.name}) is revoked.")

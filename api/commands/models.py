@@ -4,9 +4,8 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from api.console import console, emit, reporting
+from api.console import console, emit, print_table, reporting
 from pipeline.detect import models
 
 app = typer.Typer(help="Detector networks: list, install, add from a file, verify.", no_args_is_help=True)
@@ -21,10 +20,8 @@ def list_(as_json: AsJson = False) -> None:
     if as_json:
         emit({"models": [asdict(one) for one in known]})
         return
-    table = Table("name", "installed", "licence", "sha256")
-    for one in known:
-        table.add_row(one.name, "yes" if one.installed else "no", one.licence, one.sha256)
-    console.print(table)
+    rows = ((one.name, "yes" if one.installed else "no", one.licence, one.sha256) for one in known)
+    print_table(("name", "installed", "licence", "sha256"), rows)
 
 
 @app.command()

@@ -2,13 +2,11 @@
 
 import json
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
 from api.commands.options import (
     ExportsOption,
@@ -23,7 +21,7 @@ from api.commands.options import (
     known_smoothing,
     known_units,
 )
-from api.console import StageBars, console, emit, reporting
+from api.console import StageBars, emit, print_table, reporting, warn
 from pipeline.association import Views, restrict
 from pipeline.calibration.registry import UNITS_M
 from pipeline.config import Export, Preset, ReconstructionConfig
@@ -32,6 +30,7 @@ from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export import results
 from pipeline.export.results import DEFAULT_EXPORTS, check_exports
 from pipeline.keypoints import KeypointSession, open_keypoints
+from pipeline.metrics.quality import all_checks
 from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.session import Recording, open_session
 
@@ -52,44 +51,66 @@ def write_results(
     PipelineError
         If the folder can't be written to or the disk is full.
     """
+    return list(_written(reconstruction, folder, exports, preset, frame_rate_hz))
+
+
+def _written(
+    reconstruction: Reconstruction,
+    folder: Path,
+    exports: Collection[Export],
+    preset: Preset,
+    frame_rate_hz: float | None,
+) -> Iterator[Path]:
+    """Write the result files; yields each as soon as it is there."""
     try:
-        return list(results.write_results(reconstruction, folder, exports, preset, frame_rate_hz))
+        yield from results.write_results(reconstruction, folder, exports, preset, frame_rate_hz)
     except OSError as error:
         raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
+
+
+def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
+    if not paths:
+        return "No result was written."
+    return f"Some results are missing: of the files in {folder} these are new, and whole: " + (
+        ", ".join(path.name for path in paths) + "."
+    )
 
 
 def print_summary(metrics: Mapping[str, Any]) -> None:
     """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong."""
 
     def shown(value: float | None, unit: str, digits: int) -> str:
-        return "-" if value is None else f"{value:.{digits}f} {unit}"
+        return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
 
-    table = Table("person", "frames", "reprojection error", "cameras a joint", "coverage", "stature")
-    for person in metrics["people"]:
-        first, length = person["start_frame"], person["num_frames"]
-        table.add_row(
-            f"person-{person['id']}",
-            f"{first} - {first + length - 1}",
-            shown(person["reprojection_error_px"], "px", 1),
-            shown(person["views_per_joint"], "", 1),
-            shown(100 * person["coverage"], "%", 1),
-            shown(person["stature_m"], "m", 2),
-        )
-    console.print(table)
-    console.print(
+    print_table(
+        ("person", "frames", "reprojection error", "cameras a joint", "coverage", "stature"),
+        (
+            (
+                f"person-{person['id']}",
+                f"{person['start_frame']} - {person['start_frame'] + person['num_frames'] - 1}",
+                shown(person["reprojection_error_px"], "px", 1),
+                shown(person["views_per_joint"], "", 1),
+                shown(100 * person["coverage"], "%", 1),
+                shown(person["stature_m"], "m", 2),
+            )
+            for person in metrics["people"]
+        ),
+    )
+    typer.echo(
         f"{metrics['num_frames']} frames at {metrics['frame_rate_hz']:g} Hz; "
         f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}"
     )
-    before_and_after = Table("", "as located", "final")
-    for name, unit, before, after in (
+    before_and_after = (
         ("bone length deviation", "cm", metrics["bone_length_std_before_cm"], metrics["bone_length_std_cm"]),
         ("jitter", "m/s\u00b2", metrics["jitter_before_m_s2"], metrics["jitter_m_s2"]),
         ("slide of standing feet", "cm", metrics["feet"]["slide_before_cm"], metrics["feet"]["slide_after_cm"]),
-    ):
-        before_and_after.add_row(name, shown(before, unit, 2), shown(after, unit, 2))
-    console.print(before_and_after)
-    for check in metrics["world_checks"]:
-        console.print(Text.assemble(("warning ", "yellow"), check["message"]))
+    )
+    print_table(
+        ("measure", "as located", "final"),
+        ((name, shown(before, unit, 2), shown(after, unit, 2)) for name, unit, before, after in before_and_after),
+    )
+    for check in all_checks(metrics):
+        warn(check["message"])
 
 
 def _check_sources(
@@ -211,7 +232,8 @@ def command(
 ) -> None:
     """Reconstruct everybody in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()
-    with reporting(as_json), StageBars(visible=not as_json) as bars:
+    paths: list[Path] = []
+    with reporting(as_json, lambda: _what_is_left(paths, out)), StageBars(visible=not as_json) as bars:
         config = ReconstructionConfig(
             method=known_method(method),
             detector=detector,
@@ -237,12 +259,12 @@ def command(
             session = open_session(named[0] if len(named) == 1 else named, calibration, recordings, known_units(units))
         check_exports(restrict(session, config.frames).timebase, formats)
         for warning in session.warnings:
-            console.print(Text.assemble(("warning ", "yellow"), warning))
+            warn(warning)
         if isinstance(session, KeypointSession):
             reconstruction = reconstruct_keypoints(session, config, bars.update)
         else:
             reconstruction = reconstruct(session, config, bars.update)
-        paths = write_results(reconstruction, out, formats, names, output_rate)
+        paths.extend(_written(reconstruction, out, formats, names, output_rate))
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:
         emit(
@@ -260,4 +282,4 @@ def command(
         return
     print_summary(metrics)
     for path in paths:
-        console.print(Text(f"  {path}"))
+        typer.echo(f"  {path}")

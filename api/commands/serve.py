@@ -2,7 +2,6 @@
 
 import os
 import socket
-import sys
 import threading
 import time
 from pathlib import Path
@@ -16,13 +15,21 @@ from api.app import ExposedError, refuse_strangers
 from api.commands.store import opened_store
 from api.console import console, refusal, reporting
 from api.settings import Settings
+from pipeline.child_processes import module_command
 from pipeline.detect import models
 from worker import embedded
+from worker.jobs.private_files import keep_files_private
 from worker.jobs.spec import JobSpec
+from worker.presence import forget_lost
 from worker.supervisor import Program, Supervisor
 
 # What it prints, before its address, as soon as it can be used.
 READY = "Multicap is ready at "
+
+# A start with everything in place takes less; a longer one is explained.
+_POLL_S = 0.2
+_QUIET_S = 2.0
+_SAY_EVERY_S = 5.0
 
 # Who listens everywhere is reached here.
 _LOOPBACK_OF = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - a table of names
@@ -46,22 +53,34 @@ def _url(host: str, port: int) -> str:
 
 def _api(place: embedded.Place, host: str, listening: socket.socket) -> Program:
     fd = listening.fileno()
-    command = [sys.executable, "-P", "-m", "api", "--fd", str(fd)]
+    command = module_command("api", "--fd", str(fd))
     return Program("api", command, place.environment() | {"MULTICAP_HOST": host}, pass_fds=[fd])
 
 
 def _announce(url: str) -> None:
-    """Print the address as soon as all parts answer."""
+    """Print the address as soon as a worker could start; until then, now and then, what that waits for."""
+    say_at_s, said = time.monotonic() + _QUIET_S, ""
     with httpx2.Client(base_url=url, timeout=5.0, trust_env=False) as client:
-        while True:
-            try:
-                if client.get("/readyz").is_success:
-                    break
-            except httpx2.TransportError:
-                pass
-            time.sleep(0.1)
+        while (waiting_for := _missing(client)) != "":
+            if waiting_for not in {None, said} and time.monotonic() >= say_at_s:
+                console.print(waiting_for, markup=False, highlight=False, soft_wrap=True)
+                say_at_s, said = time.monotonic() + _SAY_EVERY_S, waiting_for
+            time.sleep(_POLL_S)
     typer.echo(f"{READY}{url}")
     console.print("Ctrl-C stops it.")
+
+
+def _missing(client: httpx2.Client) -> str | None:
+    """Sentences that say why the service is not ready; empty when it is, ``None`` if it does not answer."""
+    try:
+        answer = client.get("/readyz")
+        if answer.is_success:
+            return ""
+        problem = answer.json()
+        items = [" ".join(filter(None, [item["message"], item["hint"]])) for item in problem["errors"]]
+        return " ".join(items) or str(problem["detail"])
+    except (httpx2.TransportError, ValueError, KeyError):
+        return None
 
 
 def command(
@@ -72,12 +91,14 @@ def command(
 ) -> None:
     """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
     settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
+    keep_files_private()
     with reporting(as_json=False):
         models.verify(JobSpec().detector)
     try:
         with embedded.occupy(settings.data_dir) as place:
             with opened_store(settings) as store:
                 refuse_strangers(settings, store)
+                forget_lost(store)
             _serve(settings, place, port, workers)
     except (embedded.DataFolderError, ExposedError) as error:
         raise refusal(str(error)) from error

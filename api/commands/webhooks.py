@@ -4,11 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Column, Table
-from rich.text import Text
 
 from api.commands.store import store_in
-from api.console import console, emit, refusal
+from api.console import console, emit, print_table, refusal, shown_time
 from worker.jobs.tables import DEFAULT_TENANT
 
 app = typer.Typer(help="Webhooks of the service: secrets, and what has not arrived.", no_args_is_help=True)
@@ -58,8 +56,7 @@ def list_(data: Data = None, as_json: AsJson = False) -> None:
         ]
         emit({"deliveries": listed})
         return
-    table = Table(Column("job", no_wrap=True, min_width=36), "tenant", "to", "tries", "next", "what went wrong")
-    for one in left:
-        row = one.job_id, one.tenant, one.url, str(one.tries), f"{one.due_at:%Y-%m-%d %H:%M:%S}", one.problem or ""
-        table.add_row(*(Text(cell) for cell in row))
-    console.print(table)
+    rows = (
+        (one.job_id, one.tenant, one.url, str(one.tries), shown_time(one.due_at), one.problem or "") for one in left
+    )
+    print_table(("job", "tenant", "to", "tries", "next", "problem"), rows)

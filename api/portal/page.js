@@ -2,6 +2,7 @@
 
 const POLL_MS = 1000;
 const IDLE_POLL_MS = 5000;
+const OPTIONS_MS = 30000;
 const PAGE = 50;
 const MOST = 200;
 
@@ -21,9 +22,9 @@ const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 
 const at = (id) => document.getElementById(id);
 const cards = new Map(); // id of a job -> its element and what it showed last
-const sessionNames = new Map();
 let limit = PAGE;
 let timer = 0;
+let optionsAt = -Infinity; // when the service was last asked what it can do
 
 class Problem extends Error {
   constructor(body, status = 0) {
@@ -117,13 +118,6 @@ function fillStages(place, stages) {
   });
 }
 
-async function fillName(card, job) {
-  if (!sessionNames.has(job.session_id)) {
-    sessionNames.set(job.session_id, call(job.links.session).then((session) => session.name, () => ""));
-  }
-  card.querySelector(".name").textContent = (await sessionNames.get(job.session_id)) || "Capture";
-}
-
 async function fillResults(card, job) {
   const place = card.querySelector(".results");
   place.replaceChildren();
@@ -157,35 +151,50 @@ async function act(card, path, method) {
   }
 }
 
+function showWarnings(place, warnings) {
+  place.replaceChildren(...warnings.map((warning) => element("li", warning)));
+  place.hidden = warnings.length === 0;
+}
+
+// A result that is empty, or that needs a look, is not simply done.
+function stateOf(job) {
+  if (job.state !== "succeeded") return [STATES[job.state] ?? job.state, job.state];
+  if (job.result_warnings.some((warning) => warning.code === "nobody_found")) return ["Done: nobody was found", "empty"];
+  return job.result_warnings.length > 0 ? ["Done, with warnings", "warned"] : [STATES.succeeded, job.state];
+}
+
 function makeCard(job) {
   const card = clone("job");
   const on = (name, run) => card.querySelector(`[data-do="${name}"]`).addEventListener("click", run);
-  on("cancel", () => act(card, job.links.cancel, "POST"));
-  on("retry", () => act(card, job.links.retry, "POST"));
+  const entry = { card, shown: "", links: job.links };
+  on("cancel", () => act(card, entry.links.cancel, "POST"));
+  on("retry", () => act(card, entry.links.retry, "POST"));
   on("delete", () => {
-    if (window.confirm("Delete this job and its results?")) act(card, job.links.self, "DELETE");
+    if (window.confirm("Delete this job and its results?")) act(card, entry.links.self, "DELETE");
   });
-  fillName(card, job);
-  return { card, shown: "" };
+  card.querySelector(".name").textContent = job.session_name;
+  return entry;
 }
 
 function fillCard(entry, job) {
   const { card } = entry;
   const state = card.querySelector(".state");
   const percent = job.state === "running" ? ` ${Math.floor(job.progress * 100)} %` : "";
-  state.textContent = (STATES[job.state] ?? job.state) + percent;
-  state.dataset.state = job.state;
+  const [words, kind] = stateOf(job);
+  state.textContent = words + percent;
+  state.dataset.state = kind;
   card.querySelector(".when").textContent = when(job);
   fillStages(card.querySelector(".stages"), job.stages);
-  card.querySelector('[data-do="cancel"]').hidden = !["queued", "running"].includes(job.state);
-  card.querySelector('[data-do="retry"]').hidden = !["failed", "canceled"].includes(job.state);
+  // What the service offers: no retry where it would fail the same way.
+  entry.links = job.links;
+  card.querySelector('[data-do="cancel"]').hidden = job.links.cancel === null;
+  card.querySelector('[data-do="retry"]').hidden = job.links.retry === null;
   card.querySelector('[data-do="delete"]').hidden = !ENDED.has(job.state);
   const shown = `${job.state} ${job.attempt}`;
   if (shown === entry.shown) return;
   entry.shown = shown;
-  const items = job.warnings.map((message) => ({ message }));
-  const failed = job.error && Object.assign(new Problem(job.error), { items });
-  showProblem(card.querySelector(".problems"), failed);
+  showProblem(card.querySelector(".problems"), job.error && new Problem(job.error));
+  showWarnings(card.querySelector(".warnings"), job.warnings);
   fillResults(card, job).catch(() => { entry.shown = ""; });
 }
 
@@ -209,11 +218,28 @@ async function refresh() {
   return jobs.some((job) => !ENDED.has(job.state));
 }
 
+// Detectors that no worker has: such a job would be refused.
+async function markDetectors() {
+  if (performance.now() - optionsAt < OPTIONS_MS) return;
+  const { detectors } = await call("/v1/options");
+  optionsAt = performance.now();
+  const options = [...at("send").elements.detector.options];
+  for (const { name, installed, install } of detectors) {
+    const option = options.find((one) => one.value === name);
+    if (!option) continue;
+    option.dataset.label ??= option.textContent;
+    option.disabled = installed === false;
+    option.textContent = option.dataset.label + (installed === false ? " (not installed)" : "");
+    option.title = installed === false ? install : "";
+  }
+}
+
 async function poll() {
   clearTimeout(timer);
   let busy = false;
   try {
     busy = await refresh();
+    await markDetectors();
     at("connection").textContent = "";
   } catch (problem) {
     if (problem.status === 401) return showEntrance();
@@ -300,7 +326,6 @@ function showEntrance() {
   clearTimeout(timer);
   cards.forEach(({ card }) => card.remove());
   cards.clear();
-  sessionNames.clear();
   at("inside").hidden = at("caller").hidden = true;
   at("entrance").hidden = false;
   at("enter").elements.key.focus();
@@ -322,6 +347,7 @@ async function enter() {
   at("sending").hidden = !caller.scopes.includes("write");
   at("entrance").hidden = true;
   at("inside").hidden = false;
+  optionsAt = -Infinity;
   await poll();
 }
 

@@ -17,7 +17,12 @@ router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
 _LIFETIME_S = 12 * 3600
 
 
-@router.get("/caller", operation_id="getCaller", responses={200: answer("Caller"), **problems(401, 429)})
+@router.get(
+    "/caller",
+    operation_id="getCaller",
+    summary="Read the caller and its quotas",
+    responses={200: answer("Caller"), **problems(401, 429)},
+)
 def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
     """Say who calls, by the key or the browser's session that came along, and how much their tenant has."""
     key = caller.key
@@ -33,10 +38,11 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
 @router.post(
     "/browser-session",
     operation_id="openBrowserSession",
+    summary="Sign a browser in",
     status_code=status.HTTP_204_NO_CONTENT,
     responses={
         204: {"headers": {"Set-Cookie": {"description": "For this browser.", "schema": {"type": "string"}}}},
-        **problems(400, 401, 413, 422),
+        **problems(400, 401, 413, 415, 422, 429, 507),
     },
 )
 def open_browser_session(
@@ -49,9 +55,11 @@ def open_browser_session(
     key = services.store.find_key(shown.key)
     if key is None:
         raise ApiError(401, "key_required", "This key is not known, has expired or was revoked.")
+    request.state.rate_limit = services.rates.count(key.tenant)
+    request_id = request.state.request_id
     response.set_cookie(
         COOKIE,
-        services.store.open_browser_session(key, _LIFETIME_S, request.state.request_id),
+        services.disk.using_reserve(lambda: services.store.open_browser_session(key, _LIFETIME_S, request_id)),
         max_age=_LIFETIME_S,
         httponly=True,
         samesite="strict",
@@ -62,10 +70,13 @@ def open_browser_session(
 @router.delete(
     "/browser-session",
     operation_id="closeBrowserSession",
+    summary="Sign a browser out",
     status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(507),
 )
 def close_browser_session(request: Request, response: Response, services: ServicesDep) -> None:
     """Forget this browser."""
     if COOKIE in request.cookies:
-        services.store.close_browser_session(request.cookies[COOKIE])
+        secret = request.cookies[COOKIE]
+        services.disk.using_reserve(lambda: services.store.close_browser_session(secret))
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")

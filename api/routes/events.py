@@ -42,6 +42,7 @@ _STREAM: dict[str, Any] = {"text/event-stream": {"schema": _EVENT, "example": EV
 @router.get(
     "/events",
     operation_id="streamJobEvents",
+    summary="Follow a job",
     response_class=Response,
     responses={
         200: {"description": "A stream of server-sent events.", "content": _STREAM},

@@ -1,18 +1,23 @@
 """Whether the service is alive, and whether it can work."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
+from sqlalchemy.exc import SQLAlchemyError
 
 from api.auth import AdminDep
 from api.contract import answer, problems
 from api.dependencies import ServicesDep
-from api.errors import ErrorItem, service_away
+from api.errors import ErrorItem, problem_response, service_away
 from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
-from api.settings import Settings
-from worker.jobs.spec import JobSpec
+from worker.jobs.disk import DiskSpace
+from worker.jobs.model import WorkerStatus
+from worker.jobs.spec import INSTALL_COMMANDS, JobSpec
+from worker.jobs.store import JobStore
+from worker.jobs.workers import installed_detectors
 
 router = APIRouter(tags=["health"])
 
@@ -23,43 +28,89 @@ _MESSAGES = {
     "database": "The database does not answer.",
     "broker": "The broker does not answer.",
     "artifacts": "The artifact store can't be used.",
-    "model": "The detector network is not installed.",
 }
 
 
-@router.get("/healthz", operation_id="getHealth", responses={200: answer("Health")})
+@router.get(
+    "/healthz", operation_id="getHealth", summary="Check that the service is alive", responses={200: answer("Health")}
+)
 def get_health() -> Health:
     """Say that the process is alive."""
     return Health()
 
 
-@router.get("/readyz", operation_id="getReadiness", responses={200: answer("Readiness")})
-def get_readiness(services: ServicesDep) -> Readiness:
-    """Say whether everything that jobs need is there."""
-    checks = {
-        "database": services.store.ping(),
-        "broker": services.queue.ping(),
-        "artifacts": services.artifacts.ping(),
-        "model": _model_is_installed(services.settings),
+@router.get(
+    "/readyz",
+    operation_id="getReadiness",
+    summary="Check that the service is ready",
+    response_model=Readiness,
+    responses={200: answer("Readiness")},
+)
+def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
+    """Say whether a worker could start a job's work now; if not, what is missing or on its way."""
+    checks: dict[str, ErrorItem | None] = {
+        "database": _check("database", services.store.ping()),
+        "broker": _check("broker", services.queue.ping()),
+        "artifacts": _check("artifacts", services.artifacts.ping()),
+        "disk": _disk_check(services.disk),
+        **_worker_checks(services.store),
     }
-    away = [name for name, there in checks.items() if not there]
-    if away:
-        errors = [ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name]) for name in away]
-        raise service_away("not_ready", "A part of the service is away.", errors)
-    return Readiness(checks=checks)
+    if errors := [item for item in checks.values() if item is not None]:
+        # Nothing failed that the log should explain: whoever waits for the service asks all the time.
+        return problem_response(request, service_away("not_ready", "The service can't start a job's work now.", errors))
+    return Readiness(checks=dict.fromkeys(checks, True), disk_free_bytes=services.disk.free_bytes)
 
 
 @router.get(
     "/metrics",
     operation_id="getMetrics",
+    summary="Read the metrics",
     response_class=Response,
     responses={200: {"description": "Figures for Prometheus.", "content": _FIGURES}, **problems(401, 429)},
 )
 def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Response:
     """Say how much is asked, done and waiting, in Prometheus' text format. Needs the scope `admin`."""
     metrics: RequestMetrics = request.app.state.metrics
-    return Response(metrics.expose(services.store), media_type=CONTENT_TYPE_LATEST)
+    return Response(metrics.expose(services.store, services.disk), media_type=CONTENT_TYPE_LATEST)
 
 
-def _model_is_installed(settings: Settings) -> bool:
-    return not settings.readiness_needs_model or (settings.models_dir / f"{JobSpec().detector}.onnx").is_file()
+def _check(name: str, there: bool) -> ErrorItem | None:
+    return None if there else ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name])
+
+
+def _disk_check(disk: DiskSpace) -> ErrorItem | None:
+    if disk.has_room():
+        return None
+    left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
+    message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is taken in."
+    return ErrorItem(code="storage_full", message=message, hint="Delete sessions that are no longer needed.")
+
+
+def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
+    """Whether a worker is ready, and has the detector that jobs use by default; empty without a database."""
+    try:
+        found = store.workers()
+    except SQLAlchemyError:
+        return {}
+    installed = installed_detectors(found)
+    if installed is None:
+        return {"worker": _no_worker_yet(found)}
+    detector = JobSpec().detector
+    if detector in installed:
+        return {"worker": None, "model": None}
+    item = ErrorItem(
+        code="model_unavailable",
+        message=f"Not every worker has the detector {detector}.",
+        hint=INSTALL_COMMANDS[detector],
+    )
+    return {"worker": None, "model": item}
+
+
+def _no_worker_yet(found: Sequence[WorkerStatus]) -> ErrorItem:
+    if not found:
+        return ErrorItem(code="worker_unavailable", message="There is no worker.", hint="Start one; see its log.")
+    furthest = max(found, key=lambda worker: worker.done)
+    if furthest.total == 0:
+        return ErrorItem(code="worker_starting", message=f"{furthest.activity}.")
+    message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes about a minute."
+    return ErrorItem(code="worker_starting", message=message)

@@ -1,5 +1,6 @@
 """Jobs: reconstruct a session, follow it, cancel, retry, delete."""
 
+import uuid
 from functools import partial
 from typing import Annotated
 
@@ -9,19 +10,20 @@ from fastapi import APIRouter, Body, Query, Request, Response, status
 from api import examples
 from api.auth import RecordsDep
 from api.bodies import SmallBodyRoute
-from api.contract import Responses, answer, location, problems, session_body
+from api.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.contract import RETRY_AFTER, Responses, answer, job_ended_callbacks, location, problems, session_body
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
-from api.errors import unprocessable
+from api.errors import pointer_to, unprocessable
 from api.idempotency import OnceDep
-from api.intake import MANIFEST, SPEC, NewSession, callback_errors, spec_errors, take_in
+from api.intake import MANIFEST, SPEC, NewSession, callback_errors, detector_errors, spec_errors, take_in
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from worker import tracing
-from worker.jobs.model import Job, JobState
+from worker.jobs.model import RETRYABLE, Job, JobState
 from worker.jobs.receipts import Answer
 from worker.jobs.records import Records
 from worker.jobs.removals import remove_files
 from worker.jobs.spec import JobSpec
-from worker.plan import plan
+from worker.plan import is_of_keypoints, plan
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 # One of these routes takes JSON; the form has its own limits.
@@ -30,24 +32,21 @@ small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
 _log = structlog.get_logger(__name__)
 
 _POLL_AFTER_S = 1
-_ONE = answer("Job")
+_ONE, _PAGE = answer("Job"), answer("JobPage")
+State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
 _ACCEPTED: Responses = {
-    202: _ONE
-    | {
-        "headers": {
-            "Location": location("job", "/v1/jobs/{job_id}"),
-            "Retry-After": {"description": "Seconds until it is worth asking.", "schema": {"type": "integer"}},
-        }
-    }
+    202: _ONE | {"headers": {"Location": location("job", "/v1/jobs/{job_id}"), **RETRY_AFTER}},
 }
 
 
 @small.post(
     "/sessions/{session_id}/jobs",
     operation_id="createJob",
+    summary="Reconstruct a session",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 413, 422)},
+    responses={**_ACCEPTED, **problems(400, 404, 409, 413, 415, 422, 507)},
+    callbacks=job_ended_callbacks("jobEndedOfJob", "/callback_url"),
 )
 def create_job(
     session_id: SessionId,
@@ -59,8 +58,12 @@ def create_job(
 
     def act(records: Records) -> Job:
         session = records.session(session_id)
-        if errors := [*spec_errors(spec, session.preflight), *callback_errors(spec, services, records)]:
+        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, records)]
+        if not is_of_keypoints(session):
+            errors += detector_errors(spec, services, pointer_to("detector"))
+        if errors:
             raise unprocessable(errors)
+        services.disk.require_room()
         stages = plan(session, spec, services.settings.chunk_frames)
         job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
         _announce(services, job)
@@ -72,10 +75,12 @@ def create_job(
 @router.post(
     "/jobs",
     operation_id="createSessionAndJob",
+    summary="Send and reconstruct a session",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 408, 409, 413, 415, 422, 507)},
     openapi_extra=session_body(MANIFEST, SPEC),
+    callbacks=job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
 )
 async def create_session_and_job(request: Request, services: ServicesDep, once: OnceDep) -> Response:
     """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
@@ -99,28 +104,48 @@ async def create_session_and_job(request: Request, services: ServicesDep, once: 
     return await take_in(request, services, once, frozenset({MANIFEST, SPEC}), record, _accepted)
 
 
-@small.get("/jobs", operation_id="listJobs", responses={200: answer("JobPage"), **problems(422)})
+@small.get("/jobs", operation_id="listJobs", summary="List jobs", responses={200: _PAGE, **problems(422)})
 def list_jobs(
     records: RecordsDep,
-    state: Annotated[JobState | None, Query(description="Only jobs in this state.")] = None,
+    state: State = None,
+    session_id: Annotated[uuid.UUID | None, Query(description="Only jobs of this session.")] = None,
     limit: Limit = 50,
     cursor: Cursor = None,
 ) -> JobPage:
-    """List jobs, the newest first."""
-    jobs = records.jobs(state=state, limit=limit, after=str(cursor) if cursor else None)
-    next_cursor = jobs[-1].id if len(jobs) == limit else None
-    return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
+    """List jobs, the newest first: all of them, or those of a session or in a state."""
+    return _page(records, state, str(session_id) if session_id else None, limit, cursor)
 
 
-@small.get("/jobs/{job_id}", operation_id="getJob", responses={200: _ONE, **problems(404)})
-def get_job(job_id: JobId, records: RecordsDep) -> JobOut:
+@small.get(
+    "/sessions/{session_id}/jobs",
+    operation_id="listSessionJobs",
+    summary="List a session's jobs",
+    responses={200: _PAGE, **problems(404, 422)},
+)
+def list_session_jobs(
+    session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
+) -> JobPage:
+    """List the jobs of a session, the newest first."""
+    records.session(session_id)
+    return _page(records, state, session_id, limit, cursor)
+
+
+@small.get(
+    "/jobs/{job_id}",
+    operation_id="getJob",
+    summary="Read a job",
+    response_model=JobOut,
+    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+)
+def get_job(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a job: its state, its stages, how far they are."""
-    return JobOut.of(records.job(job_id))
+    return conditional(JobOut.of(records.job(job_id)), if_none_match)
 
 
 @small.get(
     "/jobs/{job_id}/attempts",
     operation_id="listAttempts",
+    summary="List a job's attempts",
     responses={200: answer("AttemptList"), **problems(404)},
 )
 def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
@@ -131,28 +156,39 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
 @small.post(
     "/jobs/{job_id}/cancel",
     operation_id="cancelJob",
+    summary="Cancel a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
 )
-def cancel_job(job_id: JobId, once: OnceDep) -> Response:
+def cancel_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
     """Cancel a job. What runs of it stops within seconds."""
-    return once.run(None, lambda records: records.cancel(job_id), _accepted)
+
+    def act(records: Records) -> Job:
+        return services.disk.using_reserve(lambda: records.cancel(job_id))
+
+    return services.disk.using_reserve(lambda: once.run(None, act, _accepted))
 
 
 @small.post(
     "/jobs/{job_id}/retry",
     operation_id="retryJob",
+    summary="Retry a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
 def retry_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
     """Try a failed or canceled job again. What it had finished is not done again."""
 
     def act(records: Records) -> Job:
         job = records.job(job_id)
-        stages = plan(records.session(job.session_id), job.spec, services.settings.chunk_frames)
+        session = records.session(job.session_id)
+        may_retry = job.state in RETRYABLE  # else the store says why not
+        if may_retry and not is_of_keypoints(session) and (errors := detector_errors(job.spec, services, None)):
+            raise unprocessable(errors)
+        services.disk.require_room()
+        stages = plan(session, job.spec, services.settings.chunk_frames)
         job = records.retry(job_id, stages, tracing.current())
         services.queue.publish()
         return job
@@ -163,13 +199,24 @@ def retry_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
 @small.delete(
     "/jobs/{job_id}",
     operation_id="deleteJob",
+    summary="Delete a job",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),
 )
 def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a finished job with its results."""
-    records.delete_job(job_id)
-    remove_files(services.store, services.artifacts)
+    services.disk.using_reserve(lambda: records.delete_job(job_id))
+    services.disk.using_reserve(lambda: remove_files(services.store, services.artifacts))
+
+
+def _page(
+    records: Records, state: JobState | None, session_id: str | None, limit: int, cursor: uuid.UUID | None
+) -> JobPage:
+    """Build a page of a list of jobs."""
+    after = str(cursor) if cursor else None
+    jobs = records.jobs(state=state, limit=limit, after=after, session_id=session_id)
+    next_cursor = jobs[-1].id if len(jobs) == limit else None
+    return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
 
 
 def _announce(services: Services, job: Job) -> None:

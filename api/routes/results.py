@@ -4,13 +4,14 @@ from collections.abc import Generator
 from typing import Annotated, Any, BinaryIO
 from urllib.parse import quote
 
-from fastapi import APIRouter, Header, Path, Response
+from fastapi import APIRouter, Header, Path, Request, Response
 from fastapi.responses import RedirectResponse, StreamingResponse
 from starlette.types import Receive, Scope, Send
 from zipstream import ZIP_DEFLATED, ZipStream
 
 from api.auth import RecordsDep
 from api.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
+from api.conditional import NOT_MODIFIED, IfNoneMatch
 from api.contract import answer, location, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.errors import ApiError
@@ -32,7 +33,12 @@ _HEADERS = {
 }
 
 
-@router.get("/results", operation_id="listResults", responses={200: answer("ResultList"), **problems(404, 409)})
+@router.get(
+    "/results",
+    operation_id="listResults",
+    summary="List a job's result files",
+    responses={200: answer("ResultList"), **problems(404, 409)},
+)
 def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
     """List the result files of a finished job."""
     results = records.results(job_id)
@@ -42,6 +48,7 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
 @router.get(
     "/results.zip",
     operation_id="getAllResults",
+    summary="Download all result files",
     response_class=Response,
     responses={
         200: {
@@ -55,8 +62,6 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
 def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Response:
     """Download all result files of a job as one archive."""
     results = records.results(job_id)
-    if not results:
-        raise NotFound("The job has no results.")
     if not all(services.artifacts.exists(result.key) for result in results):
         raise _expired()
     session = records.session(records.job(job_id).session_id)
@@ -82,18 +87,19 @@ def _expired() -> ApiError:
         410,
         "expired",
         "The file was removed.",
-        hint="Start the job again: what it had found out of the videos is still there.",
+        hint="Start another job of its session: what this one found in the videos is used again.",
     )
 
 
 @router.get(
     "/results/{name}",
     operation_id="getResult",
+    summary="Download a result file",
     response_class=Response,
     responses={
         200: {"description": "The file.", "content": _FILE, "headers": _HEADERS},
         206: {"description": "A range of the file.", "content": _FILE, "headers": _HEADERS},
-        304: {"description": "The client has it already."},
+        **NOT_MODIFIED,
         307: {
             "description": "The store sends it.",
             "headers": {
@@ -106,11 +112,12 @@ def _expired() -> ApiError:
 def get_result(
     job_id: JobId,
     name: Annotated[str, Path(description="Name of a result.", openapi_examples={"bvh": {"value": "person-1.bvh"}})],
+    request: Request,
     services: ServicesDep,
     records: RecordsDep,
     range_: Annotated[str | None, Header(alias="Range", description="One range of bytes.")] = None,
     if_range: Annotated[str | None, Header(description="Heed `Range` only for this ETag.")] = None,
-    if_none_match: Annotated[str | None, Header(description="ETags that the client has.")] = None,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Download a result file, whole or from where an earlier download broke off."""
     result = records.result(job_id, name)
@@ -123,12 +130,12 @@ def get_result(
     }
     if matches(if_none_match, etag):
         return Response(status_code=304, headers=headers)
-    if (signed_s := services.settings.signed_downloads_s) and (
-        address := services.artifacts.signed_url(result.key, signed_s)
-    ):
+    # A signature is for GET: HEAD is answered here.
+    signed_s = None if request.scope["state"].get("by_head") else services.settings.signed_downloads_s
+    if signed_s and (address := services.artifacts.signed_url(result.key, signed_s)):
         if not services.artifacts.exists(result.key):
             raise _expired()
-        return RedirectResponse(address, headers={"Cache-Control": "no-store"})
+        return RedirectResponse(address)
     try:
         wanted = requested_range(range_, result.num_bytes) if if_range in {None, etag} else None
     except UnsatisfiableRange:
@@ -142,15 +149,26 @@ def get_result(
     headers["Content-Length"] = str(sent.stop - sent.start)
     if wanted:
         headers["Content-Range"] = f"bytes {sent.start}-{sent.stop - 1}/{result.num_bytes}"
-    return _Stream(_blocks(file, sent), 206 if wanted else 200, headers=headers, media_type=result.media_type)
+    content, status = _blocks(file, sent), 206 if wanted else 200
+    return _Stream(content, status, headers=headers, media_type=result.media_type, file=file)
 
 
 class _Stream(StreamingResponse):
-    """Sends what a generator gives, and ends it also if the client goes away in the middle."""
+    """Sends what a generator gives, and ends it also if the client goes away in the middle.
 
-    def __init__(self, content: Generator[bytes, None, None], status_code: int = 200, **options: Any) -> None:
+    A generator that was not begun, as by HEAD, does not close its ``file``: this does.
+    """
+
+    def __init__(
+        self,
+        content: Generator[bytes, None, None],
+        status_code: int = 200,
+        *,
+        file: BinaryIO | None = None,
+        **options: Any,
+    ) -> None:
         super().__init__(content, status_code, **options)
-        self._content = content
+        self._content, self._file = content, file
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
@@ -158,6 +176,8 @@ class _Stream(StreamingResponse):
             await super().__call__(scope, receive, send)
         finally:
             self._content.close()
+            if self._file is not None:
+                self._file.close()
 
 
 def _blocks(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:

@@ -3,6 +3,7 @@
 from fastapi import APIRouter, Request, Response, status
 
 from api.auth import RecordsDep
+from api.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.contract import answer, location, problems, session_body
 from api.dependencies import Cursor, Limit, ServicesDep, SessionId
 from api.idempotency import OnceDep
@@ -22,6 +23,7 @@ _LOCATION = {"headers": {"Location": location("session", "/v1/sessions/{session_
 @router.post(
     "",
     operation_id="createSession",
+    summary="Send a session",
     status_code=status.HTTP_201_CREATED,
     response_model=SessionOut,
     responses={201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
@@ -40,7 +42,9 @@ async def create_session(request: Request, services: ServicesDep, once: OnceDep)
     return await take_in(request, services, once, frozenset({MANIFEST}), record, _created)
 
 
-@router.get("", operation_id="listSessions", responses={200: answer("SessionPage"), **problems(422)})
+@router.get(
+    "", operation_id="listSessions", summary="List sessions", responses={200: answer("SessionPage"), **problems(422)}
+)
 def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> SessionPage:
     """List sessions, the newest first."""
     sessions = records.sessions(limit=limit, after=str(cursor) if cursor else None)
@@ -48,23 +52,30 @@ def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None)
     return SessionPage(sessions=tuple(SessionOut.of(session) for session in sessions), next_cursor=next_cursor)
 
 
-@router.get("/{session_id}", operation_id="getSession", responses={200: _ONE, **problems(404)})
-def get_session(session_id: SessionId, records: RecordsDep) -> SessionOut:
-    """Read a session."""
-    return SessionOut.of(records.session(session_id))
+@router.get(
+    "/{session_id}",
+    operation_id="getSession",
+    summary="Read a session",
+    response_model=SessionOut,
+    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+)
+def get_session(session_id: SessionId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
+    """Read a session: its files, and what was found in them."""
+    return conditional(SessionOut.of(records.session(session_id)), if_none_match)
 
 
 @router.delete(
     "/{session_id}",
     operation_id="deleteSession",
+    summary="Delete a session",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),
 )
 def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a session with its files and its finished jobs."""
     # Its rows first, so that nothing is shown whose files are gone.
-    records.delete_session(session_id)
-    remove_files(services.store, services.artifacts)
+    services.disk.using_reserve(lambda: records.delete_session(session_id))
+    services.disk.using_reserve(lambda: remove_files(services.store, services.artifacts))
 
 
 def _created(session: Session) -> Answer:

@@ -1,7 +1,6 @@
 """Files in pieces, by tus 1.0: over a line that breaks, what has come need not be sent again."""
 
 import base64
-import binascii
 import re
 from collections.abc import Mapping
 from datetime import UTC
@@ -69,7 +68,9 @@ router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 described = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
 
-@described.options("", operation_id="describeUploads", status_code=status.HTTP_204_NO_CONTENT)
+@described.options(
+    "", operation_id="describeUploads", summary="Describe uploads", status_code=status.HTTP_204_NO_CONTENT
+)
 def describe_uploads(response: Response, services: ServicesDep) -> None:
     """Say which versions and extensions of tus are spoken, and how large a file may be."""
     response.headers["Tus-Version"] = VERSION
@@ -81,6 +82,7 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
 @router.post(
     "",
     operation_id="createUpload",
+    summary="Begin an upload",
     status_code=status.HTTP_201_CREATED,
     response_class=Response,
     responses={
@@ -116,6 +118,7 @@ async def create_upload(
         _require_piece_type(request)
 
     def begin(records: Records) -> Upload:
+        services.disk.require_room(length)
         upload_id = services.uploads.create()
         keep_s = services.settings.upload_keep_s
         try:
@@ -139,6 +142,7 @@ async def create_upload(
 @router.head(
     "/{upload_id}",
     operation_id="getUpload",
+    summary="Read an upload's offset",
     response_class=Response,
     responses={
         **_answers(200, "Upload-Offset", "Upload-Length", "Upload-Metadata", "Upload-Expires"),
@@ -153,7 +157,6 @@ def get_upload(
     headers = {
         "Upload-Offset": str(services.uploads.offset(upload_id)),
         "Upload-Length": str(upload.num_bytes),
-        "Cache-Control": "no-store",
     }
     if upload.metadata:
         headers["Upload-Metadata"] = upload.metadata
@@ -163,6 +166,7 @@ def get_upload(
 @router.patch(
     "/{upload_id}",
     operation_id="continueUpload",
+    summary="Send a piece of an upload",
     status_code=status.HTTP_204_NO_CONTENT,
     response_class=Response,
     responses={
@@ -196,6 +200,7 @@ async def continue_upload(
 @router.delete(
     "/{upload_id}",
     operation_id="deleteUpload",
+    summary="Delete an upload",
     status_code=status.HTTP_204_NO_CONTENT,
     response_class=Response,
     responses={**_answers(204), **problems(404, 412)},
@@ -204,7 +209,7 @@ async def delete_upload(
     upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
 ) -> Response:
     """Give an upload up."""
-    await run_in_threadpool(records.delete_upload, upload_id)
+    await run_in_threadpool(services.disk.using_reserve, lambda: records.delete_upload(upload_id))
     async with services.uploads.turn(upload_id):
         await run_in_threadpool(services.uploads.remove, upload_id)
     return Response(status_code=204)
@@ -257,7 +262,7 @@ def _file_name(metadata: str) -> str:
         pairs[key] = value
     try:
         name = base64.b64decode(pairs.get("filename", ""), validate=True).decode()
-    except (binascii.Error, UnicodeDecodeError):
+    except ValueError:  # also of letters that are not ASCII
         raise _metadata_error("The filename of Upload-Metadata is no base64 of UTF-8.") from None
     if message := name_error(name):
         raise _metadata_error(f"{message} Send its name as `filename` in Upload-Metadata.")
@@ -274,7 +279,7 @@ def _checksum(header: str | None) -> Checksum | None:
     algorithm, _, digest = header.partition(" ")
     try:
         return Checksum(CHECKSUMS[algorithm], base64.b64decode(digest, validate=True))
-    except (KeyError, binascii.Error, ValueError):
+    except (KeyError, ValueError):
         names = ", ".join(CHECKSUMS)
         message = f"Upload-Checksum must be one of {names}, a space, and the digest as base64."
         raise ApiError(400, "checksum_invalid", message) from None

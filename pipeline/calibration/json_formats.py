@@ -1,12 +1,12 @@
 """Calibration in JSON: our own format, and the one of published benchmark conversions (``K, R, t, dist``)."""
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.calibration.validate import RawCamera, build_cameras, unknown_fields
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError, read_json
 
 SCHEMA_VERSION = 1
 
@@ -17,8 +17,8 @@ _SHORT = frozenset({"name", "width", "height", "K", "R", "t", "dist"})
 def read(content: bytes, file: str) -> tuple[Camera, ...]:
     """Read a JSON file; ``InputError`` with everything that is wrong."""
     try:
-        document = json.loads(content)
-    except (ValueError, RecursionError) as error:
+        document = read_json(content)
+    except UnreadableError as error:
         raise InputError(
             [Problem("calibration_unreadable", "The file is not valid JSON.", file=file, hint="Export it again.")]
         ) from error
@@ -27,6 +27,8 @@ def read(content: bytes, file: str) -> tuple[Camera, ...]:
         raise InputError(
             [Problem("calibration_unreadable", "There is no list of cameras.", file=file, field="cameras")]
         )
+    # One more than there may be shows that there are too many.
+    found = found[: MAX_CAMERAS + 1]
     short = bool(found) and all("K" in camera for camera in found)
     problems = unknown_fields(document, frozenset({"cameras", "convention" if short else "schema_version"}), file, None)
     if not short and document.get("schema_version") != SCHEMA_VERSION:
@@ -53,7 +55,7 @@ def _raw_own(camera: Mapping[str, Any]) -> RawCamera:
 def _raw_short(camera: Mapping[str, Any]) -> RawCamera:
     return RawCamera(
         name=camera.get("name"),
-        size_px=[camera.get("width"), camera.get("height")],
+        size_px=[camera["width"], camera["height"]] if {"width", "height"} <= camera.keys() else None,
         matrix=camera.get("K"),
         distortion=camera.get("dist", []),
         rotation=camera.get("R"),

@@ -5,30 +5,36 @@ backwards, ``x_cv = diag(1, -1, -1) R (x - c)``, and the camera's centre c.
 """
 
 import math
+from itertools import islice
 from typing import Any
 
 import numpy as np
-from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import ParseError, fromstring
+from defusedxml.ElementTree import fromstring
 
-from pipeline.calibration.validate import RawCamera, build_cameras
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError, parse
+from pipeline.quantities import Quantity
 
 _SUBPIXELS = 64.0
+# Of every number, whatever it is: what is computed from them here does not overflow.
+_NUMBER = Quantity(-1e9, 1e9, "")
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 
 
 def read(content: bytes, file: str) -> tuple[Camera, ...]:
     """Read a QCA file; ``InputError`` with everything that is wrong."""
     try:
-        root = fromstring(content)
-    except (ParseError, DefusedXmlException, ValueError) as error:
+        root = parse(fromstring, content)
+    except UnreadableError as error:
         raise InputError(
             [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
         ) from error
     problems: list[Problem] = []
-    raw = [_raw(element, file, problems) for element in root.findall("./cameras/camera")]
+    # One more than there may be shows that there are too many.
+    elements = islice(root.iterfind("./cameras/camera"), MAX_CAMERAS + 1)
+    raw = [_raw(element, file, problems) for element in elements]
     return build_cameras(raw, file, problems)
 
 
@@ -38,19 +44,16 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
     def number(tag: str, attribute: str) -> float:
         part = element.find(tag)
         try:
-            return float("" if part is None else part.get(attribute, ""))
+            value = float("" if part is None else part.get(attribute, ""))
+            message = f"The attribute {attribute} of {tag} must be {_NUMBER}."
         except ValueError:
-            problems.append(
-                Problem(
-                    "invalid_number",
-                    f"The attribute {attribute} of {tag} is missing or no number.",
-                    file=file,
-                    camera=name,
-                    field=attribute,
-                )
-            )
-            # Finite, so that one missing number is said once.
-            return 0.0
+            value = math.nan
+            message = f"The attribute {attribute} of {tag} is missing or no number."
+        if _NUMBER.holds(value):
+            return value
+        problems.append(Problem("invalid_number", message, file=file, camera=name, field=attribute))
+        # Finite, so that one missing number is said once.
+        return 0.0
 
     def intrinsic(attribute: str) -> float:
         return number("intrinsic", attribute)

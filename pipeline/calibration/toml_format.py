@@ -1,14 +1,17 @@
 """Caliscope / anipose calibration (TOML): one section a camera, ``x = K (R X + t)``, metres, Rodrigues rotation."""
 
 import tomllib
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.validate import RawCamera, build_cameras, unknown_fields
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.parsing import UnreadableError, parse, read_numbers
+from pipeline.quantities import ROTATION_VECTOR_RAD
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
 # Sections that hold no camera.
@@ -18,14 +21,19 @@ _IGNORED = frozenset({"metadata"})
 def read(content: bytes, file: str) -> tuple[Camera, ...]:
     """Read a TOML file; ``InputError`` with everything that is wrong."""
     try:
-        sections = tomllib.loads(content.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(
-            [Problem("calibration_unreadable", "The file is not valid TOML.", file=file, hint="Export it again.")]
-        ) from error
+        sections = parse(_loads, content)
+    except UnreadableError as error:
+        message = "The file is not valid TOML, or a number in it is too long."
+        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
     problems: list[Problem] = []
-    raw = [_raw(name, section, file, problems) for name, section in sections.items() if name not in _IGNORED]
+    cameras = ((name, section) for name, section in sections.items() if name not in _IGNORED)
+    # One more than there may be shows that there are too many.
+    raw = [_raw(name, section, file, problems) for name, section in islice(cameras, MAX_CAMERAS + 1)]
     return build_cameras(raw, file, problems)
+
+
+def _loads(content: bytes) -> dict[str, Any]:
+    return tomllib.loads(content.decode("utf-8-sig"))
 
 
 def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) -> RawCamera:
@@ -45,23 +53,28 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
                 hint="Undistort the videos, or calibrate with the standard model.",
             )
         )
+    try:
+        rotation = _rotation_matrix(section.get("rotation"))
+    except UnreadableError:
+        message = f"The rotation must be a Rodrigues vector: 3 numbers from {ROTATION_VECTOR_RAD}."
+        problems.append(Problem("invalid_rotation", message, file=file, camera=str(name), field="rotation"))
+        rotation = np.eye(3)  # so that the mistake is said once
     return RawCamera(
         name=name,
         size_px=section.get("size"),
         matrix=section.get("matrix"),
         distortion=section.get("distortions", []),
-        rotation=_rotation_matrix(section.get("rotation")),
+        rotation=rotation,
         translation_m=section.get("translation"),
         section=section_name,
     )
 
 
-def _rotation_matrix(rodrigues: Any) -> Any:
-    """The matrix of a Rodrigues vector; anything else as it is, for the check to complain of."""
-    try:
-        vector = np.array(rodrigues, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        return rodrigues
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        return rodrigues
+def _rotation_matrix(rodrigues: Any) -> np.ndarray | None:
+    """The matrix of a Rodrigues vector, ``None`` without one; raises ``UnreadableError`` for all else."""
+    if rodrigues is None:
+        return None
+    vector = read_numbers(rodrigues)
+    if vector.shape != (3,) or not ROTATION_VECTOR_RAD.holds(vector):
+        raise UnreadableError
     return Rotation.from_rotvec(vector).as_matrix()

@@ -1,5 +1,6 @@
 """From numbers in a file to cameras: everything that can be wrong with them, said at once."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +10,18 @@ import numpy as np
 from pipeline.data import Camera, read_only
 from pipeline.errors import InputError, Problem
 from pipeline.geometry.rigid import Rigid3
+from pipeline.parsing import UnreadableError, read_numbers
+from pipeline.quantities import (
+    DISTORTION,
+    FOCAL_LENGTH_PX,
+    PRINCIPAL_POINT_PX,
+    SIDE_PX,
+    SKEW_PX,
+    TRANSLATION,
+)
 
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64
-_MAX_SIDE_PX = 20_000
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12)
 # Files carry 5-7 digits; a real rotation is far closer than this, a mistake far off.
 _ROTATION_TOLERANCE = 1e-3
@@ -33,31 +42,48 @@ class RawCamera:
 
 def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
     """The value as a finite array of one of the shapes, or what is wrong with it."""
+    if value is None:
+        return "is missing."
     wanted = " or ".join(" x ".join(str(n) for n in shape) for shape in shapes)
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+        array = read_numbers(value)
+    except UnreadableError:
         return f"is not a list of {wanted} numbers."
+    if not array.shape:
+        return f"is one number where {wanted} numbers are needed."
     if array.shape not in shapes:
-        return f"has {' x '.join(str(n) for n in array.shape) or 'one'} numbers where {wanted} are needed."
+        return f"has {' x '.join(str(n) for n in array.shape)} numbers where {wanted} are needed."
     if not np.isfinite(array).all():
         return "has a number that is not finite."
     return array
 
 
 def _matrix_problem(matrix: np.ndarray) -> str | None:
-    if abs(np.linalg.det(matrix)) < 1e-9:
-        return "is singular."
     if not np.allclose(matrix[2], [0.0, 0.0, 1.0], atol=1e-9) or matrix[1, 0] != 0:
         return "is no camera matrix: it must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]."
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-        return "has a focal length that is not positive."
+    if not FOCAL_LENGTH_PX.holds(matrix.diagonal()[:2]):
+        return f"has a focal length that is not {FOCAL_LENGTH_PX}."
+    if not PRINCIPAL_POINT_PX.holds(matrix[:2, 2]):
+        return f"has a principal point that is not at {PRINCIPAL_POINT_PX}."
+    if not SKEW_PX.holds(matrix[0, 1]):
+        return f"has a skew that is not {SKEW_PX}."
+    return None
+
+
+def _size_problem(size_px: np.ndarray) -> str | None:
+    if not SIDE_PX.holds(size_px):
+        return f"must be {SIDE_PX}."
+    if (size_px != np.floor(size_px)).any():
+        return "must be whole numbers of pixels."
     return None
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray | str:
     """The rotation nearest to a matrix that is nearly one, or what is wrong with it."""
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROTATION_TOLERANCE:
+    # Large numbers first: their products would overflow.
+    if np.abs(matrix).max() > 1 + _ROTATION_TOLERANCE or (
+        np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROTATION_TOLERANCE
+    ):
         return "is not a rotation: its rows are not orthonormal."
     if np.linalg.det(matrix) < 0:
         return "is not a rotation: it mirrors (determinant -1)."
@@ -92,10 +118,10 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
         problems.extend(found)
         if camera is not None:
             cameras.append(camera)
-    names = [str(one.name) for one in raw]
+    names = Counter(one.name for one in raw if isinstance(one.name, str))
     problems.extend(
         Problem("duplicate_camera", "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
-        for name in sorted({name for name in names if names.count(name) > 1})
+        for name in sorted(name for name, count in names.items() if count > 1)
     )
     if problems:
         raise InputError(problems)
@@ -125,8 +151,8 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
             complain(field, checked)
         else:
             values[field] = checked
-    if "size" in values and not ((values["size"] >= 1) & (values["size"] <= _MAX_SIDE_PX)).all():
-        complain("size", f"must be between 1 and {_MAX_SIDE_PX} pixels.")
+    if "size" in values and (message := _size_problem(values["size"])):
+        complain("size", message)
     if "matrix" in values and (message := _matrix_problem(values["matrix"])):
         complain("matrix", message)
     if "rotation" in values:
@@ -135,6 +161,9 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
             complain("rotation", rotation)
         else:
             values["rotation"] = rotation
+    for field, plausible in (("distortion", DISTORTION), ("translation", TRANSLATION)):
+        if field in values and not plausible.holds(values[field]):
+            complain(field, f"has a number that is not {plausible}.")
     if problems:
         return None, problems
     return (

@@ -19,6 +19,7 @@ from pipeline.metrics.quality import quality_report
 from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = ("bvh",)
+METRICS = "metrics.json"
 
 # Of a skeleton's motion; the other formats hold positions of joints.
 _OF_MOTIONS: frozenset[Export] = frozenset({"bvh", "glb"})
@@ -80,7 +81,7 @@ def write_results(
                 far_mm[export].append(_furthest_mm(path, expected_m, _read(export, part, preset)))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
-    path = folder / "metrics.json"
+    path = folder / METRICS
     with _replacing(path, [encode_metrics(quality_report(reconstruction) | {"exports": check})]):
         pass
     yield path

@@ -21,7 +21,7 @@ A figure without any data is null (``None``).
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float
 from pipeline.data import Camera, Floor, FootContact, Observations, Reconstruction, Source, Track3D
 from pipeline.geometry.camera import project
 from pipeline.joints import LIMBS, JointSet
+from pipeline.metrics.capture_checks import capture_checks
 from pipeline.metrics.world_checks import world_checks
 from pipeline.skeleton.fit import MAX_GAP_S
 
@@ -44,7 +45,8 @@ _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     """Compute ``metrics.json`` as a dictionary of plain Python values, rounded.
 
-    ``world_checks`` lists only what looks wrong, each with ``code`` and ``message``: empty when all is well.
+    ``capture_checks`` and ``world_checks`` list only what looks wrong, each with ``code`` and ``message``, one a code:
+    empty when all is well.
     """
     tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
@@ -52,6 +54,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     errors_px = [reprojection_error_px(track, observed[track.track_id], cameras) for track in tracks]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
+    seen = {track_id: _sees(observations) for track_id, observations in observed.items()}
     return {
         "schema_version": SCHEMA_VERSION,
         "num_frames": reconstruction.timebase.num_frames,
@@ -67,7 +70,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
         "bone_length_std_before_cm": _rounded(bone_length_std_cm(reconstruction.located, joints), 3),
         "jitter_m_s2": _rounded(mean_jitter_m_s2(tracks, frame_rate_hz), 3),
         "jitter_before_m_s2": _rounded(mean_jitter_m_s2(reconstruction.located, frame_rate_hz), 3),
-        "cameras_used": _cameras_used(reconstruction),
+        "cameras_used": _cameras_used(reconstruction.cameras, seen.values()),
         "track_fragments": count_fragments(tracks, frame_rate_hz),
         "floor": _describe_floor(reconstruction.animation.floor),
         "feet": _summarise_feet([contact for motion in reconstruction.motions for contact in motion.contacts]),
@@ -89,8 +92,14 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
             }
             for track, error_px in zip(tracks, errors_px, strict=True)
         ],
+        "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
     }
+
+
+def all_checks(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Everything that a report warns of, each with ``code`` and ``message``."""
+    return [*report["capture_checks"], *report["world_checks"]]
 
 
 def encode(report: dict[str, Any]) -> bytes:
@@ -133,11 +142,14 @@ def _summarise_error(
     }
 
 
-def _cameras_used(reconstruction: Reconstruction) -> dict[str, float | None]:
-    sees = [np.asarray(_counts(observations).any(-1)) for observations in reconstruction.observations]
+def _sees(observations: Observations) -> Bool[np.ndarray, "frames cameras"]:
+    return np.asarray(_counts(observations).any(-1))
+
+
+def _cameras_used(cameras: Sequence[Camera], seen: Collection[np.ndarray]) -> dict[str, float | None]:
     return {
-        camera.name: _rounded(float(np.mean(_known(mine[:, index] for mine in sees))), 4)
-        for index, camera in enumerate(reconstruction.cameras)
+        camera.name: _rounded(float(np.mean(_known(mine[:, index] for mine in seen))), 4)
+        for index, camera in enumerate(cameras)
     }
 
 

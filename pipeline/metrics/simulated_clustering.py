@@ -10,15 +10,14 @@ as they were located, not smoothed.
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from pipeline.child_processes import ProcessPool
 from pipeline.clustering.associate import reconstruct_seen
 from pipeline.clustering.candidates import SeenFields
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
@@ -80,7 +79,7 @@ def cluster_fields(
 def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
     """Scores of each variant as of ``score_simulated``, the variants at once on all cores."""
     score = partial(_score_variant, simulation, files)
-    with ProcessPoolExecutor(min(len(_VARIANTS), os.cpu_count() or 1), get_context("spawn")) as pool:
+    with ProcessPool(min(len(_VARIANTS), os.cpu_count() or 1)) as pool:
         return dict(zip(_VARIANTS, pool.map(score, _VARIANTS.values()), strict=True))
 
 

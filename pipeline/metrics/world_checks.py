@@ -11,6 +11,7 @@ from jaxtyping import Float
 from pipeline.data import Camera, Floor, Reconstruction, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
+from pipeline.metrics.names import first_names
 from pipeline.skeleton.feet import ANKLE_HEIGHT_M
 
 # People stand, walk and sit most of the time: more than half of all frames at less than this angle from upright.
@@ -47,7 +48,7 @@ def _floor_m(tracks: Sequence[Track3D], joints: JointSet) -> float:
 
 
 def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, str]]:
-    """Everything that looks wrong with the world, as ``code`` and ``message``; empty if nothing does.
+    """Everything that looks wrong with the world, as ``code`` and ``message``, one a code; empty if nothing does.
 
     Parameters
     ----------
@@ -89,12 +90,24 @@ def _check_floor(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | Non
 
 def _check_statures(statures_m: Mapping[int, float]) -> Iterator[tuple[str, str]]:
     lowest_m, highest_m = _STATURE_RANGE_M
-    for track_id, stature_m in statures_m.items():
-        if stature_m < lowest_m or stature_m > highest_m:
-            yield (
-                "stature_out_of_range",
-                f"person-{track_id} would be {stature_m:.2f} m tall: the calibration's unit may not be the metre.",
-            )
+    odd_m = {
+        f"person-{track_id}": stature_m
+        for track_id, stature_m in statures_m.items()
+        if stature_m < lowest_m or stature_m > highest_m
+    }
+    if len(odd_m) == 1:
+        ((person, stature_m),) = odd_m.items()
+        yield (
+            "stature_out_of_range",
+            f"{person} would be {stature_m:.2f} m tall: the calibration's unit may not be the metre.",
+        )
+    elif odd_m:
+        people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
+        yield (
+            "stature_out_of_range",
+            f"{len(odd_m)} people would not be {lowest_m:g} to {highest_m:g} m tall: {people}. The calibration's unit "
+            "may not be the metre.",
+        )
 
 
 def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[tuple[str, str]]:
@@ -104,4 +117,4 @@ def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[tuple[
         if center_in_world(camera)[2] < (floor_m if np.isfinite(floor_m) else 0.0) - _MAX_FLOOR_M
     ]
     if below:
-        yield "camera_below_floor", f"Below the floor: {', '.join(below)}."
+        yield "camera_below_floor", f"Below the floor: {first_names(below)}."

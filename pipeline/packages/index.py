@@ -7,7 +7,6 @@ import logging
 import re
 import ssl
 import subprocess
-import sys
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +18,7 @@ from unearth import Link, PackageFinder
 from unearth.auth import MultiDomainBasicAuth
 from unearth.fetchers import Fetcher, PyPIClient
 
+from pipeline.child_processes import module_command
 from pipeline.errors import ModelError
 from pipeline.packages.download import OnBytes, download, silent
 from pipeline.packages.storage import home, sha256_of
@@ -129,8 +129,7 @@ def pip_settings() -> PipSettings:
 def _pip_options() -> dict[str, str]:
     if importlib.util.find_spec("pip") is None:
         return {}
-    # -P: a pip.py in the current folder is not pip.
-    command = [sys.executable, "-P", "-m", "pip", "--disable-pip-version-check", "config", "list"]
+    command = module_command("pip", "--disable-pip-version-check", "config", "list")
     try:
         listing = subprocess.run(  # noqa: S603 (nothing in the command comes from outside)
             command, capture_output=True, text=True, check=True, timeout=_TIMEOUT_S

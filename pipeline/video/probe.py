@@ -4,9 +4,12 @@ Reads all packets and decodes the first and the last pictures; the frames betwee
 """
 
 import json
+import math
 import resource
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -15,17 +18,29 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import Problem
+from pipeline.child_processes import module_command
+from pipeline.errors import ChildError, Problem
 from pipeline.video.container import CODECS, DECODE_ERRORS, first_video, open_container
 from pipeline.video.info import VideoInfo
 
 MAX_PIXELS = 8192 * 4320
 MAX_FRAMES = 2_000_000
+# Differences of 64 bit timestamps are exact below.
+_MAX_TICKS = 2**62
+
+# Of the usual interval: 3 ticks are like 2, a dropped frame is not.
+_EVEN = 0.6
 
 _TIMEOUT_S = 120.0
 _MAX_CPU_S = 110
 _MAX_MEMORY_BYTES = 4 * 2**30
 _CHILDREN_AT_ONCE = 2
+
+# The child's first line, before it opens the file: whatever ends it earlier is not the file's doing.
+_READY = b"ready\n"
+# Signals by which a decoder or a limit ends a process. Any other signal comes from outside.
+_BY_THE_FILE = {-signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL, -signal.SIGSEGV, -signal.SIGXCPU}
+_LOGGED_CHARACTERS = 2000
 
 
 class _UnusableError(Exception):
@@ -80,6 +95,12 @@ def _probe(path: Path) -> VideoInfo:
         pts, keyframe_pts = _read_packets(container, stream)
     if time_base is None or not len(pts):
         raise _UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
+    if not len(keyframe_pts):
+        raise _UnusableError(
+            "no_keyframes", "The video has no frame at which decoding can start.", "Record or export it again."
+        )
+    if int(pts[-1]) - int(pts[0]) > _MAX_TICKS:
+        raise _UnusableError("video_times", "The times of the frames make no sense.", "Record or export it again.")
     if announced > len(pts) + 1:
         raise _UnusableError(
             "video_truncated", f"The file breaks off: {len(pts)} of {announced} frames are there.", "Copy it again."
@@ -124,44 +145,66 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
 
 
 def mean_rate_hz(time_s: np.ndarray) -> float:
-    """Mean rate over the intervals within 10 % of their median: rounded timestamps average out, gaps don't count.
+    """Mean rate over the intervals within 60 % of their median: uneven intervals average out, gaps don't count.
 
-    25 for a single frame, which has no interval.
+    25 for a single frame, which has no interval; infinity where frames share their times.
     """
-    intervals_s = np.diff(time_s)
+    intervals_s = np.sort(np.diff(time_s))
     if not len(intervals_s):
         return 25.0
-    usual_s = np.median(intervals_s)
-    return float(1.0 / np.mean(intervals_s[np.abs(intervals_s - usual_s) <= 0.1 * usual_s]))
+    # One that is there, never the mean of two: 24 Hz on a clock of 60 Hz have intervals of 2 and 3 ticks.
+    usual_s = intervals_s[(len(intervals_s) - 1) // 2]
+    mean_s = float(np.mean(intervals_s[np.abs(intervals_s - usual_s) <= _EVEN * usual_s]))
+    return 1.0 / mean_s if mean_s > 0 else math.inf
 
 
 def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
     """Look into files, each in a process of its own with limits on time and memory.
 
-    A file that makes FFmpeg crash, hang or eat memory costs its own child only.
+    A file that makes FFmpeg crash, hang or eat memory costs its own child only. No child is left when this returns or
+    raises, an interruption included.
+
+    Raises
+    ------
+    ChildError
+        If a child can't do its work, for a reason that is not its file.
     """
+    running: set[subprocess.Popen[bytes]] = set()
     with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:
-        return list(pool.map(_probe_in_child, paths))
+        waiting = [pool.submit(_probe_in_child, path, running) for path in paths]
+        try:
+            return [one.result() for one in waiting]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            while not all(one.done() for one in waiting):
+                for child in list(running):
+                    child.kill()
+                time.sleep(0.01)
+            raise
 
 
-def _probe_in_child(path: Path) -> VideoInfo | Problem:
-    failed = Problem(
-        "video_unreadable",
-        "The video could not be examined within the limits on time and memory.",
-        file=path.name,
-        hint="Convert it to H.264 in MP4.",
+def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:
+    child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
+        module_command("pipeline.video.probe", str(path.absolute())),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
+    running.add(child)
     try:
-        done = subprocess.run(  # noqa: S603 (our own interpreter and module)
-            [sys.executable, "-m", "pipeline.video.probe", str(path.absolute())],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_TIMEOUT_S,
-            check=False,
-        )
-        found = json.loads(done.stdout)
-    except (subprocess.TimeoutExpired, ValueError):
-        return failed
+        said, errors = child.communicate(timeout=_TIMEOUT_S)
+        exit_code: int | None = child.returncode
+    except subprocess.TimeoutExpired:
+        child.kill()
+        said, errors = child.communicate()
+        exit_code = None
+    finally:
+        running.remove(child)
+    if not said.startswith(_READY) or (exit_code and exit_code not in _BY_THE_FILE):
+        raise _child_error(exit_code, errors.decode(errors="replace"))
+    if exit_code != 0:
+        return _beyond_limits(path.name)
+    found = json.loads(said.removeprefix(_READY))
     if "problem" in found:
         return Problem(**found["problem"])
     return VideoInfo(
@@ -176,11 +219,45 @@ def _probe_in_child(path: Path) -> VideoInfo | Problem:
     )
 
 
+def _beyond_limits(name: str) -> Problem:
+    return Problem(
+        "video_unreadable",
+        "The video could not be examined within the limits on time and memory.",
+        file=name,
+        hint="Convert it to H.264 in MP4.",
+    )
+
+
+def _child_error(exit_code: int | None, errors: str) -> ChildError:
+    """Error of a child that failed for a reason that is not its file; the end of its stderr is a note of it."""
+    if exit_code is None:
+        ending, hint = (
+            f"did not start within {_TIMEOUT_S:g} s",
+            "See that the machine is not overloaded, and try again.",
+        )
+    elif exit_code < 0:
+        ending = f"was ended by {signal.Signals(-exit_code).name}"
+        hint = "See that there is memory enough (the system's log says), and try again."
+    else:
+        last = errors.strip().rpartition("\n")[2]
+        ending, hint = f"ended with exit code {exit_code} ({last})", "If it happens again, install Multicap anew."
+    error = ChildError(f"Multicap's own check of the videos failed, the videos are not at fault: it {ending}. {hint}")
+    error.add_note(f"stderr of pipeline.video.probe:\n{errors[-_LOGGED_CHARACTERS:]}")
+    return error
+
+
 def main() -> None:
-    """Print what is known of the file as one JSON object."""
+    """Print what is known of the file as one JSON object, after a line that says that the program could be loaded."""
     resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S))
-    found = probe(Path(sys.argv[1]))
+    # SIGXCPU at the first limit, which tells of the file; SIGKILL, which tells nothing, at the second.
+    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S + 5))
+    path = Path(sys.argv[1])
+    sys.stdout.buffer.write(_READY)
+    sys.stdout.flush()
+    try:
+        found = probe(path)
+    except MemoryError:
+        found = _beyond_limits(path.name)
     if isinstance(found, Problem):
         answer: dict[str, Any] = {"problem": asdict(found)}
     else:

@@ -8,7 +8,7 @@ import sqlite3
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from api.connections import bounded_protocol
 from api.dependencies import Services
 from api.settings import Settings
 from worker.jobs.artifacts import result_key
-from worker.jobs.model import Result
+from worker.jobs.model import Result, ResultWarning
 
 # Says what the real one would: what a video is stands in its first bytes.
 PREFLIGHT = """
@@ -43,6 +43,10 @@ for video in videos:
     if start == b"BABEL":
         print("x" * 10_000_000)
         sys.exit(0)
+    if start in {b"APART", b"TWICE"}:
+        code = {b"APART": "no_overlap", b"TWICE": "recording_doubled"}[start]
+        problems.append({"code": code, "message": "Check it.", "file": None, "camera": video.stem, "field": None,
+                         "hint": None})
     if start == b"WRONG":
         problems.append({"code": "video_unreadable", "message": "No video.", "file": video.name, "camera": video.stem,
                          "field": None, "hint": "Send a video."})
@@ -97,7 +101,7 @@ class Live:
         assert answer.status_code == 202, answer.text
         return str(answer.json()["id"])
 
-    def finish(self, job_id: str, content: bytes = RESULT) -> None:
+    def finish(self, job_id: str, content: bytes = RESULT, warnings: Sequence[ResultWarning] = ()) -> None:
         """Do a job's work as a worker would."""
         key = result_key(job_id, "person-1.bvh")
         digest = hashlib.sha256(content).hexdigest()
@@ -105,8 +109,10 @@ class Live:
         result = Result("person-1.bvh", "bvh", "person-1", "text/plain; charset=utf-8", key, len(content), digest)
         while claim := self.services.store.claim("test", 30.0):
             assert claim.job_id == job_id
-            results = [result] if claim.stage == "export" else []
-            self.services.store.finish(claim.chunk_id, claim.lease_token, digest, len(content), results=results)
+            results, said = ([result], warnings) if claim.stage == "export" else ([], ())
+            self.services.store.finish(
+                claim.chunk_id, claim.lease_token, digest, len(content), results=results, warnings=said
+            )
 
 
 def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:
@@ -167,7 +173,6 @@ def make_settings(
     def make(**changes: Any) -> Settings:
         folder = tmp_path_factory.mktemp("service")
         defaults: dict[str, Any] = {
-            "home": folder / "home",
             "data_dir": folder / "data",
             "broker_url": NO_BROKER,
             "preflight_command": preflight_command,

@@ -20,7 +20,6 @@ from tests.api.conftest import NO_BROKER
 def serving(settings: Settings, port: int = 0) -> Iterator[tuple[httpx2.Client, psutil.Process]]:
     """The service in a process of its own, until the end of the block."""
     environment = os.environ | {
-        "MULTICAP_HOME": str(settings.home),
         "MULTICAP_DATA_DIR": str(settings.data_dir),
         "MULTICAP_BROKER_URL": NO_BROKER,
         "MULTICAP_PREFLIGHT_COMMAND": str(list(settings.preflight_command)).replace("'", '"'),

@@ -1,10 +1,13 @@
 """Keys: every route of the contract with keys that are missing, wrong, too weak, or another tenant's."""
 
+import contextlib
 import json
 import re
 import socket
+import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx2
@@ -14,7 +17,9 @@ from api.app import ExposedError, create_app, refuse_strangers
 from api.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
+from tests.small_disk import fill, small_disk
 from worker.jobs.model import Key, Scope
+from worker.jobs.stores import default_data_dir
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
 OPERATIONS = [
@@ -154,6 +159,26 @@ def test_lists_show_the_caller_s_own(guarded: Guarded) -> None:
     assert guarded.ask("DELETE", answer.headers["location"], guarded.mine).status_code == 204
 
 
+def test_another_tenant_s_session_filters_nothing_out_of_it(guarded: Guarded) -> None:
+    session_id = guarded.ids["session_id"]
+    empty: dict[str, Any] = {"jobs": [], "next_cursor": None}
+    assert guarded.ask("GET", f"/v1/jobs?session_id={session_id}", guarded.mine).json() == empty
+    assert len(guarded.ask("GET", f"/v1/jobs?session_id={session_id}", guarded.theirs).json()["jobs"]) == 1
+    problem_of(guarded.ask("GET", f"/v1/sessions/{session_id}/jobs", guarded.mine), 404, "not_found")
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs/{job_id}", "/v1/sessions/{session_id}", "/v1/jobs/{job_id}/results/{name}"])
+def test_another_tenant_s_tags_say_nothing(guarded: Guarded, path: str) -> None:
+    address = path.format(**guarded.ids)
+    theirs, mine = ({"Authorization": f"Bearer {secret}"} for secret in (guarded.theirs, guarded.mine))
+    etag = guarded.live.client.get(address, headers=theirs).headers["etag"]
+    for header in (etag, "*"):
+        known = {"If-None-Match": header}
+        assert guarded.live.client.get(address, headers=theirs | known).status_code == 304
+        problem_of(guarded.live.client.get(address, headers=mine | known), 404, "not_found")
+        assert guarded.live.client.head(address, headers=mine | known).status_code == 404
+
+
 def test_an_upload_without_a_key_is_refused_before_it_is_sent(guarded: Guarded) -> None:
     head = (
         b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\n"
@@ -246,6 +271,20 @@ class TestBrowser:
             assert "set-cookie" not in answer.headers
 
 
+def test_browsers_come_and_go_on_a_full_disk(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 64) as disk, running(make_settings(data_dir=disk / "data")) as live:
+        _, secret = live.services.store.create_key("mine", "portal", USUAL)
+        requests: list[tuple[str, dict[str, Any]]] = [("POST", {"json": {"key": secret}}), ("DELETE", {})]
+        for number, (method, sent) in enumerate(requests):
+            live.services.disk.set_aside()
+            with contextlib.closing(sqlite3.connect(disk / "data" / "multicap.db")) as database:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            fill(disk / f"filler {number}")
+            assert live.client.request(method, "/v1/browser-session", **sent).status_code == 204
+            (disk / f"filler {number}").unlink()
+        assert not live.client.cookies
+
+
 def test_pages_of_allowed_origins_may_call(make_settings: Callable[..., Settings]) -> None:
     portal = "https://portal.example"
     with running(make_settings(allowed_origins=frozenset({portal}))) as live:
@@ -266,8 +305,11 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
     with running(settings) as live:
         store = live.services.store
         refuse_strangers(settings, store)
-        with pytest.raises(ExposedError, match="multicap keys create"):
+        with pytest.raises(ExposedError, match=f"`multicap keys create NAME --data {settings.data_dir}`"):
             refuse_strangers(exposed, store)
+        usual = exposed.model_copy(update={"data_dir": default_data_dir()})
+        with pytest.raises(ExposedError, match="`multicap keys create NAME`"):
+            refuse_strangers(usual, store)
         refuse_strangers(exposed.model_copy(update={"trust_network": True}), store)
         key, _ = store.create_key("mine", "portal", USUAL)
         refuse_strangers(exposed, store)

@@ -1,21 +1,31 @@
 """What programs rely on: exit codes, one JSON object on stdout, every problem at once."""
 
+import contextlib
 import json
+import os
+import sqlite3
+import subprocess
+import sys
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from api.cli import app
-from api.commands.reconstruct import write_results
+from api.commands import keys
+from api.commands.reconstruct import print_summary, write_results
+from api.console import print_table
 from pipeline.data import Animation, Reconstruction, Timebase
 from pipeline.detect import models
 from pipeline.errors import PipelineError
 from pipeline.joints import COCO_17
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
+from tests.small_disk import fill, small_disk
+from worker.jobs.disk import DiskSpace
+from worker.jobs.model import Key, Scope
 
 runner = CliRunner()
 
@@ -189,7 +199,7 @@ def test_keys_are_made_listed_and_revoked(tmp_path: Path) -> None:
         ("key-revoked", key["id"]),
         ("key-created", key["id"]),
     ]
-    assert key["id"] in runner.invoke(app, ["audit", *data]).stderr
+    assert key["id"] in runner.invoke(app, ["audit", *data]).stdout
 
 
 def test_webhook_secrets_are_made_and_what_is_left_is_listed(tmp_path: Path) -> None:
@@ -239,3 +249,122 @@ def test_a_database_that_is_away_is_no_stack_trace(tmp_path: Path, monkeypatch: 
     assert "MULTICAP_DATABASE_URL" in result.stderr
     assert "secret" not in result.stderr
     assert "Traceback" not in result.stderr
+
+
+@pytest.fixture
+def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal that is too small for any table."""
+    monkeypatch.setenv("COLUMNS", "20")
+
+
+@pytest.mark.usefixtures("narrow")
+def test_a_table_is_a_line_a_row_with_every_cell_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    long = "x" * 300
+    print_table(("name", "what it is"), [("a", long), ("\u6771\u4eac", ""), ("b[red]c[/]", ":smile:")])
+    assert capsys.readouterr().out.splitlines() == [
+        "name        what it is",
+        f"a           {long}",
+        "\u6771\u4eac        -",
+        "b[red]c[/]  :smile:",
+    ]
+
+
+def test_what_a_terminal_would_obey_is_shown_as_it_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table(["to"], [["https://a\x1b[2J\nb\u202e"]])
+    assert capsys.readouterr().out == "to\nhttps://a\\x1b[2J\\nb\\u202e\n"
+
+
+@pytest.mark.usefixtures("narrow")
+def test_what_one_has_to_type_is_whole_in_every_list(tmp_path: Path) -> None:
+    data = ["--data", str(tmp_path)]
+    key = json.loads(runner.invoke(app, ["keys", "create", "a name of some length", "--json", *data]).stdout)
+    listed = runner.invoke(app, ["keys", "list", *data])
+    header, row = listed.stdout.splitlines()
+    assert header.split() == ["id", "tenant", "name", "scopes", "until"]
+    assert row == f"{key['id']}  default  a name of some length  read write  no end"
+    assert listed.stderr == ""
+    (row,) = runner.invoke(app, ["audit", *data]).stdout.splitlines()[1:]
+    assert row.endswith(f"  default  -    key-created  {key['id']}")
+    rows = runner.invoke(app, ["models", "list"]).stdout.splitlines()[1:]
+    assert [row.split()[0::3] for row in rows] == [[one.name, one.sha256] for one in models.status()]
+    assert runner.invoke(app, ["webhooks", "list", *data]).stdout.split() == [
+        "job",
+        "tenant",
+        "to",
+        "tries",
+        "next",
+        "problem",
+    ]
+    runner.invoke(app, ["keys", "revoke", key["id"], *data])
+    (row,) = runner.invoke(app, ["keys", "list", *data]).stdout.splitlines()[1:]
+    assert f"  revoked {datetime.now(UTC):%Y-%m-%d}" in row
+    assert row.endswith(" UTC")
+
+
+def test_until_when_a_key_is_valid() -> None:
+    now = datetime(2026, 12, 1, 10, 0, 30, tzinfo=UTC)
+
+    def until(expires_at: datetime | None, revoked_at: datetime | None = None) -> str:
+        return keys._until(Key("i", "t", "n", frozenset({Scope.READ}), now, expires_at, revoked_at), now)
+
+    assert until(None) == "no end"
+    assert until(now + timedelta(days=1)) == "2026-12-02 10:00 UTC"
+    assert until(now - timedelta(days=1)) == "expired 2026-11-30 10:00 UTC"
+    assert until(now) == "expired 2026-12-01 10:00 UTC"
+    assert until(now + timedelta(days=1), now) == "revoked 2026-12-01 10:00 UTC"
+
+
+@pytest.mark.usefixtures("narrow")
+def test_the_summary_of_a_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), Animation((), (), None))
+    write_results(nobody, tmp_path)
+    print_summary(json.loads((tmp_path / "metrics.json").read_bytes()))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "person  frames  reprojection error  cameras a joint  coverage  stature"
+    assert lines[1].startswith("40 frames at 25 Hz")
+    assert lines[3].split() == ["bone", "length", "deviation", "-", "-"]
+
+
+NEWER = "written by a newer version of Multicap (schema 0099). Upgrade Multicap, or restore a backup"
+
+
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [
+        (["api.cli", "keys", "list", "--data"], 2),
+        (["api.cli", "keys", "create", "portal", "--data"], 2),
+        (["api.cli", "audit", "--data"], 2),
+        (["api.cli", "webhooks", "list", "--data"], 2),
+        (["api.cli", "serve", "--port", "0", "--data"], 2),
+        (["api"], 1),
+    ],
+)
+def test_a_database_of_a_newer_version_is_a_sentence(tmp_path: Path, command: list[str], status: int) -> None:
+    assert runner.invoke(app, ["keys", "list", "--data", str(tmp_path)]).exit_code == 0
+    with contextlib.closing(sqlite3.connect(tmp_path / "multicap.db")) as database, database:
+        database.execute("UPDATE alembic_version SET version_num = '0099'")
+    line = [sys.executable, "-m", *command, *([str(tmp_path)] if command[-1] == "--data" else [])]
+    environment = os.environ | {"MULTICAP_DATA_DIR": str(tmp_path), "MULTICAP_PORT": "0"}
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    if "multicap models install" in done.stderr:
+        pytest.skip("the default detector is not installed")
+    assert done.returncode == status
+    assert NEWER in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_key_is_revoked_on_a_full_disk_and_none_is_made(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 16) as disk:
+        data = f"--data={disk / 'data'}"
+        made = json.loads(runner.invoke(app, ["keys", "create", "portal", data, "--json"]).stdout)
+        DiskSpace(disk / "data").set_aside()
+        fill(disk / "filler")
+        (disk / "data" / "reserve").rename(disk / "held back")
+        refused = runner.invoke(app, ["keys", "create", "another", data])
+        assert refused.exit_code == 2
+        assert "is full. Make room on it" in refused.stderr
+        (disk / "held back").rename(disk / "data" / "reserve")
+        assert runner.invoke(app, ["keys", "revoke", made["id"], data]).exit_code == 0
+        (listed,) = json.loads(runner.invoke(app, ["keys", "list", data, "--json"]).stdout)["keys"]
+        assert listed["revoked_at"] is not None

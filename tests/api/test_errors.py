@@ -1,11 +1,13 @@
 import json
 import sqlite3
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from tests.api.conftest import Live, problem_of
+from api.settings import Settings
+from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.records import Records
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
@@ -42,14 +44,22 @@ def test_every_refusal_is_a_problem(live: Live, method: str, path: str, status: 
 
 
 def test_refused_method_says_which_are_allowed(live: Live) -> None:
-    assert live.client.put("/healthz").headers["allow"] == "GET"
-    assert live.client.put("/v1/jobs").headers["allow"] == "GET, POST"
-    assert live.client.put(f"/v1/jobs/{UNKNOWN}").headers["allow"] == "GET, DELETE"
+    assert live.client.put("/healthz").headers["allow"] == "GET, HEAD"
+    assert live.client.put("/v1/jobs").headers["allow"] == "GET, HEAD, POST"
+    assert live.client.put(f"/v1/jobs/{UNKNOWN}").headers["allow"] == "GET, HEAD, DELETE"
+    assert live.client.get(f"/v1/uploads/{UNKNOWN}").headers["allow"] == "HEAD, PATCH, DELETE"
 
 
 def test_pointers_lead_to_parameters(live: Live) -> None:
     problem = problem_of(live.client.get("/v1/jobs?limit=1000&state=asleep"), 422, "invalid_request")
-    assert {item["pointer"] for item in problem["errors"]} == {"/query/limit", "/query/state"}
+    assert {(item["pointer"], item["code"], item["message"]) for item in problem["errors"]} == {
+        ("/query/limit", "out_of_range", "The parameter limit must be a whole number from 1 to 200."),
+        (
+            "/query/state",
+            "value_not_allowed",
+            "The parameter state must be one of queued, running, canceling, succeeded, failed, canceled, expired.",
+        ),
+    }
     assert problem["detail"] == "2 things are wrong with the request."
 
 
@@ -78,7 +88,7 @@ def test_hostile_json(live: Live, body: bytes, status: int, code: str) -> None:
 def test_pointer_escapes(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{UNKNOWN}/jobs", json={"a/b~": 1})
     (item,) = problem_of(answer, 422, "invalid_request")["errors"]
-    assert (item["pointer"], item["code"]) == ("/a~1b~0", "extra_forbidden")
+    assert (item["pointer"], item["code"]) == ("/a~1b~0", "unknown_field")
 
 
 def test_huge_json_is_refused_before_it_is_read(live: Live) -> None:
@@ -95,7 +105,8 @@ def test_json_of_another_type_is_not_read(live: Live) -> None:
     answer = live.client.post(
         f"/v1/sessions/{UNKNOWN}/jobs", content=b'{"method": "tracking"}', headers={"Content-Type": "text/plain"}
     )
-    problem_of(answer, 422, "invalid_request")
+    problem = problem_of(answer, 415, "unsupported_media_type")
+    assert problem["detail"] == "This address takes application/json."
 
 
 def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,3 +130,32 @@ def test_database_away_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> No
     problem_of(answer, 503, "database_unavailable")
     assert answer.headers["retry-after"] == "5"
     assert "secret" not in answer.text
+
+
+def test_thousands_of_unknown_fields_are_answered_by_dozens(make_settings: Callable[..., Settings]) -> None:
+    fields = {f"field {number} {'x' * (number == 7 and 60_000)}": number for number in range(100_000)}
+    with running(make_settings(max_json_bytes=8_000_000, max_session_bytes=9_000_000)) as live:
+        for answer in (
+            live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, json.dumps(fields)))]),
+            live.client.post("/v1/sessions", json=fields),
+            live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=fields),
+        ):
+            problem = problem_of(answer, 422, "invalid_request")
+            assert 20 < len(problem["errors"]) < 100
+            assert problem["errors"][-1]["code"] == "more_problems"
+            assert problem["errors"][-1]["message"].startswith("99,9")
+            assert len(answer.content) < 100_000
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1" + "0" * 5000, "1e400", "-1e400", "NaN", "Infinity"])
+@pytest.mark.parametrize("field", ["frame_rate_hz", "metadata", "cameras"])
+def test_numbers_that_are_none(live: Live, field: str, number: str) -> None:
+    values = {"metadata": f'{{"a": {number}}}', "cameras": f'[{{"name": "a", "offset_s": {number}}}]'}
+    manifest = f'{{"{field}": {values.get(field, number)}}}'
+    answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, manifest))])
+    whole = field == "metadata" and number == "1" + "0" * 400  # JSON knows it, and it comes back
+    assert answer.status_code == (201 if whole else 413 if len(number) > 1000 else 422), answer.text
+    spec = f'{{"frame_range": [0, {number}]}}'
+    headers = {"Content-Type": "application/json"}
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", content=spec, headers=headers)
+    assert 400 <= answer.status_code < 500, answer.text

@@ -1,7 +1,24 @@
-from collections.abc import Callable
+from collections.abc import Iterator
 
-from api.settings import Settings
-from tests.api.conftest import Live, problem_of, running
+import pytest
+
+from pipeline.detect.models import how_to_install
+from pipeline.detect.registry import REGISTRY
+from tests.api.conftest import Live, keypoint_form, problem_of
+from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.spec import INSTALL_COMMANDS
+
+READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
+COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the numeric kernels", 5, 14)
+
+
+@pytest.fixture
+def with_broker(live: Live, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
+    """A service whose broker answers, and whose workers are gone in the end."""
+    monkeypatch.setattr(live.services.queue, "ping", lambda: True)
+    yield live
+    for worker in live.services.store.workers():
+        live.services.store.remove_worker(worker.id)
 
 
 def test_alive(live: Live) -> None:
@@ -12,19 +29,69 @@ def test_alive(live: Live) -> None:
 def test_not_ready_says_all_that_is_missing(live: Live) -> None:
     answer = live.client.get("/readyz")
     problem = problem_of(answer, 503, "not_ready")
-    assert {item["code"] for item in problem["errors"]} == {"broker_unavailable", "model_unavailable"}
+    assert {item["code"] for item in problem["errors"]} == {"broker_unavailable", "worker_unavailable"}
     assert "retry-after" in answer.headers
 
 
-def test_ready(live: Live, make_settings: Callable[..., Settings]) -> None:
-    settings = make_settings()
-    settings.models_dir.mkdir(parents=True)
-    (settings.models_dir / "movenet-multipose.onnx").touch()
-    with running(settings) as there:
-        there.services.queue.ping = lambda: True  # type: ignore[method-assign]
-        answer = there.client.get("/readyz")
-        checks = {"database": True, "broker": True, "artifacts": True, "model": True}
-        assert (answer.status_code, answer.json()) == (200, {"status": "ready", "checks": checks})
-        (settings.models_dir / "movenet-multipose.onnx").unlink()
-        (item,) = problem_of(there.client.get("/readyz"), 503, "not_ready")["errors"]
-        assert item["code"] == "model_unavailable"
+def test_ready_with_a_worker_that_could_start(with_broker: Live) -> None:
+    with_broker.services.store.report_worker(COMPILING)
+    with_broker.services.store.report_worker(READY)
+    answer = with_broker.client.get("/readyz")
+    assert answer.status_code == 200
+    names = {"database", "broker", "artifacts", "worker", "model", "disk"}
+    assert answer.json()["checks"] == dict.fromkeys(names, True)
+    assert answer.json()["disk_free_bytes"] > 0
+
+
+def test_a_worker_that_starts_says_how_far_it_is(with_broker: Live) -> None:
+    with_broker.services.store.report_worker(COMPILING)
+    (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
+    message = "A worker compiles the numeric kernels: 5 of 14 steps. A first start takes about a minute."
+    assert (item["code"], item["message"]) == ("worker_starting", message)
+
+
+def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) -> None:
+    with_broker.services.store.report_worker(WorkerStatus("host:3", WorkerState.READY, "A worker works"))
+    (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
+    assert (item["code"], item["hint"]) == ("model_unavailable", "Run: multicap models install movenet-multipose")
+
+
+def test_the_commands_that_install_are_those_of_the_command_line() -> None:
+    assert {name: how_to_install(entry) for name, entry in REGISTRY.items()} == INSTALL_COMMANDS
+
+
+@pytest.mark.parametrize("detector", ["openpose-mobilenet-thin", "human-pose-estimation-0001"])
+def test_a_detector_that_no_worker_has_is_refused(with_broker: Live, detector: str) -> None:
+    live, session_id = with_broker, with_broker.session_id()
+    live.services.store.report_worker(READY)
+    spec = {"detector": detector}
+    refused = {"/detector": live.client.post(f"/v1/sessions/{session_id}/jobs", json=spec)}
+    files = [("videos", ("cam_0.mp4", b"video")), ("calibration", ("calibration.toml", b"[cam_0]"))]
+    part = ("spec", (None, f'{{"detector": "{detector}"}}', "application/json"))
+    refused["/spec/detector"] = live.client.post("/v1/jobs", files=[*files, part])
+    for pointer, answer in refused.items():
+        (item,) = problem_of(answer, 422, "invalid_request")["errors"]
+        assert (item["code"], item["pointer"]) == ("detector_not_installed", pointer)
+        assert detector in item["message"]
+        assert f" {detector}" in item["hint"]
+    assert live.client.get("/v1/jobs").json()["jobs"] == []
+    assert live.client.post(f"/v1/sessions/{session_id}/jobs", json={}).status_code == 202
+    # Keypoints need none, and another program has found them.
+    assert live.client.post("/v1/jobs", files=[*keypoint_form(), part]).status_code == 202
+
+
+def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> None:
+    live = with_broker
+    address = f"/v1/sessions/{live.session_id()}/jobs"
+    spec = {"detector": "openpose-mobilenet-thin"}
+    live.services.store.report_worker(COMPILING)
+    job = live.client.post(address, json=spec)
+    assert job.status_code == 202
+    assert {one["installed"] for one in live.client.get("/v1/options").json()["detectors"]} == {None}
+    live.client.post(job.json()["links"]["cancel"]).raise_for_status()
+    live.services.store.report_worker(READY)
+    (item,) = problem_of(live.client.post(f"{job.json()['links']['self']}/retry"), 422, "invalid_request")["errors"]
+    # Nothing was sent that could be pointed to.
+    assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
+    listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
+    assert listed == {name: name == "movenet-multipose" for name in INSTALL_COMMANDS}

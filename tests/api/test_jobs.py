@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 import pytest
 
 from tests.api.conftest import Live, form, problem_of
-from worker.jobs.model import Problem
+from worker.jobs.model import Problem, ResultWarning
 from worker.jobs.records import Records
 
 
@@ -220,3 +220,50 @@ def test_which_frames_and_how_many_people(live: Live, spec: dict[str, object], s
     else:
         problem = problem_of(answer, 422, "invalid_request")
         assert all(item["pointer"].startswith(f"/{next(iter(spec))}") for item in problem["errors"])
+
+
+def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
+    def offered(job_id: str) -> tuple[bool, bool]:
+        links = live.client.get(f"/v1/jobs/{job_id}").json()["links"]
+        return links["cancel"] is not None, links["retry"] is not None
+
+    def fail(retryable: bool) -> str:
+        job_id = live.job_id()
+        claim = live.services.store.claim("test", 30.0)
+        assert claim is not None
+        problem = Problem("broken", "It is broken.", retryable=retryable)
+        while claim is not None:
+            live.services.store.fail(claim.chunk_id, claim.lease_token, problem)
+            claim = live.services.store.claim("test", 30.0)
+        assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "failed"
+        return job_id
+
+    done = live.job_id()
+    assert offered(done) == (True, False)
+    running = live.services.store.claim("test", 30.0)
+    assert running is not None
+    assert offered(done) == (True, False)
+    live.services.store.release(running.chunk_id, running.lease_token)
+    live.finish(done)
+    assert offered(done) == (False, False)
+    assert offered(fail(retryable=True)) == (False, True)
+    hopeless = fail(retryable=False)
+    assert offered(hopeless) == (False, False)
+    # An operator may know better.
+    live.client.post(f"/v1/jobs/{hopeless}/retry").raise_for_status()
+    live.client.post(f"/v1/jobs/{hopeless}/cancel").raise_for_status()
+    assert offered(hopeless) == (False, True)
+
+
+def test_warnings_of_a_result_are_wherever_the_job_is(live: Live) -> None:
+    job_id = live.job_id()
+    before = live.client.get(f"/v1/jobs/{job_id}").json()
+    assert (before["warnings"], before["result_warnings"]) == (["The cameras are close together."], [])
+    live.finish(job_id, warnings=[ResultWarning("nobody_found", "Nobody was found.")])
+    listed = live.client.get("/v1/jobs").json()["jobs"][0]
+    with live.client.stream("GET", f"/v1/jobs/{job_id}/events") as stream:
+        (data,) = [line.removeprefix("data: ") for line in stream.iter_lines() if line.startswith("data: ")]
+    for job in (live.client.get(f"/v1/jobs/{job_id}").json(), listed, json.loads(data)):
+        assert job["state"] == "succeeded"
+        assert job["warnings"] == ["The cameras are close together.", "Nobody was found."]
+        assert job["result_warnings"] == [{"code": "nobody_found", "message": "Nobody was found."}]

@@ -20,6 +20,7 @@ from api.form import Form, Limits, name_error
 from api.multipart import receive_form
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
+from worker.jobs.disk import DiskSpace
 
 LIMITS = Limits(
     max_file_bytes=10_000,
@@ -53,7 +54,9 @@ def request_of(blocks: list[bytes], hangs_up: bool = False) -> Request:
 
 
 def received(folder: Path, blocks: list[bytes], hangs_up: bool = False) -> Form:
-    return asyncio.run(receive_form(request_of(blocks, hangs_up), folder, LIMITS, frozenset({"manifest"})))
+    return asyncio.run(
+        receive_form(request_of(blocks, hangs_up), folder, LIMITS, frozenset({"manifest"}), DiskSpace(folder, 0))
+    )
 
 
 @given(cuts=st.lists(st.integers(0, len(BODY)), max_size=20).map(sorted))

@@ -1,5 +1,6 @@
 import json
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -51,10 +52,56 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert sorted(names) == [
         "cancelJob", "closeBrowserSession", "continueUpload", "createJob", "createSession", "createSessionAndJob",
         "createUpload", "deleteJob", "deleteSession", "deleteUpload", "describeUploads", "getAllResults", "getCaller",
-        "getHealth", "getJob", "getMetrics", "getReadiness", "getResult", "getSession", "getUpload", "listAttempts",
-        "listJobs", "listResults", "listSessions", "openBrowserSession", "retryJob", "streamJobEvents",
+        "getHealth", "getJob", "getMetrics", "getOptions", "getReadiness", "getResult", "getSession", "getUpload",
+        "listAttempts", "listJobs", "listResults", "listSessionJobs", "listSessions", "openBrowserSession", "retryJob",
+        "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
+    for operation in operations(schema):
+        summary = operation["summary"]
+        assert re.fullmatch(r"[A-Z][a-z]+ [a-z' ]+", summary), summary
+    assert len({operation["summary"] for operation in operations(schema)}) == len(names)
+
+
+def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
+    assert schema["info"]["license"] == {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
+    assert schema["servers"] == [{"url": "/", "description": "Where this document comes from."}]
+    described = {tag["name"] for tag in schema["tags"] if tag["description"]}
+    assert described == {tag for operation in operations(schema) for tag in operation["tags"]}
+
+
+def test_ways_to_authorize_are_declared(schema: dict[str, Any]) -> None:
+    schemes = schema["components"]["securitySchemes"]
+    assert {name: one["type"] for name, one in schemes.items()} == {"key": "http", "browser": "apiKey"}
+    used = {name for operation in operations(schema) for way in operation["security"] for name in way}
+    assert used == schemes.keys()
+
+
+def test_all_arrays_say_their_items(schema: dict[str, Any]) -> None:
+    def arrays(node: Any) -> Iterator[dict[str, Any]]:
+        if isinstance(node, dict):
+            if node.get("type") == "array":
+                yield node
+            for value in node.values():
+                yield from arrays(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from arrays(value)
+
+    found = [one for one in arrays(schema) if "default" not in one or "items" in one]
+    assert len(found) > 10
+    assert all("items" in one and "prefixItems" not in one for one in found)
+    size = schema["components"]["schemas"]["CameraOut"]["properties"]["size_px"]
+    assert (size["items"], size["minItems"], size["maxItems"]) == ({"type": "integer"}, 2, 2)
+
+
+def test_operations_that_take_an_address_declare_what_is_sent_there(schema: dict[str, Any]) -> None:
+    message = {"$ref": "#/components/schemas/JobEnded"}
+    for path, pointer in (("/v1/jobs", "/spec/callback_url"), ("/v1/sessions/{session_id}/jobs", "/callback_url")):
+        ((expression, item),) = schema["paths"][path]["post"]["callbacks"]["jobEnded"].items()
+        assert expression == f"{{$request.body#{pointer}}}"
+        assert item["post"]["requestBody"]["content"]["application/json"]["schema"] == message
+    assert schema["webhooks"]["job-ended"]["post"]["requestBody"]["content"]["application/json"]["schema"] == message
 
 
 def test_every_answer_has_an_example(schema: dict[str, Any]) -> None:
@@ -84,6 +131,7 @@ def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
                 "getCaller",
                 "getHealth",
                 "getMetrics",
+                "getOptions",
                 "getReadiness",
             }
 

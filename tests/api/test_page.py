@@ -1,15 +1,17 @@
 import re
+from urllib.parse import urlsplit
 
 import pytest
 
 from tests.api.conftest import Live
+from tests.e2e.test_page import opened
 
 
 def test_page_and_all_that_it_refers_to(live: Live) -> None:
     answer = live.client.get("/")
     assert answer.headers["content-type"].startswith("text/html")
     references = set(re.findall(r'(?:src|href)="([^"]+)"', answer.text))
-    assert references == {"/portal/page.css", "/portal/page.js", "/portal/icon.svg", "/openapi.json"}
+    assert references == {"/portal/page.css", "/portal/page.js", "/portal/icon.svg", "/docs", "/openapi.json"}
     for reference in references:
         assert live.client.get(reference).status_code == 200
 
@@ -23,9 +25,41 @@ def test_types(live: Live) -> None:
     assert types["icon.svg"] == "image/svg+xml"
 
 
-@pytest.mark.parametrize("path", ["/", "/portal/page.js", "/portal/page.css"])
+@pytest.mark.parametrize("path", ["/", "/docs", "/portal/docs.js", "/portal/page.js", "/portal/page.css"])
 def test_nothing_comes_from_elsewhere_and_no_text_is_markup(live: Live, path: str) -> None:
     text = live.client.get(path).text
     assert not re.findall(r"https?://", text)
     assert not re.findall(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b", text)
     assert not re.findall(r"<style|style=|\son\w+=|javascript:", text)
+
+
+def test_the_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
+    answer = live.client.get("/docs")
+    references = set(re.findall(r'(?:src|href)="([^"]+)"', answer.text))
+    assert references == {
+        "/portal/swagger-ui.css", "/portal/swagger-ui-bundle.js", "/portal/docs.js", "/portal/icon.svg",
+        "/openapi.json",
+    }  # fmt: skip
+    for reference in references:
+        assert live.client.get(reference).status_code == 200
+    policy = answer.headers["content-security-policy"]
+    assert policy == live.client.get("/").headers["content-security-policy"].replace(
+        "img-src 'self'", "img-src 'self' data:"
+    )
+
+
+def test_while_a_job_is_watched_nothing_else_is_asked_each_second(live: Live) -> None:
+    live.job_id()  # nobody works on it: it stays queued
+    asked: list[str] = []
+    with opened(str(live.client.base_url)) as page:
+        page.wait_for_load_state("networkidle")
+        page.clock.install()
+        page.on("request", lambda request: asked.append(urlsplit(request.url).path))
+        with page.expect_response("**/v1/options"):
+            page.reload()
+        for _ in range(8):
+            with page.expect_response("**/v1/jobs?*"):
+                page.clock.run_for(1000)
+        assert asked.count("/v1/options") == 1
+        with page.expect_response("**/v1/options"):
+            page.clock.run_for(31_000)

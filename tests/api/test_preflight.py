@@ -1,8 +1,12 @@
 import concurrent.futures
+import io
+import os
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -11,6 +15,7 @@ from api.errors import ApiError
 from api.preflight import InvalidFilesError, Preflight
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
+from tests.hostile.keypoints import keypoint_files, simulate
 
 
 def test_check_that_crashes_is_the_services_fault(live: Live) -> None:
@@ -42,6 +47,40 @@ def test_check_is_killed_with_its_children(tmp_path: Path) -> None:
     while any("47.11" in str(process.info["cmdline"]) for process in psutil.process_iter(["cmdline"])):
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
+
+
+def test_check_that_is_killed_leaves_no_unpacked_file(
+    make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The real check, which hangs once it has unpacked an archive."""
+    system, modules = tmp_path / "system", tmp_path / "modules"
+    system.mkdir()
+    modules.mkdir()
+    hang = (
+        "import sys\n"
+        "if 'pipeline.preflight' in sys.orig_argv:\n"
+        "    import pathlib, time\n"
+        "    import pipeline.keypoints\n"
+        "    def hang(folder, *_):\n"
+        f"        pathlib.Path({str(tmp_path / 'unpacked')!r}).write_text(str(folder))\n"
+        "        assert (folder / 'cam_0' / 'a.json').is_file()\n"
+        "        time.sleep(60)\n"
+        "    pipeline.keypoints.open_keypoints = hang\n"
+    )
+    (modules / "sitecustomize.py").write_text(hang, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(modules), prepend=os.pathsep)
+    monkeypatch.setenv("TMPDIR", str(system))
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("a.json", "{}")
+    parts: list[tuple[str, Any]] = [("keypoints", ("cam_0.zip", content.getvalue())), form(0)[0]]
+    command = Settings().preflight_command
+    with running(make_settings(preflight_command=command, preflight_timeout_s=10.0)) as live:
+        problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
+        assert [error["code"] for error in problem["errors"]] == ["preflight_timeout"]
+        assert not Path((tmp_path / "unpacked").read_text()).exists()
+        assert list(live.settings.spool_dir.iterdir()) == []
+    assert list(system.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -76,3 +115,42 @@ def test_checks_beyond_the_limit_wait_without_holding_others_up(make_settings: C
         assert time.monotonic() - asked_s < 0.5
         assert {answer.result().status_code for answer in hanging} == {422}
         assert time.monotonic() - started_s > 2.9
+
+
+def test_a_check_whose_own_child_fails_is_not_the_files_fault(
+    make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The real check: its child, which looks into a video, is killed; the log has the reason."""
+    logged: list[dict[str, Any]] = []
+    monkeypatch.setattr("api.preflight._log.error", lambda event, **fields: logged.append({"event": event} | fields))
+    kill = "import os, sys\nif 'pipeline.video.probe' in sys.orig_argv: os.kill(os.getpid(), 9)\n"
+    (tmp_path / "sitecustomize.py").write_text(kill, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    with running(make_settings(preflight_command=Settings().preflight_command)) as live:
+        problem = problem_of(live.client.post("/v1/sessions", files=form(2)), 500, "preflight_failed")
+        assert live.kept() == []
+    assert problem["retryable"]
+    (entry,) = logged
+    assert entry["event"] == "preflight_failed"
+    assert "SIGKILL" in entry["log"]
+
+
+def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
+    """The real check, with a limit far below what it has to keep."""
+    files = keypoint_files(simulate(duration_s=1.0))
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    archives = [str(tmp_path / name) for name in files if name.endswith(".zip")]
+    rest = ["--calibration", str(tmp_path / "calibration.json"), "--timestamps", str(tmp_path / "timestamps.csv")]
+    spool = tmp_path / "spool"
+    spool.mkdir()
+    command = Settings().preflight_command
+    words = ["--keypoints", *archives, *rest]
+    assert Preflight(command, 60.0, 1_000_000, 10_000_000).check(words, spool / "record")["cameras"]
+    assert (spool / "record").stat().st_size > 15_000
+    with pytest.raises(InvalidFilesError) as raised:
+        Preflight(command, 60.0, 1_000_000, 15_000).check(words, spool / "record")
+    (error,) = raised.value.errors
+    assert error.code == "session_too_large"
+    assert error.message == "The session's keypoints take more room than the service keeps."
+    assert error.hint == "Cut it into several sessions."

@@ -72,6 +72,7 @@ def test_requests_a_minute(make_settings: Callable[..., Settings], monkeypatch: 
         assert problem_of(answer, 429, "too_many_requests")["retryable"]
         assert 1 <= int(answer.headers["retry-after"]) <= 60
         assert live.client.get("/v1/jobs", headers=theirs).status_code == 200
+        problem_of(live.client.post("/v1/browser-session", json={"key": secrets[0]}), 429, "too_many_requests")
         assert live.client.get("/healthz").status_code == 200
         real = time.time
         monkeypatch.setattr(time, "time", lambda: real() + 61)

@@ -6,10 +6,13 @@ import zipfile
 from collections.abc import Callable
 from urllib.parse import unquote
 
+import httpx2
 import pytest
 
 from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
+from tests.s3 import running_s3
+from worker.jobs.model import Problem
 from worker.reaper import reap
 
 ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
@@ -133,8 +136,6 @@ def test_the_archive_bears_the_sessions_name(live: Live, name: str) -> None:
 def test_no_archive_of_nothing(live: Live) -> None:
     job_id = live.job_id()
     problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 409, "not_finished")
-    live.client.post(f"/v1/jobs/{job_id}/cancel")
-    problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 404, "not_found")
 
 
 def test_an_archive_of_removed_files_is_not_begun(live: Live, job_id: str) -> None:
@@ -154,10 +155,27 @@ def test_unfinished_job_has_none_yet(live: Live) -> None:
     problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 409, "not_finished")
 
 
-def test_canceled_job_has_none(live: Live) -> None:
-    job_id = live.job_id()
-    live.client.post(f"/v1/jobs/{job_id}/cancel")
-    assert live.client.get(f"/v1/jobs/{job_id}/results").json() == {"results": []}
+@pytest.mark.parametrize("results", ["results", "results.zip", "results/person-1.bvh"])
+def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results: str) -> None:
+    canceled, failed = live.job_id(), live.job_id()
+    live.client.post(f"/v1/jobs/{canceled}/cancel")
+    problem = problem_of(live.client.get(f"/v1/jobs/{canceled}/{results}"), 409, "no_results")
+    assert problem["hint"] == "Retry the job."
+    claim = live.services.store.claim("test", 30.0)
+    assert claim is not None
+    live.services.store.fail(claim.chunk_id, claim.lease_token, Problem("video_truncated", "The video ends early."))
+    problem = problem_of(live.client.get(f"/v1/jobs/{failed}/{results}"), 409, "no_results")
+    assert problem["hint"] == (
+        "The job's error is video_truncated: The video ends early. Correct the input and send a new session."
+    )
+    assert not problem["retryable"]
+    crashed = live.job_id()
+    crash = Problem("internal_error", "It crashed.", retryable=True)
+    while claim := live.services.store.claim("test", 30.0):
+        live.services.store.fail(claim.chunk_id, claim.lease_token, crash)
+    problem = problem_of(live.client.get(f"/v1/jobs/{crashed}/{results}"), 409, "no_results")
+    assert problem["hint"].startswith("The job's error is internal_error: It crashed.")
+    assert problem["hint"].endswith(" Retry the job.")
 
 
 def test_removed_file_is_gone_and_its_key_unsaid(live: Live, path: str, job_id: str) -> None:
@@ -174,13 +192,32 @@ def test_expired_results_are_gone(make_settings: Callable[..., Settings]) -> Non
         kept_until = live.client.get(f"/v1/jobs/{job_id}").json()["expires_at"]
         assert kept_until is not None
         time.sleep(0.05)
-        reap(live.services.store, live.services.artifacts, lambda: None, 20.0)
+        reap(live.services.store, live.services.artifacts, live.services.disk, lambda: None, 20.0)
         job = live.client.get(f"/v1/jobs/{job_id}").json()
         assert (job["state"], job["expires_at"]) == ("expired", kept_until)
         problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 410, "expired")
-        problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 410, "expired")
+        problem = problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 410, "expired")
+        assert problem["hint"].startswith("Start another job of its session")
         problem_of(live.client.post(f"/v1/jobs/{job_id}/retry"), 409, "conflict")
         assert live.client.delete(f"/v1/jobs/{job_id}").status_code == 204
+
+
+def test_signed_downloads(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
+    with running_s3() as s3:
+        for name, value in s3.environment.items():
+            monkeypatch.setenv(name, value)
+        with running(make_settings(artifacts_url=s3.new_url(), signed_downloads_s=60)) as live:
+            job_id = live.job_id()
+            live.finish(job_id)
+            path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+            sent = live.client.get(path)
+            assert (sent.status_code, httpx2.get(sent.headers["location"], trust_env=False).content) == (307, RESULT)
+            # The signature is for GET: the store would refuse HEAD.
+            headed = live.client.head(path)
+            assert (headed.status_code, headed.headers["etag"]) == (200, ETAG)
+            assert headed.headers["content-length"] == str(len(RESULT))
+            live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
+            assert (live.client.get(path).status_code, live.client.head(path).status_code) == (410, 410)
 
 
 def test_empty_file(live: Live) -> None:

@@ -127,6 +127,8 @@ def test_unusual_names_are_kept(live: Live, name: str) -> None:
         (form(1)[:1], {("/calibration", "missing_part")}),
         ([("x", (None, b""))], {("/x", "unknown_part"), ("/videos", "missing_part"), ("/calibration", "missing_part")}),
         ([*form(), ("spec", (None, b"{}"))], {("/spec", "unknown_part")}),
+        ([*form(), ("notes", (None, b"x" * 60_000))], {("/notes", "unknown_part")}),
+        ([*form(), ("photo", ("a.jpg", b"x" * 120_000))], {("/photo", "unknown_part")}),
         ([*form(), form()[0]], {("/videos/2", "duplicate_file_name")}),
         ([*form(1), ("videos", ("CAM_0.mp4", b""))], {("/videos/1", "duplicate_file_name")}),
         ([*form(1), ("videos", ("calibration.toml", b""))], {("/videos/1", "duplicate_file_name")}),
@@ -325,3 +327,15 @@ def test_duration_and_pixels_at_their_limits_and_beyond(
         problem = problem_of(answer, 422, "invalid_request")
         assert [item["code"] for item in problem["errors"]] == codes
         assert live.kept() == []
+
+
+def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
+    videos = [("videos", (f"cam_{index}.mp4", content)) for index, content in enumerate((b"APART", b"TWICE", b"APART"))]
+    cameras = [{"name": name} for name in ("cam_1", "cam_0", "cam_1")]
+    manifest = ("manifest", (None, json.dumps({"cameras": cameras})))
+    answer = live.client.post("/v1/sessions", files=[*videos, form(0)[0], manifest])
+    assert [(item["code"], item["camera"], item["pointer"]) for item in answer.json()["errors"]] == [
+        ("no_overlap", "cam_0", "/manifest/cameras/1"),
+        ("recording_doubled", "cam_1", "/manifest/cameras/2"),
+        ("no_overlap", "cam_2", None),  # nothing is said of it
+    ]

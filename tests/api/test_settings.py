@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from api.settings import Settings
-from worker.settings import WorkerSettings
+from worker.settings import WorkerSettings, read_settings
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
@@ -26,6 +26,33 @@ def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, t
     assert api.resolved_database_url == worker.resolved_database_url
     assert api.artifacts_url == worker.artifacts_url
     assert api.broker_url == worker.broker_url
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("PORT", "abc", "MULTICAP_PORT=abc: must be a whole number from 0 to 65535."),
+        ("PORT", "70000", "MULTICAP_PORT=70000: must be a whole number from 0 to 65535."),
+        ("TRUST_NETWORK", "perhaps", "MULTICAP_TRUST_NETWORK=perhaps: must be true or false."),
+        ("RETENTION_DAYS", "0", "MULTICAP_RETENTION_DAYS=0: must be a number above 0 and of at most 36500."),
+        ("ARTIFACTS_URL", "gs://x", "MULTICAP_ARTIFACTS_URL=gs://x: must be a text such as s3://bucket/prefix."),
+        ("ALLOWED_HOSTS", "a,b", "MULTICAP_ALLOWED_HOSTS=a,b: must be JSON, a list, each item a text."),
+        ("ALLOWED_HOSTS", "[1]", "MULTICAP_ALLOWED_HOSTS: must be JSON, a list, each item a text."),
+    ],
+)
+def test_what_a_variable_must_be(monkeypatch: pytest.MonkeyPatch, name: str, value: str, sentence: str) -> None:
+    monkeypatch.setenv(f"MULTICAP_{name}", value)
+    with pytest.raises(SystemExit) as ended:
+        read_settings(Settings)
+    assert ended.value.code == f"error: {sentence}"
+
+
+def test_the_command_line_says_it_too() -> None:
+    wrong = os.environ | {"MULTICAP_ALLOWED_HOSTS": "a,b"}
+    command = [sys.executable, "-m", "api.cli", "keys", "list"]
+    done = subprocess.run(command, env=wrong, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (2, False)
+    assert "MULTICAP_ALLOWED_HOSTS=a,b: must be JSON" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from starlette.requests import ClientDisconnect
 from api import uploads
 from api.settings import Settings
 from tests.api.conftest import Live, problem_of, raw, running
+from worker.jobs.disk import DiskSpace
 from worker.jobs.records import Records
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -192,10 +193,13 @@ def test_checksums_that_are_none(tus: Uploader, header: str) -> None:
         f"filename {encoded(b'a')},filename {encoded(b'b')}",
         f"name {encoded(b'cam.mp4')}",
         f"filename {encoded(b'cam.mp4')},x {'A' * 5000}",
+        "filename K\u00e4se",
     ],
 )
 def test_a_file_needs_a_name(live: Live, metadata: str | None) -> None:
-    headers = TUS | {"Upload-Length": "10"} | ({} if metadata is None else {"Upload-Metadata": metadata})
+    headers = httpx2.Headers(TUS | {"Upload-Length": "10"}, encoding="latin-1")
+    if metadata is not None:
+        headers["Upload-Metadata"] = metadata
     problem_of(live.client.post("/v1/uploads", headers=headers), 400, "metadata_invalid")
     assert live.kept() == []
 
@@ -255,7 +259,7 @@ def piece_request(live: Live, address: str, length: int, content: bytes, **heade
 
 @pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (uploads.Checksum("sha1", b""), 0)])
 def test_what_came_before_the_line_broke_stays(tmp_path: Path, compared: uploads.Checksum | None, kept: int) -> None:
-    spool = uploads.UploadSpool(tmp_path)
+    spool = uploads.UploadSpool(tmp_path, DiskSpace(tmp_path))
     upload_id = spool.create()
 
     async def breaking() -> AsyncIterator[bytes]:

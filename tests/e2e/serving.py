@@ -18,7 +18,7 @@ import psutil
 from api.commands.serve import READY
 from pipeline.samples import Sample
 
-COMMAND = [sys.executable, "-m", "api.cli", "serve", "--workers", "2"]
+COMMAND = [sys.executable, "-P", "-m", "api.cli", "serve", "--workers", "2"]
 # The supervisor, broker, worker with its two children, reaper and API.
 NUM_PROCESSES = 7
 
@@ -75,7 +75,7 @@ class Served:
 def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
     """A service of our own on a folder, until the end of the block."""
     command = [*COMMAND, "--port", "0", "--data", str(data_dir)]
-    with Popen(command, stdout=PIPE, text=True, env=os.environ | environment) as process:
+    with Popen(command, stdout=PIPE, text=True, env=os.environ | {"MULTICAP_NICE": "0"} | environment) as process:
         try:
             assert process.stdout is not None
             line = process.stdout.readline()

@@ -137,7 +137,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
         deadline_s = time.monotonic() + 60
         while True:
             with contextlib.suppress(httpx2.TransportError):
-                if client.get("/readyz").is_success:
+                if client.get("/healthz").is_success:
                     break
             assert time.monotonic() < deadline_s, (folder / "api" / "log").read_text()
             time.sleep(0.1)
@@ -145,6 +145,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
         for number in range(NUM_WORKERS):
             command = [*python, "worker", "--workers", "1"]
             stack.enter_context(started(command, folder / f"worker-{number}", environment))
+        wait_for(lambda: client.get("/readyz").is_success)
         yield Distributed(folder, client, api, s3, postgres.url)
 
 

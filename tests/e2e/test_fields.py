@@ -14,7 +14,7 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.detect import models
 from pipeline.joints import COCO_18
-from pipeline.metrics.quality import reprojection_error_px
+from pipeline.metrics.quality import all_checks, reprojection_error_px
 from pipeline.run import reconstruct
 from pipeline.samples import Sample
 from pipeline.session import open_session
@@ -87,7 +87,8 @@ def test_the_service_gives_the_same_files(
     assert job["state"] == "succeeded", job
     assert [stage["name"] for stage in job["stages"]] == ["detect", "lengths", "poses", "associate", "fit", "export"]
     assert all(stage["done"] == stage["total"] for stage in job["stages"])
-    assert job["warnings"] == []
+    metrics = json.loads((tmp_path / "metrics.json").read_bytes())
+    assert job["warnings"] == [check["message"] for check in all_checks(metrics)]
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 

@@ -9,10 +9,14 @@ import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
+from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.write import encode
 from pipeline.samples import Sample
 from tests.e2e.serving import Served, digests, serving
 
@@ -52,7 +56,7 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     page.get_by_role("button", name="Send and reconstruct").click()
     job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
     expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
-    expect(job.get_by_text("Done", exact=True)).to_be_visible(timeout=240_000)
+    expect(job.get_by_text("Done, with warnings", exact=True)).to_be_visible(timeout=240_000)
     # The files of a job that is done are asked for then: they stand there an answer later.
     expect(job.get_by_role("link", name="All as ZIP")).to_be_visible()
     found, packed = {}, {}
@@ -101,6 +105,57 @@ def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_pat
     expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
 
 
+def post(served: Served, jobs: str, frames: list[int]) -> dict[str, Any]:
+    answer = served.client.post(jobs, json={"frame_range": frames}).raise_for_status()
+    return served.wait_for_end(answer.json()["id"])
+
+
+def test_warnings_of_a_result_are_shown_and_no_retry_that_would_fail_the_same_way(
+    page: Page, served: Served, sample: Sample
+) -> None:
+    cameras = read_calibration(sample.calibration)[:2]
+    videos = [sample.videos[camera.name] for camera in cameras]
+    files = [("videos", (path.name, path.read_bytes())) for path in videos]
+    files += [("calibration", ("calibration.json", encode(cameras)))]
+    manifest = ("manifest", (None, json.dumps({"name": "Two cameras"}).encode()))
+    session = served.client.post("/v1/sessions", files=[*files, manifest]).raise_for_status().json()
+
+    done = post(served, session["links"]["jobs"], [0, 10])
+    assert done["result_warnings"][0]["code"] == "too_few_cameras"
+    assert done["result_warnings"][0]["message"] in done["warnings"]
+    inputs = served.data_dir / "artifacts" / "sessions" / session["id"] / "inputs"
+    for path in inputs.glob("*.mp4"):
+        path.write_bytes(b"what a broken disk gives back")
+    failed = post(served, session["links"]["jobs"], [20, 30])
+    assert (failed["state"], failed["error"]["retryable"], failed["links"]["retry"]) == ("failed", False, None)
+
+    page.reload()
+    cards = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="Two cameras"))
+    warned = cards.filter(has_text="Done")
+    expect(warned.get_by_text("Done, with warnings", exact=True)).to_be_visible()
+    expect(warned.get_by_role("list", name="Warnings")).to_contain_text("The session has 2 cameras")
+    refused = cards.filter(has_text="Failed")
+    expect(refused.locator(".problems")).to_contain_text(failed["error"]["detail"])
+    expect(refused.get_by_role("button", name="Delete")).to_be_visible()
+    for card in (warned, refused):
+        expect(card.get_by_role("button", name="Retry")).to_be_hidden()
+        expect(card.get_by_role("button", name="Cancel")).to_be_hidden()
+
+
+def test_detectors_that_are_not_installed_cannot_be_chosen(page: Page, served: Served) -> None:
+    known = served.client.get("/v1/options").raise_for_status().json()["detectors"]
+    assert known[0]["installed"] is True
+    page.get_by_text("How", exact=True).click()
+    options = page.get_by_label("Detector").get_by_role("option")
+    for detector in known:
+        option = options.and_(page.locator(f"[value={detector['name']}]"))
+        if detector["installed"]:
+            expect(option).to_be_enabled()
+        else:
+            expect(option).to_be_disabled()
+            expect(option).to_contain_text("(not installed)")
+
+
 def make_key(data_dir: Path, *options: str) -> str:
     command = [sys.executable, "-m", "api.cli", "keys", "create", "portal", "--tenant", "studio", "--json"]
     made = subprocess.run([*command, "--data", str(data_dir), *options], capture_output=True, text=True, check=True)
@@ -132,3 +187,18 @@ def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
         page.get_by_role("button", name="Sign in").click()
         expect(page.get_by_text("No jobs yet")).to_be_visible()
         expect(sending).to_be_hidden()
+
+
+def test_the_contract_is_shown_without_anybody_else(served: Served) -> None:
+    asked, refused = set(), []
+    with opened(str(served.client.base_url)) as page:
+        page.on("request", lambda request: asked.add(urlsplit(request.url).netloc))
+        page.on("console", lambda message: refused.append(message.text) if message.type == "error" else None)
+        page.get_by_role("link", name="The web API").click()
+        expect(page.get_by_text("Reconstruct a session", exact=True)).to_be_visible(timeout=30_000)
+        page.get_by_role("button", name="GET /healthz Check that").click()
+        page.get_by_role("button", name="Try it out").click()
+        page.get_by_role("button", name="Execute").click()
+        expect(page.locator(".live-responses-table .response-col_status").last).to_contain_text("200")
+    assert asked == {served.client.base_url.netloc.decode()}
+    assert refused == []  # by the Content-Security-Policy

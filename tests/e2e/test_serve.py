@@ -1,6 +1,10 @@
 """`multicap serve`: the real sample from POST to BVH, while parts of it are killed."""
 
+import re
+import shlex
+import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -98,3 +102,22 @@ def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
         finally:
             process.kill()
     wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=10)
+
+
+def test_the_command_that_a_refusal_names_lets_the_service_start(tmp_path: Path) -> None:
+    """Also for a folder that is not the default one, with a name that a shell would take apart."""
+    data = tmp_path / "a folder"
+    # Loopback in the end, by a name that the service can't know to be.
+    serve = [*COMMAND, "--host", "127.1", "--port", "0", "--data", str(data)]
+    refused = subprocess.run(serve, capture_output=True, text=True, timeout=120, check=False)
+    assert refused.returncode == 2
+    (named,) = re.findall(r"`multicap (keys create NAME.*?)`", refused.stderr)
+    assert shlex.split(named)[-2:] == ["--data", str(data)]
+    create = [sys.executable, "-m", "api.cli", *shlex.split(named), "--json"]
+    subprocess.run(create, capture_output=True, timeout=120, check=True)
+    with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().startswith(READY)
+        finally:
+            process.send_signal(signal.SIGINT)

@@ -25,13 +25,14 @@ def write_video(
     options: dict[str, str] | None = None,
     stamps: Sequence[int] | None = None,
     rate_hz: int = 25,
+    pix_fmt: str = "yuv420p",
 ) -> Path:
     """Encode ``num_frames`` pictures; ``stamps`` are timestamps in 1/1000 s where the rate is not constant."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=rate_hz, options=options or {})
         assert isinstance(stream, av.VideoStream)
         stream.width, stream.height = size_px
-        stream.pix_fmt = "yuv420p"
+        stream.pix_fmt = pix_fmt
         if stamps is not None:
             stream.codec_context.time_base = Fraction(1, 1000)
         for number in range(num_frames):

@@ -208,13 +208,29 @@ def test_all_is_said_at_once(scene: Path) -> None:
         (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",soon"], "timestamps_invalid", "Line 3"),
         (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",nan"], "timestamps_invalid", "line 3"),
         (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",-1"], "timestamps_invalid", "line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",inf"], "timestamps_invalid", "line 3"),
         (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",0", *rows[3:]], "timestamps_order", "ascend"),
     ],
 )
 def test_bad_timestamps(scene: Path, change: Callable[[list[str]], list[str]], code: str, words: str) -> None:
     path = scene / "timestamps.csv"
     path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
-    assert words in problems_of(scene)[code]
+    problems = problems_of(scene)
+    assert list(problems) == [code]
+    assert words in problems[code]
+
+
+@pytest.mark.parametrize("start_s", [3700, 1_700_000_000, 1_700_000_000_000])
+def test_times_since_1970_get_the_hint_that_helps(scene: Path, start_s: int) -> None:
+    path = scene / "timestamps.csv"
+    head, *rows = path.read_text().splitlines()
+    times = [(row.rpartition(",")[0], float(row.rpartition(",")[2])) for row in rows]
+    path.write_text("\n".join([head, *(f"{of},{start_s + time_s!r}" for of, time_s in times)]) + "\n")
+    problems = problems_of(scene)
+    assert list(problems) == ["timestamps_start"]
+    message = problems["timestamps_start"]
+    assert "Times count from 0" in message
+    assert message.endswith("Subtract the time at which the capture started.")
 
 
 def test_rows_may_come_in_any_order(scene: Path, simulation: Simulation) -> None:
@@ -223,6 +239,17 @@ def test_rows_may_come_in_any_order(scene: Path, simulation: Simulation) -> None
     path.write_text("\n".join([head, *reversed(rows)]) + "\n")
     camera = simulation.cameras[0].name
     np.testing.assert_array_equal(opened(scene).times[camera].time_s, simulation.times[camera].time_s)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
+def test_timestamps_at_the_limits_of_rates_are_taken(scene: Path, rate_hz: float) -> None:
+    rows = [
+        f"{folder.name},{int(path.name[6:18])},{10.0 + int(path.name[6:18]) / rate_hz!r}"
+        for folder in sorted((scene / "keypoints").iterdir())
+        for path in sorted(folder.iterdir())
+    ]
+    (scene / "timestamps.csv").write_text("\n".join(["camera,frame,time_s", *rows]) + "\n")
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(rate_hz)
 
 
 def test_one_clock_only_and_a_sane_one(scene: Path) -> None:

@@ -146,6 +146,22 @@ class TestRecordings:
         np.testing.assert_allclose(session.times["a"].time_s, 0.1 + np.arange(10) / 50.0)
         assert session.timebase.frame_rate_hz == pytest.approx(50.0)
 
+    @pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
+    @pytest.mark.parametrize("offset_s", [0.0, 0.1, 0.25])
+    def test_the_limits_of_rates_are_taken_whatever_the_offset(
+        self, folder: Path, tmp_path: Path, rate_hz: float, offset_s: float
+    ) -> None:
+        """Rounding makes 1000.0000000000002 Hz of 1000 Hz from 0.1 s on."""
+        said = [Recording(name, frame_rate_hz=rate_hz, offset_s=offset_s) for name in ("a", "b")]
+        session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), said)
+        assert session.timebase.frame_rate_hz == pytest.approx(rate_hz)
+
+    @pytest.mark.parametrize("rate_hz", [0.99, 1010.0])
+    def test_rates_beyond_the_limits_are_refused(self, folder: Path, tmp_path: Path, rate_hz: float) -> None:
+        with pytest.raises(InputError) as error:
+            open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), [Recording("a", frame_rate_hz=rate_hz)])
+        assert [problem.code for problem in error.value.problems] == ["frame_rate"]
+
     def test_files_are_the_cameras_that_they_are_said_to_be(self, folder: Path, tmp_path: Path) -> None:
         cameras = calibration(tmp_path / "c.json", ["left", "right"])
         session = open_session(folder, cameras, [Recording("left", "b.mp4"), Recording("right", "a.mp4")])

@@ -56,6 +56,7 @@ class Bench:
     )
     published: int = 0
     stopping: bool = False
+    has_room: bool = True
     stuck: list[str] = field(default_factory=list)
 
     def runner(self, lease_s: float = 20.0, heartbeat_s: float = 0.25) -> Runner:
@@ -68,6 +69,7 @@ class Bench:
             heartbeat_s=heartbeat_s,
             stopping=lambda: self.stopping,
             on_stuck=lambda: self.stuck.append("stuck"),
+            has_room=lambda: self.has_room,
         )
 
     def _publish(self) -> None:

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.small_disk import fill, small_disk
 from worker import embedded
+from worker.jobs.disk import DiskSpace
+from worker.jobs.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.lifeline import tied
 
@@ -54,3 +57,23 @@ def test_the_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
             finally:
                 queue.close()
                 process.terminate()
+
+
+def test_a_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 16) as disk, embedded.occupy(disk / "data"):
+        DiskSpace(disk / "data").set_aside()
+        fill(disk / "filler")
+        with pytest.raises(embedded.DataFolderError), embedded.occupy(disk / "data"):
+            pass
+        assert (disk / "data" / "reserve").exists()
+
+
+def test_folders_of_others_that_were_named_by_mistake_stay_as_they_are(tmp_path: Path) -> None:
+    for folder, content in ((tmp_path / "others", "film.mp4"), (tmp_path / "old", "multicap.db")):
+        folder.mkdir()
+        folder.chmod(0o755)
+        (folder / content).touch()
+        make_private(folder)
+    make_private(tmp_path / "new")
+    modes = {folder.name: folder.stat().st_mode & 0o777 for folder in tmp_path.iterdir()}
+    assert modes == {"others": 0o755, "old": 0o700, "new": 0o700}

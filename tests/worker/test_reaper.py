@@ -8,6 +8,7 @@ import sqlalchemy as sa
 from tests.worker.conftest import Bench
 from worker.jobs.artifacts import record_key, result_key, stage_key
 from worker.jobs.database import Database
+from worker.jobs.disk import DiskSpace
 from worker.jobs.errors import Conflict
 from worker.jobs.model import JobState
 from worker.jobs.removals import remove_files
@@ -31,13 +32,13 @@ class Publisher:
 
 def test_it_publishes_for_ready_work_only(bench: Bench) -> None:
     publish = Publisher()
-    reap(bench.store, bench.artifacts, publish, LEASE_S)
+    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
     assert publish.count == 0
     bench.create_job()
-    reap(bench.store, bench.artifacts, publish, LEASE_S)
+    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
     assert publish.count == 1
     bench.runner().work(60.0)
-    reap(bench.store, bench.artifacts, publish, LEASE_S)
+    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
     assert publish.count == 1
 
 
@@ -47,7 +48,7 @@ def test_it_frees_what_a_silent_worker_held(bench: Bench) -> None:
     assert all(claims)
     publish = Publisher()
     time.sleep(0.1)
-    reap(bench.store, bench.artifacts, publish, LEASE_S)
+    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
     assert publish.count == 1
     bench.runner().work(60.0)
     assert bench.store.job(job.id).state is JobState.SUCCEEDED
@@ -55,7 +56,7 @@ def test_it_frees_what_a_silent_worker_held(bench: Bench) -> None:
 
 def test_it_survives_a_database_that_is_away(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
-    reap(store, bench.artifacts, Publisher(), LEASE_S)
+    reap(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
     store.close()
     assert "reap_failed" in "".join(capfd.readouterr())
 
@@ -64,7 +65,7 @@ def test_it_removes_results_whose_time_is_over(bench: Bench, capfd: pytest.Captu
     kept, short = bench.create_job(), bench.create_job(retention_s=0.05)
     bench.runner().work(60.0)
     time.sleep(0.1)
-    reap(bench.store, bench.artifacts, Publisher(), LEASE_S)
+    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
     assert bench.store.job(short.id).state is JobState.EXPIRED
     assert not bench.artifacts.exists(result_key(short.id, "person-1.bvh"))
     assert bench.store.job(kept.id).state is JobState.SUCCEEDED
@@ -81,7 +82,7 @@ def test_it_removes_what_was_deleted_by_somebody_who_was_killed_then(bench: Benc
     ]
     assert all(bench.artifacts.exists(key) for key in files)
     bench.store.delete_session(bench.session.id)
-    reap(bench.store, bench.artifacts, Publisher(), LEASE_S)
+    reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
     assert not any(bench.artifacts.exists(key) for key in files)
     assert bench.store.removals() == []
 

@@ -1,19 +1,22 @@
 """The claim loop on a real store, with small stages."""
 
+import json
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pipeline.errors import InputError, ModelError
+from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
-from tests.worker.conftest import NUM_FRAMES, RESULT, Bench, detect
+from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, detect, export
 from worker.execution import Outcome, Work
 from worker.jobs.artifacts import stage_key
-from worker.jobs.model import ChunkState, JobState
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.jobs.model import ChunkState, JobState, ResultWarning
+from worker.jobs.spec import JobSpec
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
 
 
 def fail_with(error: Exception) -> Any:
@@ -152,14 +155,27 @@ def test_several_problems_are_all_told(bench: Bench) -> None:
     assert "right.mp4" in found.detail
 
 
-def test_a_missing_model_says_what_to_do(bench: Bench) -> None:
-    bench.stages[DETECT] = fail_with(ModelError("The network x is not installed. Run: multicap models install x"))
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ModelError("The network x is not installed. Run: multicap models install x"), "model_error"),
+        (ChildError("A process was ended. Run: multicap models install x"), "child_failed"),
+    ],
+)
+def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retried(
+    bench: Bench, error: Exception, code: str
+) -> None:
+    bench.stages[DETECT] = fail_with(error)
     job = bench.create_job()
     bench.runner().work(60.0)
     found = bench.store.job(job.id).problem
     assert found is not None
-    assert (found.code, found.retryable) == ("model_error", False)
+    assert (found.code, found.retryable) == (code, True)
     assert "multicap models install x" in found.detail
+    bench.stages[DETECT] = detect
+    bench.store.retry(job.id, plan(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.runner().work(60.0)
+    assert bench.store.job(job.id).state is JobState.SUCCEEDED
 
 
 def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
@@ -296,3 +312,14 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: P
     bench.store.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1)
     assert bench.store.artifact(bench.session.id, claim.output_key) != ("0" * 64, 1)
     assert bench.result(job.id) == RESULT
+
+
+def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Bench) -> None:
+    warning = ResultWarning("nobody_found", "Nobody was found.")
+    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
+    spec = JobSpec(callback_url="https://example.com/hook")
+    job = bench.store.create_job(bench.session.id, spec, plan(bench.session, spec, CHUNK_FRAMES))
+    bench.runner().work(60.0)
+    assert bench.store.job(job.id).result_warnings == (warning,)
+    (delivery,) = bench.store.deliveries()
+    assert json.loads(delivery.body)["data"]["warnings"] == ["Nobody was found."]

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
-from worker.jobs.disk import sync
+from worker.jobs.disk import is_disk_full, sync
 from worker.jobs.errors import NotFound
 
 _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
@@ -105,9 +105,14 @@ class ArtifactStore(Protocol):
         """Remove what a store keeps on this machine beside its files and nobody uses."""
 
 
+def is_key(key: str) -> bool:
+    """Whether this is a key."""
+    return _KEY.fullmatch(key) is not None
+
+
 def require_key(key: str) -> None:
     """Raise ``ValueError`` unless this is a key."""
-    if _KEY.fullmatch(key) is None:
+    if not is_key(key):
         raise ValueError(f"{key!r} is no key of an artifact")
 
 
@@ -188,8 +193,8 @@ class LocalArtifacts:
         try:
             with self._temporary() as temporary:
                 temporary.write_bytes(b"ping")
-        except OSError:
-            return False
+        except OSError as error:
+            return is_disk_full(error)  # how much room there is, is asked elsewhere
         return True
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:

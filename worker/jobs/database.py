@@ -1,6 +1,7 @@
 """The database behind the job store: transactions, its clock, its schema, and all that differs between dialects."""
 
 import contextlib
+import functools
 import os
 import sqlite3
 import time
@@ -10,6 +11,8 @@ from typing import Any
 
 from alembic import command
 from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Double, Engine, Table, create_engine, event, text
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import make_url
@@ -17,9 +20,12 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import FunctionElement
 
+from worker.jobs.errors import NewerDatabase
+
 # How long a transaction waits for another one's lock.
 _LOCK_TIMEOUT_S = 30.0
 _LOCK_RETRY_S = 0.01
+_CONNECT_TIMEOUT_S = 10
 
 _MIGRATION_LOCK = 0x6D63_6170  # any number that every process agrees on
 
@@ -64,6 +70,25 @@ def lock(connection: Connection, name: str) -> None:
         connection.execute(text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))"), {"name": name})
 
 
+@functools.cache
+def schema_revisions() -> tuple[str, ...]:
+    """Revisions of the schema, the first one first."""
+    scripts = ScriptDirectory.from_config(_migrations()).walk_revisions()
+    return tuple(script.revision for script in scripts)[::-1]
+
+
+def require_known_schema(revision: str) -> None:
+    """Raise ``NewerDatabase`` for a revision of the schema that is not one of ours."""
+    if revision not in schema_revisions():
+        raise NewerDatabase(revision)
+
+
+def _migrations() -> Config:
+    config = Config()
+    config.set_main_option("script_location", "worker.jobs:migrations")
+    return config
+
+
 class Database:
     """One database, SQLite or PostgreSQL; may be shared by threads and carried across a fork.
 
@@ -93,13 +118,39 @@ class Database:
         with self._engine.connect().execution_options(writing=True) as connection, connection.begin():
             yield connection
 
+    @contextlib.contextmanager
+    def snapshot(self) -> Iterator[Connection]:
+        """A transaction that reads all tables as they are at one moment."""
+        with self._engine.connect() as connection:
+            if connection.dialect.name == "postgresql":  # SQLite reads in no other way
+                connection.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
+
+    def revision(self) -> str | None:
+        """Revision of the schema; ``None`` if there is none."""
+        with self.reading() as connection:
+            return MigrationContext.configure(connection).get_current_revision()
+
+    def require_known_schema(self) -> None:
+        """Raise ``NewerDatabase`` if the schema is none that this version knows."""
+        if (revision := self.revision()) is not None:
+            require_known_schema(revision)
+
     def migrate(self) -> None:
-        """Bring the schema up to date; several processes may try at once."""
+        """Bring the schema up to date; several processes may try at once.
+
+        Raises
+        ------
+        NewerDatabase
+            If the schema is none that this version knows; the database stays as it is.
+        """
         with self.writing() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _MIGRATION_LOCK})
-            config = Config()
-            config.set_main_option("script_location", "worker.jobs:migrations")
+            if (revision := MigrationContext.configure(connection).get_current_revision()) is not None:
+                require_known_schema(revision)
+            config = _migrations()
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
 
@@ -127,7 +178,7 @@ os.register_at_fork(after_in_child=_renew_all_after_fork)
 
 def _create_engine(url: str) -> Engine:
     if make_url(url).get_backend_name() != "sqlite":
-        return create_engine(url, pool_pre_ping=True)
+        return create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": _CONNECT_TIMEOUT_S})
     engine = create_engine(url, connect_args={"timeout": _LOCK_TIMEOUT_S})
     event.listen(engine, "connect", _configure_sqlite)
     event.listen(engine, "begin", _begin_sqlite)

@@ -7,37 +7,45 @@ arrive twice, under one id: whoever sends it may be killed before it has noted t
 import base64
 import json
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, or_, select, type_coerce, update
+from sqlalchemy import Connection, Row, case, delete, func, insert, literal, or_, select, type_coerce, update
 from uuid_utils import uuid7
 
 from worker.jobs.audit import Act, note_deed
 from worker.jobs.database import Database, now
 from worker.jobs.model import Actor, Delivery, JobState, WebhookSecret
+from worker.jobs.rows import jobs_of, select_jobs
 from worker.jobs.tables import Moment, deliveries, jobs, webhook_secrets
 
 # After each try that came to nothing, until the next one: about a day in all.
 _WAITS_S = (5.0, 30.0, 120.0, 600.0, 1800.0, 3600.0, 2 * 3600.0, 4 * 3600.0, 6 * 3600.0, 8 * 3600.0)
+MAX_TRIES = len(_WAITS_S) + 1
 
+_NOBODY: Mapping[str, int] = {}
 _SECRET_BYTES = 32
 
 
 def queue_delivery(connection: Connection, job_id: str, state: JobState) -> None:
     """Note that a locked job's end has to be told, if somebody asked for that."""
     row = connection.execute(
-        select(
-            jobs.c.spec, jobs.c.session_id, jobs.c.attempt, jobs.c.tenant, type_coerce(now(), Moment).label("ended_at")
-        ).where(jobs.c.id == job_id)
+        select(jobs.c.spec, jobs.c.tenant, type_coerce(now(), Moment).label("ended_at")).where(jobs.c.id == job_id)
     ).one()
     url = row.spec.get("callback_url")
     if url is None:
         return
+    (job,) = jobs_of(connection, connection.execute(select_jobs().where(jobs.c.id == job_id)).all())
     said = {
         "type": f"job.{state}",
         "timestamp": row.ended_at.isoformat().replace("+00:00", "Z"),
-        "data": {"id": job_id, "session_id": row.session_id, "state": state, "attempt": row.attempt},
+        "data": {
+            "id": job_id,
+            "session_id": job.session_id,
+            "state": state,
+            "attempt": job.attempt,
+            "warnings": list(job.warnings),
+        },
     }
     connection.execute(
         insert(deliveries).values(
@@ -59,9 +67,28 @@ class Deliveries:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def claim_deliveries(self, limit: int, lease_s: float) -> list[Delivery]:
-        """Take messages that are due; they are due again after ``lease_s`` unless it is said what became of them."""
-        due = select(deliveries).where(deliveries.c.due_at <= now()).order_by(deliveries.c.due_at).limit(limit)
+    def claim_deliveries(
+        self, limit: int, lease_s: float, limit_a_tenant: int | None = None, busy: Mapping[str, int] = _NOBODY
+    ) -> list[Delivery]:
+        """Take messages that are due; they are due again after ``lease_s`` unless it is said what became of them.
+
+        Parameters
+        ----------
+        limit_a_tenant
+            How many messages of one tenant may be on their way at once; ``None``: as many as there are.
+        busy
+            How many are on their way already, by tenant. Tenants with few of them come first.
+        """
+        under_way = case(busy, value=deliveries.c.tenant, else_=0) if busy else literal(0)
+        order = (deliveries.c.due_at, deliveries.c.id)
+        turn = under_way + func.row_number().over(partition_by=deliveries.c.tenant, order_by=order)
+        is_due = deliveries.c.due_at <= now()
+        turns = select(deliveries.c.id, deliveries.c.due_at, turn.label("turn")).where(is_due).subquery()
+        chosen = select(turns.c.id).order_by(turns.c.turn, turns.c.due_at).limit(limit)
+        if limit_a_tenant is not None:
+            chosen = chosen.where(turns.c.turn <= limit_a_tenant)
+        # Once more: another sender may have taken them in between.
+        due = select(deliveries).where(deliveries.c.id.in_(chosen), is_due).order_by(*order)
         with self._database.writing() as connection:
             rows = connection.execute(due.with_for_update(skip_locked=True)).all()
             connection.execute(
@@ -84,7 +111,7 @@ class Deliveries:
 
     def not_delivered(self, delivery: Delivery, problem: str) -> bool:
         """Say that a try came to nothing; whether there will be another one."""
-        if delivery.tries > len(_WAITS_S):
+        if delivery.tries >= MAX_TRIES:
             self.delivered(delivery)
             return False
         # Those that failed at one time need not all come again at one time.

@@ -9,7 +9,7 @@ from uuid_utils import uuid7
 
 from worker.jobs.attempts import note_failure
 from worker.jobs.database import Database, now, upsert
-from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result
+from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result, ResultWarning
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, jobs, results
 from worker.jobs.totals import Total, count
@@ -111,8 +111,14 @@ class Leases:
         num_bytes: int,
         reused: bool = False,
         results: Sequence[Result] = (),
+        warnings: Sequence[ResultWarning] = (),
     ) -> bool:
-        """Record a chunk's output, and its job's result files if it left any; whether the next stage became ready."""
+        """Record a chunk's output, and its job's result files and their warnings if it left any.
+
+        Returns
+        -------
+            Whether the next stage became ready.
+        """
         with self._database.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
@@ -128,7 +134,7 @@ class Leases:
                     "num_bytes": num_bytes,
                 },
             )
-            _record_results(connection, job.id, results)
+            _record_results(connection, job.id, results, warnings)
             move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
             _count_done(connection, chunk, reused)
             if job.state == JobState.CANCELING:
@@ -280,6 +286,11 @@ def _worker_lost(stage: str) -> Problem:
     )
 
 
-def _record_results(connection: Connection, job_id: str, found: Sequence[Result]) -> None:
+def _record_results(
+    connection: Connection, job_id: str, found: Sequence[Result], warnings: Sequence[ResultWarning]
+) -> None:
     if found:
         connection.execute(insert(results), [{"job_id": job_id, **asdict(result)} for result in found])
+    if warnings:
+        said = [asdict(warning) for warning in warnings]
+        connection.execute(update(jobs).where(jobs.c.id == job_id).values(warnings=said))

@@ -55,6 +55,8 @@ JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
     JobState.EXPIRED: frozenset(),
 }
 
+RETRYABLE = frozenset(state for state, targets in JOB_TRANSITIONS.items() if JobState.QUEUED in targets)
+CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
 FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})
 
 
@@ -166,6 +168,19 @@ class Problem:
     retryable: bool = False
 
 
+def is_worth_a_retry(state: JobState, problem: Problem | None) -> bool:
+    """Whether another attempt of a job may succeed: it was canceled, or failed by an error that is retryable."""
+    return state in RETRYABLE and (problem is None or problem.retryable)
+
+
+@dataclass(frozen=True, slots=True)
+class ResultWarning:
+    """Warning about a result that is there: a stable code, and a sentence."""
+
+    code: str
+    message: str
+
+
 @dataclass(frozen=True, slots=True)
 class Stage:
     """A stage of a job as a client sees it; ``done`` and ``total`` in the units of its chunks."""
@@ -197,11 +212,15 @@ class Job:
     """A reconstruction of a session.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is a guess of the time left, as if all units of work that
-    are left took as long as those that were done; ``None`` before any was.
+    are left took as long as those that were done; ``None`` before any was. ``warnings`` are sentences, those of
+    ``result_warnings`` among them.
     """
 
     id: str
     session_id: str
+    session_name: str
+    num_frames: int  # of the session, as is the duration
+    duration_s: float
     state: JobState
     spec: JobSpec
     attempt: int
@@ -215,6 +234,7 @@ class Job:
     eta_s: float | None
     problem: Problem | None
     warnings: tuple[str, ...]
+    result_warnings: tuple[ResultWarning, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,6 +329,37 @@ class Figures:
     jobs: Mapping[str, int]
     chunks: Mapping[str, int]
     longest_queued_s: float
+
+
+class WorkerState(StrEnum):
+    """Whether a worker process could start a chunk now."""
+
+    STARTING = "starting"
+    READY = "ready"
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerStatus:
+    """A worker process.
+
+    Parameters
+    ----------
+    id
+        Host and process id.
+    activity
+        What it does, in words.
+    done, total
+        Steps of that; both 0 where there are none to count.
+    detectors
+        Names of the detectors that are installed there.
+    """
+
+    id: str
+    state: WorkerState
+    activity: str
+    done: int = 0
+    total: int = 0
+    detectors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from worker.jobs.attempts import attempts_of, keep_attempt
 from worker.jobs.audit import Act, note_deed
 from worker.jobs.database import now
 from worker.jobs.deliveries import read_secrets
-from worker.jobs.errors import Conflict, NotFinished, NotFound
+from worker.jobs.errors import Conflict, NoResults, NotFinished, NotFound
 from worker.jobs.model import (
     FINISHED,
     Attempt,
@@ -22,10 +22,12 @@ from worker.jobs.model import (
     InputFile,
     Job,
     JobState,
+    Problem,
     Result,
     Session,
     StagePlan,
     Usage,
+    is_worth_a_retry,
 )
 from worker.jobs.quotas import NO_QUOTAS, read_usage, require_room
 from worker.jobs.receipts import Claim
@@ -194,11 +196,19 @@ class Records(Uploads):
         with self._database.reading() as connection:
             return self._job(connection, job_id)
 
-    def jobs(self, state: JobState | None = None, limit: int = 50, after: str | None = None) -> list[Job]:
-        """Jobs, the newest first."""
+    def jobs(
+        self,
+        state: JobState | None = None,
+        limit: int = 50,
+        after: str | None = None,
+        session_id: str | None = None,
+    ) -> list[Job]:
+        """Jobs, the newest first: all of them, or those in a state or of a session."""
         query = select_jobs().where(self._mine(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
             query = query.where(jobs.c.state == state)
+        if session_id is not None:
+            query = query.where(jobs.c.session_id == session_id)
         if after is not None:
             query = query.where(jobs.c.id < after)
         with self._database.reading() as connection:
@@ -254,7 +264,7 @@ class Records(Uploads):
         with self._database.writing() as connection:
             self._require_room(connection, unfinished_jobs=1)
             job = self._job_row(connection, job_id, lock=True)
-            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
+            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
             if not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
@@ -271,20 +281,25 @@ class Records(Uploads):
             return attempts_of(connection, self._job_row(connection, job_id))
 
     def results(self, job_id: str) -> list[Result]:
-        """A finished job's results, by name: none if it has failed.
+        """A job's results, by name.
 
         Raises
         ------
         NotFound
         NotFinished
+        NoResults
+            It failed or was canceled.
         """
         query = select(results).where(results.c.job_id == job_id).order_by(results.c.name)
         with self._database.reading() as connection:
-            _require_finished(
-                self._job_row(connection, job_id).state,
-                NotFinished("The job is unfinished; its results come with its end."),
-            )
-            return [result_of(row) for row in connection.execute(query)]
+            job = self._job_row(connection, job_id)
+            _require_finished(job.state, NotFinished("The job is unfinished; its results come with its end."))
+            found = [result_of(row) for row in connection.execute(query)]
+        if not found and job.state != JobState.SUCCEEDED:
+            problem = Problem(**job.problem) if job.problem else None
+            reason = f"{problem.code}: {problem.detail}" if problem else None
+            raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
+        return found
 
     def result(self, job_id: str, name: str) -> Result:
         """One of ``results``; ``NotFound`` also if there is none of this name."""

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
 from worker.jobs.database import now
-from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, Session, Stage
+from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, ResultWarning, Session, Stage
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import chunks, jobs, sessions
 
@@ -59,7 +59,11 @@ def select_jobs() -> Select[Any]:
     queue_position = case((jobs.c.state == JobState.QUEUED, place.scalar_subquery()))
     elapsed_s = now() - jobs.c.started_at
     return select(
-        jobs, sessions.c.preflight, queue_position.label("queue_position"), elapsed_s.label("elapsed_s")
+        jobs,
+        sessions.c.name.label("session_name"),
+        sessions.c.preflight,
+        queue_position.label("queue_position"),
+        elapsed_s.label("elapsed_s"),
     ).join(sessions)
 
 
@@ -71,10 +75,15 @@ def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
 
 def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
     spec = JobSpec.model_validate(row.spec)
+    timebase = row.preflight["timebase"]
     of_keypoints = all(stage.name != "detect" for stage in stages)
+    found = tuple(ResultWarning(**warning) for warning in row.warnings)
     return Job(
         id=row.id,
         session_id=row.session_id,
+        session_name=row.session_name,
+        num_frames=timebase["num_frames"],
+        duration_s=timebase["num_frames"] / timebase["frame_rate_hz"],
         state=JobState(row.state),
         spec=spec,
         attempt=row.attempt,
@@ -87,7 +96,12 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         expires_at=row.expires_at,
         eta_s=_eta_s(row, stages),
         problem=None if row.problem is None else Problem(**row.problem),
-        warnings=(*row.preflight.get("warnings", ()), *spec.warnings(of_keypoints)),
+        warnings=(
+            *row.preflight.get("warnings", ()),
+            *spec.warnings(of_keypoints),
+            *(warning.message for warning in found),
+        ),
+        result_warnings=found,
     )
 
 

@@ -1,16 +1,38 @@
 """What a client may ask for."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
-from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError, PydanticKnownError
 
 # Networks with part affinity fields; the others find whole bodies.
 _FIELD_DETECTORS = frozenset({"openpose-mobilenet-thin", "human-pose-estimation-0001"})
 
 
+# Commands that install a missing detector; as ``pipeline.detect.models`` says it.
+INSTALL_COMMANDS: Mapping[str, str] = {
+    "movenet-multipose": "Run: multicap models install movenet-multipose",
+    "openpose-mobilenet-thin": "Run: multicap models install openpose-mobilenet-thin",
+    "human-pose-estimation-0001": (
+        "Get it from Intel's Open Model Zoo (FP16-INT8), then run: "
+        "multicap models add human-pose-estimation-0001 --from FOLDER or URL"
+    ),
+}
+
 # As in ``pipeline.export.c3d_file``.
 _MAX_C3D_FRAMES = 2**16 - 1
+
+
+def _number(value: object) -> object:
+    # Strict integers would refuse 2.0 too, which is a whole number in JSON.
+    if isinstance(value, bool | str):
+        raise PydanticKnownError("int_type")
+    return value
+
+
+# Numbers are numbers: true is no 1, and "1" neither.
+_FrameNumber = Annotated[int, Field(ge=0), BeforeValidator(_number)]
 
 
 class JobSpec(BaseModel):
@@ -28,25 +50,31 @@ class JobSpec(BaseModel):
         default="fit", description="What becomes of the joints' positions."
     )
     cutoff_hz: float = Field(
-        default=6.0, gt=0.0, le=1000.0, allow_inf_nan=False, description="Of `butterworth`, below half the frame rate."
+        default=6.0,
+        strict=True,
+        gt=0.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Of `butterworth`, below half the frame rate.",
     )
     feet: Literal["off", "auto", "always"] = Field(
         default="auto",
         description="Which feet that stand are held in place: none, where it is likely that they stand, or all.",
     )
 
-    frame_range: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = Field(
+    frame_range: tuple[_FrameNumber, _FrameNumber] | None = Field(
         default=None,
         description="The first of the session's output frames, and the one after the last; all without it.",
     )
     output_rate_hz: float | None = Field(
         default=None,
+        strict=True,
         ge=1.0,
         le=240.0,
         allow_inf_nan=False,
         description="Frame rate of the motion in all files; without it the session's, which metrics are of anyway.",
     )
-    people: Literal["auto"] | Annotated[int, Field(ge=1, le=1000)] = Field(
+    people: Literal["auto"] | Annotated[int, Field(ge=1, le=1000), BeforeValidator(_number)] = Field(
         default="auto", description="How many at most: those whom most cameras saw for longest. `auto`: everybody."
     )
 
@@ -64,6 +92,7 @@ class JobSpec(BaseModel):
         default=None,
         max_length=2000,
         pattern=r"^https?://[^\s/?#@\\]+([/?][^\s#\\]*)?$",
+        examples=["https://portal.example/hooks/multicap"],
         description="Told of the job's end by a Standard Webhook: `job.succeeded`, `.failed`, `.canceled`, `.expired`.",
     )
 
@@ -71,15 +100,8 @@ class JobSpec(BaseModel):
     @classmethod
     def _each_once(cls, exports: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(exports)) < len(exports):
-            raise ValueError("Name each format once.")
+            raise PydanticCustomError("export_repeated", "exports must name each format once.")
         return exports
-
-    @field_validator("callback_url")
-    @classmethod
-    def _has_a_port_that_is_one(cls, url: str | None) -> str | None:
-        if url is not None:
-            _ = urlsplit(url).port  # which raises what is wrong
-        return url
 
     def problems(self, num_frames: int, frame_rate_hz: float) -> dict[str, tuple[str, str]]:
         """What of this can't be done with a session of so many output frames: code and sentence by field."""

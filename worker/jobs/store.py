@@ -14,15 +14,16 @@ from worker.jobs.records import Records
 from worker.jobs.removals import Removals
 from worker.jobs.tables import sessions
 from worker.jobs.totals import read_figures
+from worker.jobs.workers import Workers
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 
 
-class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit):
+class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit, Workers):
     """Sessions, jobs and chunks in a database.
 
     ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Removals`` of files, ``Deliveries`` of
-    webhooks, ``Keys`` and ``Audit``.
+    webhooks, ``Keys``, ``Audit`` and ``Workers``.
 
     Every method is one transaction. A store may be shared by threads and carried across a fork.
 
@@ -36,7 +37,7 @@ class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit):
         super().__init__(Database(database_url))
 
     def migrate(self) -> None:
-        """Bring the schema up to date; several processes may try at once."""
+        """Bring the schema up to date, as ``Database.migrate`` does."""
         self._database.migrate()
 
     def figures(self) -> Figures:
@@ -47,6 +48,10 @@ class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit):
     def of(self, tenant: str, quotas: Quotas, actor: Actor) -> Records:
         """The clients' side, of one tenant."""
         return Records(self._database, tenant, quotas, actor)
+
+    def require_known_schema(self) -> None:
+        """Raise ``NewerDatabase`` if the database is of a newer version of Multicap."""
+        self._database.require_known_schema()
 
     def ping(self) -> bool:
         """Whether the database answers, and has the schema."""

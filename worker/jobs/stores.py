@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import platformdirs
+
 from worker.jobs.artifacts import ArtifactStore, LocalArtifacts
 from worker.jobs.file_cache import FileCache
 
@@ -10,6 +12,11 @@ ARTIFACTS_URL = r"^(s3://[^/\s]+(/\S*)?)?$"
 
 DEFAULT_CACHE_BYTES = 64 * 2**30
 DEFAULT_CACHE_HOURS = 12.0
+
+
+def default_data_dir() -> Path:
+    """Folder of the service unless somebody says else."""
+    return platformdirs.user_data_path("multicap", appauthor=False) / "service"
 
 
 def open_artifacts(

@@ -79,7 +79,7 @@ jobs = Table(
     "jobs",
     metadata,
     Column("id", String(36), primary_key=True),
-    Column("session_id", ForeignKey("sessions.id", ondelete="CASCADE"), nullable=False, index=True),
+    Column("session_id", ForeignKey("sessions.id", ondelete="CASCADE"), nullable=False),
     Column("state", String(16), nullable=False),
     Column("spec", JSON, nullable=False),
     Column("attempt", Integer, nullable=False),
@@ -92,6 +92,8 @@ jobs = Table(
     Column("expires_at", Moment),
     Column("trace", String(55)),  # W3C traceparent of who asked for this attempt
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # its session's
+    Column("warnings", JSON, nullable=False, server_default="[]"),  # of its result: objects with code and message
+    Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
     Index(None, "expires_at"),
@@ -262,6 +264,19 @@ webhook_secrets = Table(
     Column("created_at", Moment, nullable=False),
     Column("expires_at", Moment),  # null: until there is a newer one
     sqlite_autoincrement=True,
+)
+
+# Worker processes that are there. Each renews its row every few seconds; old rows are of processes that are gone.
+workers = Table(
+    "workers",
+    metadata,
+    Column("id", String(300), primary_key=True),  # host and process id
+    Column("state", String(16), nullable=False),
+    Column("activity", String, nullable=False),  # what it does, a sentence without its full stop
+    Column("done", Integer, nullable=False),  # steps of that
+    Column("total", Integer, nullable=False),
+    Column("detectors", JSON, nullable=False),  # names of those that are installed there
+    Column("seen_at", Moment, nullable=False),
 )
 
 # Browsers that have shown a key, and have a cookie for it.

@@ -15,6 +15,7 @@ from pipeline.data import Camera
 from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
+from pipeline.geometry.undistortion import undistort_px
 from pipeline.tracking.parameters import viewed_point_m
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -161,6 +162,54 @@ def test_each_fault_names_file_camera_and_field(tmp_path: Path, changes: dict[st
     assert problems_of(path) == [(code, "left", field)]
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"size_px": None}, "The size is missing."),
+        ({"distortion": None}, "The distortion is missing."),
+        ({"size_px": 640}, "The size is one number where 2 numbers are needed."),
+        ({"rotation": [0.1, 0.2, 0.3]}, "The rotation has 3 numbers where 3 x 3 are needed."),
+        ({"translation_m": "far"}, "The translation is not a list of 3 numbers."),
+    ],
+)
+def test_messages_are_true(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_calibration(write_own(tmp_path / "cameras.json", [own(**changes)]))
+    assert [problem.message for problem in error.value.problems] == [message]
+
+
+def test_a_size_that_is_missing_in_a_benchmark_conversion(tmp_path: Path) -> None:
+    path = tmp_path / "shelf.json"
+    camera = {"name": "a", "K": own()["matrix"], "R": IDENTITY, "t": [0.0, 0.0, 2.0]}
+    path.write_text(json.dumps({"cameras": [camera]}))
+    with pytest.raises(InputError, match="The size is missing"):
+        read_calibration(path)
+
+
+_RODRIGUES = "The rotation must be a Rodrigues vector: 3 numbers from -100 to 100 radians."
+
+
+@pytest.mark.parametrize(
+    ("rotation", "message"),
+    [
+        ("rotation=[0,0,500]", _RODRIGUES),
+        ("rotation=[0,0]", _RODRIGUES),
+        ("rotation=[0,0,nan]", _RODRIGUES),
+        ("rotation='none'", _RODRIGUES),
+        ("rotation=[[1,0,0],[0,1,0],[0,0,1]]", _RODRIGUES),
+        ("", "The rotation is missing."),
+    ],
+)
+def test_toml_rotations_that_are_none(tmp_path: Path, rotation: str, message: str) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f"[a]\nsize=[6,4]\nmatrix=[[5,0,3],[0,5,2],[0,0,1]]\n{rotation}\ntranslation=[0,0,1]\n")
+    with pytest.raises(InputError) as error:
+        read_calibration(path)
+    (problem,) = error.value.problems
+    assert (problem.code, problem.camera, problem.field) == ("invalid_rotation", "a", "rotation")
+    assert problem.message == message
+
+
 def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
     path = write_own(
         tmp_path / "cameras.json",
@@ -176,6 +225,33 @@ def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
         ],
         key=str,
     )
+
+
+def test_coefficients_of_a_telephoto_lens_are_taken(tmp_path: Path) -> None:
+    """A lens that sees 5 degrees: at r = 0.05 from the middle k3 r^6 is 0.009, an ordinary distortion."""
+    matrix = [[22_000.0, 0.0, 959.5], [0.0, 22_000.0, 539.5], [0.0, 0.0, 1.0]]
+    distortion = [0.5, -300.0, 0.001, -0.002, 6e5]
+    path = write_own(tmp_path / "cameras.json", [own(size_px=[1920, 1080], matrix=matrix, distortion=distortion)])
+    (camera,) = read_calibration(path)
+    ideal_px = np.stack(np.meshgrid(np.linspace(0, 1919, 9), np.linspace(0, 1079, 7)), -1).reshape(-1, 2)
+    normalised = (ideal_px - [959.5, 539.5]) / 22_000.0
+    points_m = np.column_stack([normalised, np.ones(len(normalised))]) * 40.0 - [0.0, 0.0, 3.0]
+    seen_px = project(camera, points_m)
+    assert 5 < np.abs(seen_px - ideal_px).max() < 50
+    np.testing.assert_allclose(undistort_px(camera, seen_px), ideal_px, atol=1e-6)
+
+
+@pytest.mark.parametrize("distortion", [[1e9] * 12, [-1e9] * 5])
+def test_the_largest_coefficients_overflow_nowhere(tmp_path: Path, distortion: list[float]) -> None:
+    (camera,) = read_calibration(write_own(tmp_path / "cameras.json", [own(distortion=distortion)]))
+    points_m = np.array([[0.0, 0.0, 1.0], [100.0, -70.0, -2.9]])
+    assert np.isfinite(project(camera, points_m)).all()
+    undistort_px(camera, np.array([[0.0, 0.0], [1e6, -1e6], [319.5, 239.5]]))
+
+
+def test_more_than_any_lens_has_is_refused(tmp_path: Path) -> None:
+    path = write_own(tmp_path / "cameras.json", [own(distortion=[0.0, 0.0, 0.0, 0.0, 1e10])])
+    assert problems_of(path) == [("invalid_distortion", "left", "distortion")]
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "..\\up", "line\nbreak", "x" * 100, 7, None])

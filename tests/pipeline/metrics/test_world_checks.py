@@ -52,3 +52,17 @@ def test_cameras_below_the_floor_are_named() -> None:
 def test_messages_say_who_and_how_much() -> None:
     (check,) = world_checks(reconstruction(track_of(WALK_M)), {1: 0.17})
     assert check["message"].startswith("person-1 would be 0.17 m tall")
+
+
+def test_many_people_of_no_human_size_are_one_check() -> None:
+    statures_m = dict.fromkeys(range(1, 12), 0.17) | {12: 1.7, 13: 2.5, 14: np.nan}
+    (check,) = world_checks(reconstruction(track_of(WALK_M)), statures_m)
+    assert check["code"] == "stature_out_of_range"
+    assert check["message"].startswith("12 people would not be 1 to 2.3 m tall: person-1 (0.17 m), person-2 (0.17 m), ")
+    assert "person-10 (0.17 m) and 2 more. " in check["message"]
+
+
+def test_many_cameras_below_the_floor_are_not_all_named() -> None:
+    sunk = (*CAMERAS, *(camera(f"low-{k}", 0.0, height_m=-1.0) for k in range(12)))
+    (check,) = world_checks(reconstruction(track_of(WALK_M), cameras=sunk), {1: 1.7})
+    assert check["message"].endswith("low-8, low-9 and 2 more.")

@@ -21,6 +21,12 @@ EXPIRED_S = -1.0  # a lease that ended before it began
 
 UNITS = 10
 
+PREFLIGHT = {
+    "cameras": [{"name": "cam one"}],
+    "timebase": {"num_frames": 60, "frame_rate_hz": 25.0},
+    "warnings": ["The clocks drift."],
+}
+
 
 def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:
     """A map and a reduce."""
@@ -71,8 +77,7 @@ def new_session(store: JobStore) -> str:
         InputFile("cam one.mp4", "video", f"sessions/{session_id}/inputs/0-cam_one.mp4", 3_000_000_000, "1" * 64),
         InputFile("rig.toml", "calibration", f"sessions/{session_id}/inputs/1-rig.toml", 200, "2" * 64),
     ]
-    preflight = {"cameras": [{"name": "cam one"}], "warnings": ["The clocks drift."]}
-    store.create_session("take", files, preflight, session_id)
+    store.create_session("take", files, PREFLIGHT, session_id)
     return session_id
 
 

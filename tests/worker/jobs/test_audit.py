@@ -3,7 +3,7 @@ from worker.jobs.model import Actor, Problem, Scope
 from worker.jobs.quotas import Quotas
 from worker.jobs.spec import JobSpec
 
-PREFLIGHT = {"cameras": [{"name": "cam"}], "warnings": []}
+PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 ACTOR = Actor("key", "request")
 
 

@@ -12,6 +12,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from tests.worker.jobs.conftest import Bench, stages
+from worker.jobs.errors import NewerDatabase
 from worker.jobs.model import Problem, Scope
 from worker.jobs.tables import metadata
 
@@ -76,3 +77,16 @@ def test_each_step_down_can_be_taken_back_alone(jobs: Bench, engine: sa.Engine, 
     migrate(engine, "downgrade", revision)
     migrate(engine, "upgrade", "head")
     assert (jobs.store.sessions(), [one.id for one in jobs.store.jobs()]) == before
+
+
+def test_a_schema_of_a_newer_version_is_refused_and_left_alone(jobs: Bench, engine: sa.Engine) -> None:
+    with engine.begin() as connection:
+        connection.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
+    with pytest.raises(NewerDatabase, match=r"newer version of Multicap \(schema 0099\)"):
+        jobs.store.migrate()
+    with engine.connect() as connection:
+        assert connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar() == "0099"
+        connection.rollback()
+    with engine.begin() as connection:
+        connection.execute(sa.text("UPDATE alembic_version SET version_num = :now"), {"now": REVISIONS[0]})
+    jobs.store.migrate()

@@ -13,7 +13,7 @@ from worker.jobs.records import Records
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 
-PREFLIGHT = {"cameras": [{"name": "cam"}], "warnings": []}
+PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
 def add_session(jobs: Bench, records: Records, num_bytes: int = 100) -> str:

@@ -1,12 +1,16 @@
+from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 import uuid_utils
 
-from tests.worker.jobs.conftest import UNITS, Bench, new_session, result, stages
-from worker.jobs.errors import Conflict, NotFinished, NotFound
-from worker.jobs.model import ChunkState, InputFile, JobState, Problem
+from tests.worker.jobs.conftest import PREFLIGHT, UNITS, Bench, new_session, result, stages
+from worker.jobs import tables
+from worker.jobs.errors import Conflict, NoResults, NotFinished, NotFound
+from worker.jobs.model import ChunkState, InputFile, JobState, Problem, ResultWarning
 from worker.jobs.spec import JobSpec
+from worker.jobs.store import JobStore
 
 NOBODY = str(uuid_utils.uuid7())
 
@@ -20,7 +24,7 @@ def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
         "cam one.mp4", "video", f"sessions/{session.id}/inputs/0-cam_one.mp4", 3_000_000_000, "1" * 64
     )
     assert session.files[1].kind == "calibration"
-    assert session.preflight == {"cameras": [{"name": "cam one"}], "warnings": ["The clocks drift."]}
+    assert session.preflight == PREFLIGHT
 
 
 def test_lists_are_paged_from_the_newest(jobs: Bench) -> None:
@@ -47,6 +51,37 @@ def test_jobs_by_state(jobs: Bench) -> None:
     assert [job.id for job in jobs.store.jobs(JobState.CANCELED)] == [canceled.id]
     assert [job.id for job in jobs.store.jobs(JobState.QUEUED)] == [queued.id]
     assert jobs.store.jobs(JobState.RUNNING) == []
+
+
+def test_jobs_by_session(jobs: Bench) -> None:
+    other = new_session(jobs.store)
+    first, second = jobs.queue(), jobs.queue()
+    jobs.store.create_job(other, JobSpec(), stages())
+    assert [job.id for job in jobs.store.jobs(session_id=jobs.session_id)] == [second.id, first.id]
+    assert [job.id for job in jobs.store.jobs(session_id=jobs.session_id, after=second.id)] == [first.id]
+    assert (first.session_name, first.num_frames, first.duration_s) == ("take", 60, 2.4)
+
+
+def test_jobs_of_a_session_are_found_without_a_look_at_the_tenant_s_others(tmp_path: Path) -> None:
+    store = JobStore(f"sqlite:///{tmp_path / 'multicap.db'}")
+    store.migrate()
+    said: list[str] = []
+
+    @sa.event.listens_for(sa.Engine, "before_cursor_execute")
+    def explain(connection: sa.Connection, cursor: Any, statement: str, parameters: Any, *_: object) -> None:
+        if "jobs.session_id =" in statement and "LIMIT" in statement:
+            rows = connection.connection.execute(f"EXPLAIN QUERY PLAN {statement}", parameters).fetchall()
+            said.extend(str(row[3]) for row in rows)
+
+    try:
+        store.jobs(session_id=str(uuid_utils.uuid7()))
+        store.jobs(session_id=str(uuid_utils.uuid7()), after=str(uuid_utils.uuid7()))
+    finally:
+        sa.event.remove(sa.Engine, "before_cursor_execute", explain)
+        store.close()
+    looks = [one for one in said if one.startswith("SEARCH jobs")]
+    assert [one.split("(")[1].rstrip(")") for one in looks] == ["session_id=?", "session_id=? AND id<?"]
+    assert not any("TEMP B-TREE FOR ORDER BY" in one for one in said)
 
 
 def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: Bench) -> None:
@@ -206,7 +241,9 @@ def test_a_failed_job_has_no_results(jobs: Bench) -> None:
     job_id = jobs.queue().id
     claim = jobs.claim()
     jobs.store.fail(claim.chunk_id, claim.lease_token, BROKEN)
-    assert jobs.store.results(job_id) == []
+    with pytest.raises(NoResults, match="The job is failed and has no results") as raised:
+        jobs.store.results(job_id)
+    assert raised.value.reason == f"{BROKEN.code}: {BROKEN.detail}"
 
 
 def due(jobs: Bench) -> list[str]:
@@ -251,3 +288,23 @@ def test_what_is_not_there_is_not_found(jobs: Bench) -> None:
         store.create_job(NOBODY, JobSpec(), stages())
     with pytest.raises(NotFound):
         store.result(NOBODY, "person-1.bvh")
+
+
+def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    jobs.finish(jobs.claim())
+    claim = jobs.claim()
+    warning = ResultWarning("few_views", "person-1 was seen by two cameras.")
+    jobs.store.finish(claim.chunk_id, claim.lease_token, "5" * 64, 7, results=[result(job_id)], warnings=[warning])
+    job = jobs.store.job(job_id)
+    assert (job.state, job.result_warnings) == (JobState.SUCCEEDED, (warning,))
+    assert job.warnings == ("The clocks drift.", warning.message)
+
+
+def test_a_retry_forgets_what_the_result_before_warned_of(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    claim = jobs.claim()
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.execute(sa.update(tables.jobs).values(warnings=[{"code": "few_views", "message": "Few."}]))
+    assert jobs.store.job(job_id).result_warnings
+    assert jobs.store.retry(job_id, stages(1)).result_warnings == ()

@@ -11,7 +11,7 @@ from worker.jobs.quotas import Quotas
 from worker.jobs.records import Records
 from worker.jobs.spec import JobSpec
 
-PREFLIGHT = {"cameras": [{"name": "cam"}], "warnings": []}
+PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
 def make(jobs: Bench, tenant: str) -> tuple[Records, str, str]:

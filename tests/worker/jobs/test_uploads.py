@@ -12,7 +12,7 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.tables import uploads
 
 HOUR_S = 3600.0
-PREFLIGHT = {"cameras": [{"name": "cam"}], "warnings": []}
+PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
 def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> Records:

@@ -1,0 +1,61 @@
+"""Parse untrusted text and numbers: any content gives a value or ``UnreadableError``."""
+
+import json
+from collections.abc import Callable
+from types import NoneType
+from typing import Any, TypeVar
+
+import numpy as np
+
+# Python refuses to read integers of more than 4300 digits; floats end at 309.
+_MAX_DIGITS = 300
+
+_Content = TypeVar("_Content")
+_Parsed = TypeVar("_Parsed")
+
+
+class UnreadableError(ValueError):
+    """The content is not in the expected format."""
+
+
+def parse(parser: Callable[[_Content], _Parsed], content: _Content) -> _Parsed:
+    """Parse with a library; any exception that the content causes becomes ``UnreadableError``.
+
+    Libraries raise more than their documentation says: an XML file with an unknown encoding is a ``LookupError``, a
+    long integer in TOML a bare ``ValueError``, deep nesting a ``RecursionError``.
+    """
+    try:
+        return parser(content)
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise UnreadableError(type(error).__name__) from error
+
+
+def read_json(content: bytes) -> Any:
+    """Parse JSON; an integer of more than 300 digits is read as infinity, as ``1e400`` is."""
+    return parse(_loads, content)
+
+
+def _loads(content: bytes) -> Any:
+    return json.loads(content, parse_int=_integer)
+
+
+def _integer(digits: str) -> int | float:
+    return int(digits) if len(digits) <= _MAX_DIGITS else float(digits)
+
+
+def read_numbers(value: Any) -> np.ndarray:
+    """Convert nested lists of numbers to an array of floats; raises ``UnreadableError`` for anything else.
+
+    Text and booleans are refused, though NumPy would convert them. ``None`` becomes NaN.
+    """
+    array = parse(_floats, value)
+    kinds = set(map(type, np.array(value, dtype=object).ravel().tolist()))
+    if bool in kinds or not all(issubclass(kind, (int, float, NoneType)) for kind in kinds):
+        raise UnreadableError
+    return array
+
+
+def _floats(value: Any) -> np.ndarray:
+    return np.array(value, dtype=np.float64)

@@ -1,0 +1,60 @@
+"""Plausible ranges of the quantities in input files, far beyond anything real.
+
+Within these ranges no product or square of the geometry overflows. A number outside is a mistake in the file; the
+readers refuse it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A range of values, limits included, with a unit.
+
+    >>> str(Quantity(1, 20_000, "pixels"))
+    '1 to 20,000 pixels'
+    """
+
+    low: int | float
+    high: int | float
+    unit: str
+
+    def holds(self, values: float | np.ndarray, tolerance: float = 0.0) -> bool:
+        """Whether all values are in the range; NaN is not.
+
+        Parameters
+        ----------
+        tolerance
+            Share by which a value may lie beyond a limit; for values that are computed, and so rounded.
+
+        Examples
+        --------
+        >>> rate_hz = 1000.0000000000002
+        >>> FRAME_RATE_HZ.holds(rate_hz), FRAME_RATE_HZ.holds(rate_hz, tolerance=1e-3)
+        (False, True)
+        """
+        array = np.asarray(values, dtype=np.float64)
+        low, high = self.low - abs(self.low) * tolerance, self.high + abs(self.high) * tolerance
+        return bool(((array >= low) & (array <= high)).all())
+
+    def __str__(self) -> str:
+        """Range and unit as messages show them."""
+        return f"{self.low:,.10g} to {self.high:,.10g} {self.unit}".strip()
+
+
+SIDE_PX = Quantity(1, 20_000, "pixels")
+FOCAL_LENGTH_PX = Quantity(1, 1e6, "pixels")
+PRINCIPAL_POINT_PX = Quantity(-1e5, 1e5, "pixels")
+SKEW_PX = Quantity(-1e5, 1e5, "pixels")
+# Coefficients grow as the lens's angle shrinks: at r = 0.05 from the middle (telephoto) a k3 of 600,000 is real.
+DISTORTION = Quantity(-1e9, 1e9, "")
+ROTATION_VECTOR_RAD = Quantity(-100, 100, "radians")
+# In the file's unit: 10 km, if that is millimetres.
+TRANSLATION = Quantity(-1e7, 1e7, "")
+KEYPOINT_PX = Quantity(-1e6, 1e6, "pixels")
+FRAME_RATE_HZ = Quantity(1, 1000, "Hz")
+# Of rates that are computed from times, which files round.
+FRAME_RATE_TOLERANCE = 1e-3
+TIME_S = Quantity(0, 1e6, "s")

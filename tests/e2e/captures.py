@@ -1,0 +1,31 @@
+"""Small capture sessions as files."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.calibration.write import encode
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
+from tests.pipeline.conftest import ring_camera
+from tests.pipeline.media import write_video
+
+
+def keypoint_capture(folder: Path, duration_s: float = 2.0) -> list[str]:
+    """Simulated people in a room; options of `multicap reconstruct` that name the files."""
+    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=duration_s), 0, 3)):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    timestamps = f"--timestamps={folder / 'timestamps.csv'}"
+    return [f"--keypoints={folder / 'keypoints'}", f"--calibration={folder / 'calibration.json'}", timestamps]
+
+
+def video_capture(folder: Path, num_frames: int = 20) -> list[str]:
+    """Two videos of an empty room; options of `multicap reconstruct` that name the files."""
+    cameras = [replace(ring_camera(name, angle), size_px=(64, 48)) for name, angle in (("left", 0.3), ("right", 1.9))]
+    videos = folder / "videos"
+    videos.mkdir(parents=True)
+    for camera in cameras:
+        write_video(videos / f"{camera.name}.mp4", num_frames)
+    (folder / "calibration.json").write_bytes(encode(cameras))
+    return [f"--videos={videos}", f"--calibration={folder / 'calibration.json'}"]

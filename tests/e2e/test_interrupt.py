@@ -1,0 +1,146 @@
+"""`multicap reconstruct` that is interrupted says so, leaves no process and nothing half-written."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline.detect import models
+from pipeline.errors import ModelError
+from pipeline.export import bvh
+from pipeline.export.presets import PRESETS
+from tests.e2e.captures import keypoint_capture, video_capture
+
+COMMAND = [sys.executable, "-m", "api.cli", "reconstruct"]
+
+# Runs the command, and interrupts itself where ``{where}`` is called for the second time.
+AT = """
+import os, signal, sys
+import {module} as module
+original, calls = module.{name}, []
+def interrupted(*arguments):
+    calls.append(1)
+    if len(calls) == 2:
+        os.kill(os.getpid(), signal.{signal})
+    return original(*arguments)
+module.{name} = interrupted
+from api.cli import main
+sys.argv = ["multicap", *sys.argv[1:]]
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    try:
+        models.verify("movenet-multipose")
+    except ModelError:
+        pytest.skip("the default detector is not installed")
+    # A minute of work and more.
+    return video_capture(tmp_path_factory.mktemp("capture"), num_frames=3000)
+
+
+def wait_for_children(process: "subprocess.Popen[str]", word: str) -> list[psutil.Process]:
+    deadline_s = time.monotonic() + 60
+    while True:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline_s
+        children = psutil.Process(process.pid).children(recursive=True)
+        with contextlib.suppress(psutil.NoSuchProcess):
+            if any(word in " ".join(one.cmdline()) for one in children if one.status() != psutil.STATUS_ZOMBIE):
+                return children
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("number", "options", "word"),
+    [
+        (signal.SIGINT, [], "pipeline.video.probe"),
+        (signal.SIGTERM, ["--json"], "pipeline.video.probe"),
+        (signal.SIGINT, ["--processes=2", "--json"], "multiprocessing-fork"),
+        (signal.SIGTERM, ["--processes=2"], "multiprocessing-fork"),
+    ],
+)
+@pytest.mark.parametrize("later_s", [0.0, 8.0])
+def test_children_end_and_it_is_said(
+    videos: list[str],
+    tmp_path: Path,
+    number: signal.Signals,
+    options: list[str],
+    word: str,
+    later_s: float,
+) -> None:
+    out = tmp_path / "out"
+    command = [*COMMAND, *videos, f"--out={out}", "--chunk-frames=50", *options]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        children = wait_for_children(process, word)
+        time.sleep(later_s)
+        children += psutil.Process(process.pid).children(recursive=True)
+        asked_s = time.monotonic()
+        if number == signal.SIGINT:
+            os.killpg(process.pid, number)  # as a terminal does: everybody of the group
+        else:
+            process.send_signal(number)
+        said, errors = process.communicate(timeout=30)
+        assert time.monotonic() - asked_s < 15
+    assert process.returncode == 128 + number
+    assert "Traceback" not in errors
+    assert "Process" not in errors
+    _, alive = psutil.wait_procs(children, timeout=5)
+    assert alive == []
+    if "--json" in options:
+        (problem,) = json.loads(said)["problems"]
+        assert problem == {"code": "interrupted", "message": f"Interrupted by {number.name}. No result was written."}
+    else:
+        assert said == ""
+        assert f"Interrupted by {number.name}. No result was written." in errors
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("number", "as_json"), [(signal.SIGINT, False), (signal.SIGTERM, True)])
+def test_files_that_have_their_names_are_whole(tmp_path: Path, number: signal.Signals, as_json: bool) -> None:
+    out = tmp_path / "out"
+    program = AT.format(module="pipeline.export.bvh", name="encode", signal=number.name)
+    options = [*keypoint_capture(tmp_path / "capture"), f"--out={out}", *(["--json"] if as_json else [])]
+    command = [sys.executable, "-c", program, "reconstruct", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 128 + number, done.stderr
+    assert "Traceback" not in done.stderr
+    left = sorted(path.name for path in out.iterdir())
+    assert len(left) == 2
+    assert left[1] == "skeletons.json"
+    assert json.loads((out / "skeletons.json").read_bytes())["tracks"]
+    assert len(list(bvh.read_xyz_m(out / left[0], PRESETS["default"]))) > 0
+    said = json.loads(done.stdout)["problems"][0]["message"] if as_json else done.stderr
+    assert f"skeletons.json, {left[0]}" in said.replace("\n", " ")
+
+
+WHILE_LOADING = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "api.commands":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from api.start import main
+main()
+"""
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_while_the_libraries_are_loaded(options: list[str]) -> None:
+    command = [sys.executable, "-c", WHILE_LOADING, "reconstruct", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+    said = json.loads(done.stdout)["problems"][0]["message"] if options else done.stderr
+    assert "Interrupted by SIGINT. Nothing was done." in said

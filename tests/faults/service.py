@@ -1,0 +1,137 @@
+"""The service that faults disturb: started again by any version of its code, and followed by a receiver of webhooks."""
+
+import contextlib
+import hmac
+import json
+import os
+import re
+import shutil
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from standardwebhooks import Webhook
+
+from tests.e2e.serving import Served, serving
+from worker.jobs.store import JobStore
+from worker.jobs.tables import DEFAULT_TENANT
+
+ROOT = Path(__file__).parents[2]
+CLOCK_FOLDER = Path(__file__).parent / "clock"
+PACKAGES = ("api", "pipeline", "worker")
+# How far the service's clock is from ours, in seconds; see ``clock/sitecustomize.py``.
+CLOCK = "clock"
+ENVIRONMENT = {
+    "MULTICAP_LEASE_S": "3",
+    "MULTICAP_HEARTBEAT_S": "0.5",
+    "MULTICAP_REAP_INTERVAL_S": "1",
+    "MULTICAP_WEBHOOK_PRIVATE": "true",
+}
+
+
+@dataclass
+class Receiver:
+    """A client's address that webhooks go to; keeps the ids of the messages by job and type."""
+
+    port: int = 0
+    secret: str = ""
+    messages: dict[tuple[str, str], set[str]] = field(default_factory=lambda: defaultdict(set))
+    forged: list[str] = field(default_factory=list)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/hook"
+
+    def take(self, headers: dict[str, str], body: str) -> None:
+        """Note a message, verified as the standard says, but for how old it is: clocks are set back and forth."""
+        message_id, sent_at = headers["webhook-id"], datetime.fromtimestamp(int(headers["webhook-timestamp"]), UTC)
+        signature = Webhook(self.secret).sign(message_id, sent_at, body)
+        if not any(hmac.compare_digest(signature, one) for one in headers["webhook-signature"].split()):
+            self.forged.append(body)
+            return
+        message = json.loads(body)
+        self.messages[message["data"]["id"], message["type"]].add(message_id)
+
+
+@contextlib.contextmanager
+def receiving() -> Iterator[Receiver]:
+    """A receiver on a free port, for the time of the block."""
+    receiver = Receiver()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["content-length"])).decode()
+            receiver.take({name.lower(): value for name, value in self.headers.items()}, body)
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        receiver.port = server.server_port
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield receiver
+        server.shutdown()
+
+
+class Service:
+    """A running service on a small disk.
+
+    Parameters
+    ----------
+    disk
+        The disk; its data folder is ``data`` there.
+    receiver
+        Gets the webhooks of all jobs.
+    """
+
+    def __init__(self, disk: Path, receiver: Receiver) -> None:
+        self.disk, self.receiver = disk, receiver
+        self.data_dir = disk / "data"
+        self.filler = self.data_dir / "filler"
+        # SHA-256 of the last job's result files, as a restored copy of the service made them.
+        self.restored: dict[str, str] = {}
+        self.served: Served
+        self._code = ROOT
+        self._running = contextlib.ExitStack()
+
+    def start(self) -> None:
+        self.served = self._running.enter_context(serving(self.data_dir, **self.environment()))
+
+    def stop(self) -> None:
+        self._running.close()
+
+    def upgrade(self, folder: Path) -> None:
+        """Stop, and start by code that says of all its stages that they are of another version; or by ours again."""
+        self.stop()
+        self._code = ROOT if self._code != ROOT else other_version(folder)
+        self.start()
+
+    def environment(self) -> dict[str, str]:
+        path = os.pathsep.join([str(CLOCK_FOLDER), str(self._code)])
+        return {**ENVIRONMENT, "PYTHONPATH": path, "MULTICAP_TEST_CLOCK": str(self.disk / CLOCK)}
+
+    def make_webhook_secret(self) -> None:
+        store = JobStore(f"sqlite:///{self.data_dir / 'multicap.db'}")
+        self.receiver.secret = store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+        store.close()
+
+
+def other_version(folder: Path) -> Path:
+    """A copy of the code whose stages have higher numbers, as an upgrade brings them."""
+    if not folder.exists():
+        for package in PACKAGES:
+            shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+        plan = folder / "worker" / "plan.py"
+        text = plan.read_text(encoding="utf-8")
+        found = re.search(r"CODE_VERSIONS: .*?\{(.*?)\}", text, re.DOTALL)
+        assert found is not None
+        raised = re.sub(r"(?<=: )\d+", lambda number: str(int(number[0]) + 100), found[1])
+        assert raised != found[1]
+        plan.write_text(text.replace(found[1], raised), encoding="utf-8")
+    return folder

@@ -1,0 +1,93 @@
+"""Spoilt calibrations, keypoints and timestamps: a session or clear problems, at once, whatever they hold."""
+
+import io
+import json
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline import preflight
+from pipeline.calibration.registry import read_calibration
+from pipeline.simulation.scenes import Simulation
+from tests.hostile.calibrations import in_every_format, spoilt_calibrations
+from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
+
+SEED = 18
+MAX_S = 10.0  # of a check, on a machine that has other things to do
+MAX_PROBLEMS = 61
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulate()
+
+
+def check(folder: Path, files: Mapping[str, bytes]) -> dict[str, Any]:
+    """Check a session of keypoints as the service's child does, in this process: no exception and no warning."""
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    (calibration,) = set(files) - {"timestamps.csv"} - {name for name in files if name.endswith(".zip")}
+    archives = [str(folder / name) for name in files if name.endswith(".zip")]
+    words = ["--keypoints", *archives, "--calibration", str(folder / calibration)]
+    words += ["--timestamps", str(folder / "timestamps.csv"), "--record", str(folder / "record.npz")]
+    output = io.StringIO()
+    started_s = time.monotonic()
+    with redirect_stdout(output):
+        exit_code = preflight.main(words)
+    assert time.monotonic() - started_s < MAX_S
+    found: dict[str, Any] = json.loads(output.getvalue())
+    assert exit_code == (2 if "problems" in found else 0)
+    return found
+
+
+def is_clear(problems: list[dict[str, Any]]) -> bool:
+    """Some dozens at most, each with a sentence and the place where it is."""
+    return 0 < len(problems) <= MAX_PROBLEMS and all(
+        problem["message"].endswith(".")
+        and len(json.dumps(problem)) < 10_000
+        and (problem["file"] or problem["camera"] or problem["code"] in {"more_problems", "keypoints_mixed"})
+        and not any("\ud800" <= character <= "\udfff" for text in problem.values() if text for character in text)
+        for problem in problems
+    )
+
+
+def numbered(folder: Path) -> Iterator[Path]:
+    number = 0
+    while True:
+        number += 1
+        yield folder / str(number)
+
+
+def test_good_ones_are_read_in_every_format(tmp_path: Path, simulation: Simulation) -> None:
+    for name, content in in_every_format(simulation.cameras).items():
+        (tmp_path / name).write_bytes(content)
+        cameras = read_calibration(tmp_path / name)
+        assert [camera.size_px for camera in cameras] == [camera.size_px for camera in simulation.cameras]
+    assert len(check(tmp_path / "session", keypoint_files(simulation))["cameras"]) == 2
+
+
+def test_calibrations(tmp_path: Path, simulation: Simulation) -> None:
+    good = {name: one for name, one in keypoint_files(simulation).items() if name != "calibration.json"}
+    refused = 0
+    spoilt = spoilt_calibrations(simulation.cameras, SEED, 400)
+    for folder, (name, content) in zip(numbered(tmp_path), spoilt, strict=False):
+        found = check(folder, good | {name: content})
+        if "problems" in found:
+            refused += 1
+            assert is_clear(found["problems"]), found["problems"]
+    assert refused > 200
+
+
+def test_keypoints_and_timestamps(tmp_path: Path, simulation: Simulation) -> None:
+    refused = 0
+    for folder, files in zip(numbered(tmp_path), spoilt_keypoints(simulation, SEED, 250), strict=False):
+        found = check(folder, files)
+        if "problems" in found:
+            refused += 1
+            assert is_clear(found["problems"]), found["problems"]
+    assert refused > 100

@@ -1,0 +1,93 @@
+"""Spoilt sessions over HTTP, looked at by the real check in its child: 201 or 4xx with clear problems, never 5xx."""
+
+import itertools
+import json
+import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from api.settings import Settings
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe import probe
+from tests.api.conftest import NO_BROKER, Live, running
+from tests.hostile.calibrations import spoilt_calibrations
+from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
+from tests.hostile.media import good_videos, spoilt_videos
+from tests.hostile.test_hostile_files import SEED, is_clear
+
+MAX_S = 30.0
+CAMERA = {
+    "size_px": [64, 48],
+    "matrix": [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]],
+    "distortion": [],
+    "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    "translation_m": [0.0, 0.0, 3.0],
+}
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    folder = tmp_path_factory.mktemp("service")
+    with running(Settings(data_dir=folder / "data", broker_url=NO_BROKER)) as found:
+        yield found
+
+
+def post(live: Live, files: list[tuple[str, tuple[str, bytes]]]) -> httpx2.Response:
+    """Send a session; it is answered in time, by a session or by what is wrong with it."""
+    started_s = time.monotonic()
+    answer = live.client.post("/v1/sessions", files=files)
+    assert time.monotonic() - started_s < MAX_S
+    assert answer.status_code in {201, 413, 422}, answer.text
+    if answer.status_code == 422:
+        errors: list[dict[str, Any]] = answer.json()["errors"]
+        assert is_clear([{name: text for name, text in one.items() if name != "pointer"} for one in errors]), errors
+    return answer
+
+
+def parts_of(files: dict[str, bytes]) -> list[tuple[str, tuple[str, bytes]]]:
+    """Parts of a form of keypoints."""
+    kinds = {".zip": "keypoints", ".csv": "timestamps"}
+    return [(kinds.get(Path(name).suffix, "calibration"), (name, content)) for name, content in files.items()]
+
+
+def test_calibrations_keypoints_and_timestamps(live: Live) -> None:
+    simulation = simulate()
+    good = keypoint_files(simulation)
+    assert post(live, parts_of(good)).status_code == 201
+    spoilt: list[dict[str, bytes]] = list(spoilt_keypoints(simulation, SEED, 50))
+    for name, content in spoilt_calibrations(simulation.cameras, SEED, 50):
+        spoilt.append({other: one for other, one in good.items() if other != "calibration.json"} | {name: content})
+    for files in random.Random(SEED).sample(spoilt, 8):  # noqa: S311 - the same each time
+        post(live, parts_of(files))
+
+
+def test_videos(live: Live, tmp_path: Path) -> None:
+    good = good_videos(tmp_path)
+    for name, content in itertools.islice(spoilt_videos(good, SEED, 6), 6):
+        ending = Path(name).suffix
+        post(live, videos(f"left{ending}", content, f"right{ending}", good[name]))
+
+
+def test_every_video_that_is_taken_has_a_frame_at_which_decoding_starts(tmp_path: Path) -> None:
+    (tmp_path / "good").mkdir()
+    refused = 0
+    for name, content in spoilt_videos(good_videos(tmp_path / "good"), 3, 200):
+        (tmp_path / name).write_bytes(content)
+        found = probe(tmp_path / name)
+        if isinstance(found, VideoInfo):
+            assert len(found.keyframe_pts) > 0
+        else:
+            refused += found.code == "no_keyframes"
+    assert refused > 0
+
+
+def videos(name: str, content: bytes, other_name: str, other: bytes) -> list[tuple[str, tuple[str, bytes]]]:
+    """Parts of a form of two videos."""
+    cameras = [CAMERA | {"name": "left"}, CAMERA | {"name": "right"}]
+    calibration = json.dumps({"schema_version": 1, "cameras": cameras}).encode()
+    return [("videos", (name, content)), ("videos", (other_name, other)), ("calibration", ("c.json", calibration))]

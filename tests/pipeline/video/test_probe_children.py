@@ -1,0 +1,98 @@
+"""Ends of a child that examines a video: the file's fault, or ours."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline.errors import ChildError, Problem
+from pipeline.video import probe as probing
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe import probe_in_children
+from tests.pipeline.media import write_video
+
+
+def in_children(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """Run some code in every Python that is started, before its own."""
+    (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
+
+
+def when_opened(act: str) -> str:
+    """Code that does something as soon as a video is opened, as a decoder might."""
+    return f"import os, signal, time, av\ndef act(*a, **k):\n    {act}\nav.open = act\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGXCPU, signal.SIGFPE])
+def test_a_file_that_kills_its_decoder_is_a_bad_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    in_children(tmp_path, monkeypatch, when_opened(f"os.kill(os.getpid(), {int(number)})"))
+    (found,) = probe_in_children([write_video(tmp_path / "a.mp4", 3)])
+    assert isinstance(found, Problem)
+    assert (found.code, found.file) == ("video_unreadable", "a.mp4")
+
+
+@pytest.mark.parametrize("act", ["raise MemoryError", "time.sleep(60)", "\n    while True: pass"])
+def test_a_file_beyond_the_limits_is_a_bad_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str) -> None:
+    monkeypatch.setattr(probing, "_TIMEOUT_S", 6.0)
+    in_children(tmp_path, monkeypatch, when_opened(act))
+    (found,) = probe_in_children([write_video(tmp_path / "a.mp4", 3)])
+    assert isinstance(found, Problem)
+    assert "limits" in found.message
+
+
+def test_the_limit_on_computing_is_the_file_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel ends it by SIGXCPU, not by SIGKILL, which could come from anybody."""
+    limit = "import resource\nset_limit = resource.setrlimit\n"
+    short = "resource.setrlimit = lambda kind, to: set_limit(kind, (2, 4) if kind == resource.RLIMIT_CPU else to)\n"
+    in_children(tmp_path, monkeypatch, limit + short + when_opened("\n    while True: pass"))
+    (found,) = probe_in_children([write_video(tmp_path / "a.mp4", 3)])
+    assert isinstance(found, Problem)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("import sys\nsys.modules['av'] = None\n", "import of av halted"),
+        (when_opened("os.kill(os.getpid(), signal.SIGKILL)"), "SIGKILL"),
+        (when_opened("os.kill(os.getpid(), signal.SIGTERM)"), "SIGTERM"),
+        ("import os, sys\nif 'pipeline.video.probe' in sys.orig_argv: os.kill(os.getpid(), 11)\n", "SIGSEGV"),
+        (when_opened("raise AttributeError('a mistake of ours')"), "a mistake of ours"),
+    ],
+)
+def test_a_child_that_fails_by_itself_is_not_the_file_s_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
+) -> None:
+    in_children(tmp_path, monkeypatch, text)
+    with pytest.raises(ChildError, match="not at fault") as raised:
+        probe_in_children([write_video(tmp_path / "a.mp4", 3), write_video(tmp_path / "b.mp4", 3)])
+    assert words in str(raised.value)
+    assert "Traceback" not in str(raised.value)
+    assert "stderr" in raised.value.__notes__[0]
+
+
+def test_an_interruption_leaves_no_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_children(tmp_path, monkeypatch, when_opened("time.sleep(60)"))
+    paths = [write_video(tmp_path / f"{k}.mp4", 3) for k in range(4)]
+
+    def interrupt() -> None:
+        while not psutil.Process().children():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    started_s = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        probe_in_children(paths)
+    assert time.monotonic() - started_s < 20
+    assert not [one for one in psutil.Process().children() if "pipeline.video.probe" in one.cmdline()]
+
+
+def test_good_files_are_told(tmp_path: Path) -> None:
+    found = probe_in_children([write_video(tmp_path / f"{k}.mp4", 3 + k) for k in range(3)])
+    assert [one.num_frames for one in found if isinstance(one, VideoInfo)] == [3, 4, 5]

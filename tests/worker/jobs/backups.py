@@ -1,0 +1,113 @@
+"""A service's data with real files, for tests of backups."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.worker.jobs.conftest import LEASE_S, PREFLIGHT, UNITS
+from worker.jobs.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
+from worker.jobs.backup.contents import Report
+from worker.jobs.backup.create import create_backup
+from worker.jobs.backup.restore import restore_backup
+from worker.jobs.model import ChunkPlan, InputFile, Job, Result, StagePlan
+from worker.jobs.removals import remove_files
+from worker.jobs.spec import JobSpec
+from worker.jobs.store import JobStore
+
+
+@dataclass(frozen=True)
+class Data:
+    """A data folder as the API and workers fill it."""
+
+    folder: Path
+    url: str
+    store: JobStore
+    artifacts: LocalArtifacts
+
+    def add_session(self, num_bytes: int = 10_000, name: str = "take") -> str:
+        session_id = self.store.announce_session()
+        files = []
+        for number in range(2):
+            content = os.urandom(num_bytes)
+            key = input_key(session_id, number, f"cam {number}.mp4")
+            self.artifacts.put_bytes(key, content)
+            files.append(
+                InputFile(f"cam {number}.mp4", "video", key, len(content), hashlib.sha256(content).hexdigest())
+            )
+        self.artifacts.put_bytes(record_key(session_id), b"preflight")
+        self.store.create_session(name, files, PREFLIGHT, session_id)
+        return session_id
+
+    def add_job(self, session_id: str) -> Job:
+        chunks = tuple(ChunkPlan(k, {}, UNITS, hashlib.sha256(f"detect-{k}".encode()).hexdigest()) for k in range(2))
+        last = ChunkPlan(0, {}, UNITS, hashlib.sha256(b"export").hexdigest())
+        return self.store.create_job(session_id, JobSpec(), (StagePlan("detect", chunks), StagePlan("export", (last,))))
+
+    def run_chunk(self) -> bool:
+        """Do the next chunk as a worker does; whether there was one."""
+        claim = self.store.claim("worker", LEASE_S)
+        if claim is None:
+            return False
+        content = f"output {claim.output_key}".encode()
+        self.artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), content)
+        results = []
+        if claim.stage == "export":
+            key = result_key(claim.job_id, "person-1.bvh")
+            self.artifacts.put_bytes(key, b"HIERARCHY")
+            sha256 = hashlib.sha256(b"HIERARCHY").hexdigest()
+            results.append(Result("person-1.bvh", "bvh", "person-1", "text/plain", key, 9, sha256))
+        digest = hashlib.sha256(content).hexdigest()
+        self.store.finish(claim.chunk_id, claim.lease_token, digest, len(content), results=results)
+        return True
+
+    def run_all(self) -> None:
+        while self.run_chunk():
+            pass
+
+    def add_upload(self, content: bytes, num_bytes: int, upload_id: str) -> None:
+        self.store.create_upload(upload_id, "cam.mp4", num_bytes, "", 3600.0)
+        (self.folder / "uploads").mkdir(exist_ok=True)
+        (self.folder / "uploads" / upload_id).write_bytes(content)
+
+    def delete_session(self, session_id: str) -> None:
+        self.store.delete_session(session_id)
+        remove_files(self.store, self.artifacts)
+
+    def back_up(self, archive: Path) -> Report:
+        return create_backup(self.folder, self.url, "", archive, ignore)
+
+    def tree(self) -> dict[str, bytes]:
+        """Artifacts and uploads."""
+        return {
+            str(path.relative_to(self.folder)): path.read_bytes()
+            for name in ("artifacts", "uploads")
+            for path in (self.folder / name).rglob("*")
+            if path.is_file()
+        }
+
+    def rows(self) -> object:
+        jobs = [(one.id, one.state, one.attempt, one.created_at, one.stages) for one in self.store.jobs(limit=1000)]
+        return self.store.sessions(limit=1000), jobs, self.store.list_keys(), self.store.figures().totals
+
+
+def ignore(done: int, total: int) -> None:
+    """Progress that nobody looks at."""
+
+
+@contextmanager
+def opened_data(folder: Path, url: str = "") -> Iterator[Data]:
+    folder.mkdir(exist_ok=True)
+    url = url or f"sqlite:///{folder / 'multicap.db'}"
+    store = JobStore(url)
+    store.migrate()
+    try:
+        yield Data(folder, url, store, LocalArtifacts(folder / "artifacts"))
+    finally:
+        store.close()
+
+
+def restored(archive: Path, folder: Path, url: str = "") -> Report:
+    return restore_backup(archive, folder, url or f"sqlite:///{folder / 'multicap.db'}", "", ignore)

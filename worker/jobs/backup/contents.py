@@ -1,0 +1,184 @@
+"""Contents of a backup: its manifest, the files that a database's rows name, and what is wrong with them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter
+from sqlalchemy import Connection, func, select
+
+from worker.jobs.artifacts import record_key, require_key, stage_key
+from worker.jobs.backup.errors import BackupError
+from worker.jobs.model import FINISHED, ChunkState, JobState
+from worker.jobs.tables import artifacts, chunks, jobs, results, sessions, uploads
+
+MANIFEST = "manifest.json"
+DATABASE = "multicap.db"
+PROBLEMS = "problems.json"
+
+FORMAT = 1
+
+_ROWS_AT_ONCE = 50  # a session's rows may have megabytes each
+
+
+class RowCounts(BaseModel):
+    """How much a database holds."""
+
+    model_config = ConfigDict(frozen=True)
+
+    sessions: int
+    jobs: dict[str, int]  # by state
+    uploads: int
+
+
+class Manifest(BaseModel):
+    """First member of a backup.
+
+    ``schema_revision`` is of its database; ``artifacts_url`` says where artifacts stay that are not in the backup.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    format: int
+    created_at: datetime
+    multicap_version: str
+    schema_revision: str
+    artifacts_url: str
+    rows: RowCounts
+    files: int
+    num_bytes: int  # of the files
+
+
+class FileProblem(BaseModel):
+    """A file that a backup lacks, or that is not what the database says. Without ``needed`` the service makes do."""
+
+    model_config = ConfigDict(frozen=True)
+
+    path: str  # below the data folder
+    problem: Literal["missing", "unreadable", "damaged"]
+    needed: bool
+
+
+FILE_PROBLEMS = TypeAdapter(tuple[FileProblem, ...])
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFile:
+    """A file that a row names; size and digest as far as the row has them.
+
+    Parameters
+    ----------
+    path
+        Below the data folder.
+    needed
+        Whether a session, a job or a result is lost without it.
+    """
+
+    path: str
+    num_bytes: int | None
+    sha256: str | None
+    needed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Contents of a backup, and the files that it lacks."""
+
+    manifest: Manifest
+    archive_bytes: int
+    problems: tuple[FileProblem, ...]
+    faults: tuple[str, ...] = ()
+
+    @property
+    def lost(self) -> tuple[FileProblem, ...]:
+        """Files that are needed."""
+        return tuple(problem for problem in self.problems if problem.needed)
+
+
+def read_manifest(content: bytes) -> Manifest:
+    """Read a manifest; ``BackupError`` if this version can't read its backup."""
+    try:
+        manifest = Manifest.model_validate_json(content)
+    except ValueError as error:
+        raise BackupError("The archive's manifest can't be read: it is damaged, or no backup of Multicap.") from error
+    if manifest.format != FORMAT:
+        raise BackupError(
+            f"The backup has format {manifest.format}, made by Multicap {manifest.multicap_version}; "
+            f"this version reads format {FORMAT}. Use that version."
+        )
+    return manifest
+
+
+def count_rows(connection: Connection) -> RowCounts:
+    """Count what a database holds."""
+    by_state = connection.execute(select(jobs.c.state, func.count()).group_by(jobs.c.state)).all()
+    return RowCounts(
+        sessions=connection.scalar(select(func.count()).select_from(sessions)) or 0,
+        jobs=dict(sorted((row[0], row[1]) for row in by_state)),
+        uploads=connection.scalar(select(func.count()).select_from(uploads)) or 0,
+    )
+
+
+def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, StoredFile]:
+    """Files that a database's rows name, by path.
+
+    Parameters
+    ----------
+    with_artifacts
+        Whether artifacts are in the data folder; else uploads alone are.
+
+    Raises
+    ------
+    ValueError
+        A row names a file by a key that is none.
+    """
+    found = list(_uploads(connection))
+    if with_artifacts:
+        found += [*_of_sessions(connection), *_outputs(connection), *_results(connection)]
+    return {file.path: file for file in found}
+
+
+def _artifact(key: str, num_bytes: int | None, sha256: str | None, needed: bool) -> StoredFile:
+    require_key(key)
+    return StoredFile(f"artifacts/{key}", num_bytes, sha256, needed)
+
+
+def _uploads(connection: Connection) -> Iterator[StoredFile]:
+    # An upload that was just moved into a session's folder has no file, and its client begins again.
+    for upload_id in connection.scalars(select(uploads.c.id).order_by(uploads.c.id)):
+        require_key(upload_id)
+        yield StoredFile(f"uploads/{upload_id}", None, None, needed=False)
+
+
+def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
+    query = select(sessions.c.id, sessions.c.files).order_by(sessions.c.id)
+    for session_id, files in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
+        for file in files:
+            yield _artifact(file["key"], file["num_bytes"], file["sha256"], needed=True)
+        yield _artifact(record_key(session_id), None, None, needed=True)
+
+
+def _outputs(connection: Connection) -> Iterator[StoredFile]:
+    """Outputs of chunks. Workers make one anew that is missing, but for jobs at work that believe it to be there."""
+    wanted = (
+        select(jobs.c.session_id, chunks.c.output_key)
+        .join(chunks, chunks.c.job_id == jobs.c.id)
+        .where(jobs.c.state.not_in(FINISHED), chunks.c.state == ChunkState.DONE)
+    )
+    needed = {(row[0], row[1]) for row in connection.execute(wanted)}
+    query = select(artifacts).order_by(artifacts.c.session_id, artifacts.c.output_key)
+    for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
+        key = stage_key(row.session_id, row.output_key)
+        yield _artifact(key, row.num_bytes, row.sha256, (row.session_id, row.output_key) in needed)
+
+
+def _results(connection: Connection) -> Iterator[StoredFile]:
+    query = (
+        select(results.c.key, results.c.num_bytes, results.c.sha256)
+        .join(jobs, jobs.c.id == results.c.job_id)
+        .where(jobs.c.state != JobState.EXPIRED)
+        .order_by(results.c.job_id, results.c.name)
+    )
+    for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
+        yield _artifact(row.key, row.num_bytes, row.sha256, needed=True)

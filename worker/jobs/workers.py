@@ -1,0 +1,61 @@
+"""Worker processes: which there are, and whether they could start a chunk now.
+
+Each process keeps a row of its own fresh. A row that nobody has renewed for a while is of a process that is gone.
+"""
+
+from collections.abc import Collection, Iterable
+from dataclasses import asdict
+
+from sqlalchemy import Connection, delete, or_, select
+
+from worker.jobs.database import Database, now, upsert
+from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.tables import workers
+
+# Renewed every four seconds: two in a row were missed.
+SILENT_AFTER_S = 10.0
+_FORGOTTEN_AFTER_S = 60.0
+
+
+class Workers:
+    """The store's list of worker processes."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def report_worker(self, status: WorkerStatus) -> None:
+        """Say what a worker process does now; it is believed for ``SILENT_AFTER_S``."""
+        with self._database.writing() as connection:
+            upsert(connection, workers, asdict(status) | {"detectors": list(status.detectors), "seen_at": now()})
+            _forget_silent(connection)
+
+    def remove_worker(self, worker_id: str) -> None:
+        """Forget a worker process that ends."""
+        self.remove_workers([worker_id])
+
+    def remove_workers(self, worker_ids: Collection[str]) -> None:
+        """Forget worker processes that are gone."""
+        with self._database.writing() as connection:
+            connection.execute(delete(workers).where(workers.c.id.in_(worker_ids)))
+
+    def workers(self) -> list[WorkerStatus]:
+        """All worker processes that are there."""
+        # Also not from the future: where the clock was put back, those would be there for ever.
+        alive = workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
+        with self._database.reading() as connection:
+            rows = connection.execute(select(workers).where(alive).order_by(workers.c.id))
+            return [
+                WorkerStatus(row.id, WorkerState(row.state), row.activity, row.done, row.total, tuple(row.detectors))
+                for row in rows
+            ]
+
+
+def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
+    """Detectors that every ready worker has, for any of them may take a chunk; ``None`` if no worker is ready."""
+    ready = [frozenset(worker.detectors) for worker in found if worker.state is WorkerState.READY]
+    return frozenset.intersection(*ready) if ready else None
+
+
+def _forget_silent(connection: Connection) -> None:
+    silent = or_(workers.c.seen_at < now() - _FORGOTTEN_AFTER_S, workers.c.seen_at > now() + _FORGOTTEN_AFTER_S)
+    connection.execute(delete(workers).where(silent))
