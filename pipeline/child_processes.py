@@ -53,7 +53,7 @@ class ProcessPool(ProcessPoolExecutor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Schedule a call; starts a process if none is idle."""
-        with _uninterrupted():
+        with uninterrupted():
             return super().submit(fn, *args, **kwargs)
 
     def __exit__(
@@ -68,8 +68,8 @@ class ProcessPool(ProcessPoolExecutor):
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold SIGINT and SIGTERM back while a process is started, lest one be left that nobody knows.
+def uninterrupted() -> Iterator[None]:
+    """Hold SIGINT and SIGTERM back while processes or threads are started, lest one be left that nobody knows.
 
     Processes that are started meanwhile never get SIGINT, not even while Python loads: they inherit that it is blocked.
     """

@@ -11,14 +11,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.child_processes import module_command
+from pipeline.child_processes import module_command, uninterrupted
 from pipeline.errors import ChildError, Problem
 from pipeline.video.container import CODECS, DECODE_ERRORS, first_video, open_container
 from pipeline.video.info import VideoInfo
@@ -171,8 +171,10 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
     """
     running: set[subprocess.Popen[bytes]] = set()
     with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:
-        waiting = [pool.submit(_probe_in_child, path, running) for path in paths]
+        waiting: list[Future[VideoInfo | Problem]] = []
         try:
+            with uninterrupted():
+                waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
             return [one.result() for one in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -4,7 +4,9 @@ import os
 import signal
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -89,6 +91,23 @@ def test_an_interruption_leaves_no_child(tmp_path: Path, monkeypatch: pytest.Mon
     started_s = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         probe_in_children(paths)
+    assert time.monotonic() - started_s < 20
+    assert not [one for one in psutil.Process().children() if "pipeline.video.probe" in one.cmdline()]
+
+
+def test_an_interruption_while_children_start_leaves_no_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_children(tmp_path, monkeypatch, when_opened("time.sleep(60)"))
+
+    class Interrupted(ThreadPoolExecutor):
+        def submit(self, *arguments: Any, **named: Any) -> Any:
+            submitted = super().submit(*arguments, **named)
+            os.kill(os.getpid(), signal.SIGINT)
+            return submitted
+
+    monkeypatch.setattr(probing, "ThreadPoolExecutor", Interrupted)
+    started_s = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        probe_in_children([write_video(tmp_path / f"{k}.mp4", 3) for k in range(4)])
     assert time.monotonic() - started_s < 20
     assert not [one for one in psutil.Process().children() if "pipeline.video.probe" in one.cmdline()]
 
