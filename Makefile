@@ -7,7 +7,7 @@ LINTER := tests/api/linter
 BLENDER := .venv-blender
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers linter test verify-exports soak check benchmark format lock clean
+.PHONY: help setup demo serve browser readers linter test verify-exports soak hostile check benchmark format lock clean
 
 help:  ## Say what there is
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -76,10 +76,14 @@ test: setup browser readers  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
-	$(BIN)/python -P -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak"
+	$(BIN)/python -P -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak and not hostile"
 
 soak: setup  ## Disturb 200 jobs by faults at random moments; half an hour
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
+
+hostile: setup  ## Send 6,000 damaged and malicious sessions to a service; an hour
+	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/python -P -m pytest -s -m hostile tests/hostile
 
 check: setup linter  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
 	$(BIN)/ruff format --check .
