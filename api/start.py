@@ -1,22 +1,28 @@
-"""Entry point of `multicap`: loading the libraries takes seconds, and Ctrl-C is no stack trace then, either."""
+"""Entry point of `multicap`: Ctrl-C ends it with a sentence while modules are imported, too."""
 
 import json
 import signal
 import sys
+from typing import NoReturn
 
 
 def main() -> None:
-    """Load the command line and run it."""
+    """Import the command line and run it."""
     try:
-        from api.cli import main as run  # noqa: PLC0415 - what takes long
+        from api.cli import main as run  # noqa: PLC0415 - may be interrupted
     except KeyboardInterrupt:
-        sentence = "Interrupted by SIGINT. Nothing was done."
-        if "--json" in sys.argv:
-            sys.stdout.write(json.dumps({"problems": [{"code": "interrupted", "message": sentence}]}) + "\n")
-        else:
-            sys.stderr.write(f"error {sentence}\n")
-        sys.exit(128 + signal.SIGINT)
+        end_interrupted()
     run()
+
+
+def end_interrupted() -> NoReturn:
+    """End a program that was interrupted before its work began."""
+    sentence = "Interrupted by SIGINT. Nothing was done."
+    if "--json" in sys.argv:
+        sys.stdout.write(json.dumps({"problems": [{"code": "interrupted", "message": sentence}]}) + "\n")
+    else:
+        sys.stderr.write(f"error {sentence}\n")
+    sys.exit(128 + signal.SIGINT)
 
 
 if __name__ == "__main__":

@@ -15,22 +15,23 @@ FEET: tuple[str, ...] = get_args(Feet)
 EXPORTS: tuple[str, ...] = get_args(Export)
 PRESETS: tuple[str, ...] = get_args(Preset)
 
-MethodOption = Annotated[str, typer.Option(help=f"How detections become tracks: {' or '.join(METHODS)}.")]
-"""To be checked by ``known_method``, which reports a wrong one as any other problem."""
-SmoothingOption = Annotated[str, typer.Option(help=f"What becomes of the joints' positions: {', '.join(SMOOTHINGS)}.")]
-"""Likewise by ``known_smoothing``."""
+
+def _choice(values: Sequence[str]) -> str:
+    return "|".join(values)
+
+
+# Values are checked by the functions below, not by Typer: a wrong one is reported as any other problem.
+MethodOption = Annotated[str, typer.Option(metavar=_choice(METHODS), help="How detections become tracks.")]
+SmoothingOption = Annotated[str, typer.Option(metavar=_choice(SMOOTHINGS), help="How joint positions are smoothed.")]
 FeetOption = Annotated[
-    str, typer.Option(help=f"Which feet that stand are held in place: {', '.join(FEET)}; auto means likely ones.")
+    str, typer.Option(metavar=_choice(FEET), help="Feet that stand are held in place; auto: where contact is likely.")
 ]
-"""Likewise by ``known_feet``."""
 ExportsOption = Annotated[
     str, typer.Option(metavar="LIST", help=f"Files of each person, such as bvh,csv; of {', '.join(EXPORTS)}.")
 ]
-"""Likewise by ``known_exports``."""
 PresetOption = Annotated[
-    str, typer.Option(help=f"What BVH files are to be opened with: {', '.join(PRESETS)}; see docs/formats.md.")
+    str, typer.Option(metavar=_choice(PRESETS), help="Application that BVH files are written for; see docs/formats.md.")
 ]
-"""Likewise by ``known_preset``."""
 
 
 def known_method(name: str) -> Method:

@@ -181,7 +181,7 @@ def command(
         ),
     ] = None,
     units: Annotated[
-        str, typer.Option(help=f"Of a calibration whose format does not say: {', '.join(UNITS_M)}.")
+        str, typer.Option(metavar="|".join(UNITS_M), help="Units of a calibration whose format does not say.")
     ] = "m",
     keypoints: Annotated[
         Path | None,

@@ -1,6 +1,8 @@
 """What programs rely on: exit codes, one JSON object on stdout, every problem at once."""
 
+import ast
 import contextlib
+import importlib.metadata
 import json
 import os
 import sqlite3
@@ -13,7 +15,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli import COMMANDS, app
 from api.commands import keys
 from api.commands.reconstruct import print_summary, write_results
 from api.console import print_table
@@ -59,6 +61,28 @@ def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
     assert "There are no videos" in result.stderr
     assert "no such calibration file" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_the_help_imports_no_command() -> None:
+    """And says of every command what the command's own help says first, or less."""
+    code = "import sys; sys.argv = ['multicap', '--help']; import atexit; from api.cli import main\n"
+    code += "atexit.register(lambda: print(sorted({name.partition('.')[0] for name in sys.modules}))); main()"
+    result = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
+    assert all(name in result.stdout for name in COMMANDS)
+    assert not {"numpy", "scipy", "av", "onnxruntime", "numba", "sqlalchemy", "fastapi"} & set(
+        ast.literal_eval(result.stdout.splitlines()[-1])
+    )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_its_help(name: str) -> None:
+    result = runner.invoke(app, [name, "--help"])
+    assert result.exit_code == 0
+    assert f"multicap {name}" in result.stdout
+
+
+def test_version() -> None:
+    assert runner.invoke(app, ["--version"]).stdout == f"multicap {importlib.metadata.version('multicap')}\n"
 
 
 def test_videos_can_be_named_one_by_one(tmp_path: Path) -> None:
