@@ -61,6 +61,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(router, responses=contract.problems(401, 429))
     for router in (uploads.described, callers.router, health.router, page.router):
         app.include_router(router)
+    app.mount("/portal", page.PortalFiles())
     contract.declare_webhooks(app)
     errors.install(app)
     validation.install(app)

@@ -1,81 +1,47 @@
-"""The page at ``/``: jobs, their results, a form to send a session. At ``/docs``: the contract, by Swagger UI."""
+"""The page at ``/``, Swagger UI at ``/docs``, and the files of both at ``/portal``."""
 
-from importlib.resources import files
+import os
+from os import PathLike
+from pathlib import Path
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter
+from starlette.responses import FileResponse, Response
+from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
 
 from api.middleware import SAFE_HEADERS
 
 router = APIRouter(include_in_schema=False)
 
-_MEDIA_TYPES = {
-    "index.html": "text/html",
-    "page.js": "text/javascript",
-    "page.css": "text/css",
-    "icon.svg": "image/svg+xml",
-    "docs.html": "text/html",
-    "docs.js": "text/javascript",
-}
-# The package holds the files of Swagger UI's releases; its code, which has browsers load a script, is not used.
-_SWAGGER_UI = {"swagger-ui-bundle.js": "text/javascript", "swagger-ui.css": "text/css"}
-_CONTENTS = {
-    **{name: (files("api.portal") / name).read_bytes() for name in _MEDIA_TYPES},
-    **{name: (files("fastapi_swagger") / "resources" / name).read_bytes() for name in _SWAGGER_UI},
-}
+_FOLDER = Path(__file__).parents[1] / "portal"
+# Files of another version of the service have the same names: browsers ask each time, and get 304.
+_REVALIDATED = {"Cache-Control": "no-cache"}
 # Swagger UI's style draws its arrows from pictures that are part of it.
 _DOCS_POLICY = SAFE_HEADERS["Content-Security-Policy"].replace("img-src 'self'", "img-src 'self' data:")
 
 
-def _serve(name: str) -> Response:
-    media_type = (_MEDIA_TYPES | _SWAGGER_UI)[name]
-    return Response(_CONTENTS[name], media_type=media_type, headers={"Cache-Control": "no-cache"})
+class PortalFiles(StaticFiles):
+    """Files of the page, and Swagger UI's release files; the code of its package, which loads a script, is not used."""
+
+    def __init__(self) -> None:
+        super().__init__(directory=_FOLDER, packages=[("fastapi_swagger", "resources")])
+
+    def file_response(
+        self, full_path: PathLike[str] | str, stat_result: os.stat_result, scope: Scope, status_code: int = 200
+    ) -> Response:
+        """Answer with a file, or with 304."""
+        answer = super().file_response(full_path, stat_result, scope, status_code)
+        answer.headers.update(_REVALIDATED)
+        return answer
 
 
 @router.get("/")
-def get_page() -> Response:
+def get_page() -> FileResponse:
     """Show the page."""
-    return _serve("index.html")
-
-
-@router.get("/portal/page.js")
-def get_script() -> Response:
-    """Give the page its script."""
-    return _serve("page.js")
-
-
-@router.get("/portal/page.css")
-def get_style() -> Response:
-    """Give the page its style."""
-    return _serve("page.css")
-
-
-@router.get("/portal/icon.svg")
-def get_icon() -> Response:
-    """Give the page its icon."""
-    return _serve("icon.svg")
+    return FileResponse(_FOLDER / "index.html", headers=_REVALIDATED)
 
 
 @router.get("/docs")
-def get_docs() -> Response:
+def get_docs() -> FileResponse:
     """Show the contract."""
-    answer = _serve("docs.html")
-    answer.headers["Content-Security-Policy"] = _DOCS_POLICY
-    return answer
-
-
-@router.get("/portal/docs.js")
-def get_docs_script() -> Response:
-    """Give the contract's page its script."""
-    return _serve("docs.js")
-
-
-@router.get("/portal/swagger-ui-bundle.js")
-def get_swagger_ui() -> Response:
-    """Give the contract's page Swagger UI."""
-    return _serve("swagger-ui-bundle.js")
-
-
-@router.get("/portal/swagger-ui.css")
-def get_swagger_ui_style() -> Response:
-    """Give the contract's page the style of Swagger UI."""
-    return _serve("swagger-ui.css")
+    return FileResponse(_FOLDER / "docs.html", headers={**_REVALIDATED, "Content-Security-Policy": _DOCS_POLICY})
