@@ -106,9 +106,10 @@ def track(
     return keep_most_seen(*people, config.people)
 
 
-def num_sampled(session: Views, config: ReconstructionConfig) -> int:
-    """How many frames bones are measured in."""
-    return len(sampled_frames(session.timebase, clustering_parameters(session, config)))
+def num_sampled(session: Views, ranges: Iterable[range], config: ReconstructionConfig) -> int:
+    """Count the frames in which bones are measured, in some ranges of output frames."""
+    sampled = sampled_frames(session.timebase, clustering_parameters(session, config))
+    return sum(frame in sampled for frames in ranges for frame in frames)
 
 
 def measure_bones(

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.calibration.registry import Units, read_calibration
+from pipeline.clock import TimeSource, clock_problems
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
@@ -23,6 +24,8 @@ from pipeline.pairing import pair_by_name
 from pipeline.parsing import UnreadableError, read_json, read_numbers
 from pipeline.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, KEYPOINT_PX, TIME_S
 from pipeline.session import MIN_CAMERAS
+from pipeline.video.probe import mean_rate_hz
+from pipeline.video.timeline import recorded_stretches
 
 DEFAULT_FRAME_RATE_HZ = 25.0
 
@@ -36,6 +39,8 @@ _MAX_PROBLEMS_A_CAMERA = 10
 # Far below any detector's, far above numbers whose squares are 0.
 _MIN_SCORE = 1e-9
 _MAX_START_S = 3600.0
+# Intervals that differ by less are even: only rounding sets them apart.
+_EVEN = 1e-9
 _START_HINT = "Subtract the time at which the capture started."
 
 People = Float[np.ndarray, "_ _ 3"]  # people and joints, which differ from frame to frame
@@ -70,6 +75,13 @@ class KeypointSession:
     joints: JointSet
     folders: Mapping[str, str]
     warnings: tuple[str, ...]
+
+    @property
+    def stretches(self) -> tuple[range, ...]:
+        """Stretches of all output frames in which a camera saw anybody; see ``recorded_stretches``."""
+        return recorded_stretches(
+            self.timebase, (self.times[name].time_s[one.frame] for name, one in self.detections.items())
+        )
 
 
 def open_keypoints(
@@ -118,7 +130,7 @@ def open_keypoints(
     if timestamps is not None and frame_rate_hz is not None:
         problems.append(Problem("two_clocks", "There are timestamps and a frame rate.", hint="Give one of them."))
     times, timebase = (
-        _times_from_rate(found, frame_rate_hz, warnings, problems)
+        _times_from_rate(found, pairs, frame_rate_hz, warnings, problems)
         if timestamps is None
         else _times_from_file(found, timestamps, problems)
     )
@@ -259,6 +271,7 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
 
 def _times_from_rate(
     frames: Mapping[str, Mapping[int, People]],
+    folders: Mapping[str, str],
     frame_rate_hz: float | None,
     warnings: list[str],
     problems: list[Problem],
@@ -271,6 +284,15 @@ def _times_from_rate(
         problems.append(Problem("frame_rate", f"{rate_hz:g} Hz is no frame rate.", hint=f"Use {FRAME_RATE_HZ}."))
         return {}, None
     times = {camera: FrameTimes(np.array(list(of), dtype=np.float64) / rate_hz) for camera, of in frames.items()}
+    source = TimeSource(
+        files=folders,
+        start_field="frame",
+        rate_field="frame",
+        start_hint="Check the numbers of the files: a number times the frame's duration is its time.",
+        rate_hint="Number the files from the start of the capture; cut a longer capture into several sessions.",
+    )
+    if times and all(frames.values()):
+        problems += clock_problems(times, 0.0, rate_hz, source)
     last = max((max(of, default=0) for of in frames.values()), default=0)
     return times, Timebase(0.0, rate_hz, last + 1)
 
@@ -301,18 +323,35 @@ def _times_from_file(
     if min(one.time_s[0] for one in times.values() if len(one.time_s)) > _MAX_START_S:
         problems.append(Problem("timestamps_start", "Times count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
-    intervals_s = [float(np.median(np.diff(one.time_s))) for one in times.values() if len(one.time_s) > 1]
-    if not intervals_s:
+    rates_hz = [_rate_hz(one.time_s) for one in times.values() if len(one.time_s) > 1]
+    if not rates_hz:
         problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
         return times, None
-    rate_hz = 1.0 / min(intervals_s)
+    rate_hz = max(rates_hz)
     if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
         message = f"By the times the fastest camera takes {rate_hz:g} frames a second; {FRAME_RATE_HZ} are taken."
         hint = "Times are in seconds."
         problems.append(Problem("frame_rate", message, file=timestamps.name, field="time_s", hint=hint))
+    source = TimeSource(
+        files=dict.fromkeys(times, timestamps.name),
+        start_field="time_s",
+        rate_field="time_s",
+        start_hint="Check the times: seconds since the start of the capture, by a clock that all cameras share.",
+        rate_hint="Times are seconds since the start of the capture. Cut a longer capture into several sessions.",
+    )
+    if all(frames.values()):
+        problems += clock_problems(times, 0.0, rate_hz, source)
+    if problems:
         return times, None
     end_s = max(float(one.time_s[-1]) for one in times.values())
     return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
+
+
+def _rate_hz(time_s: Float[np.ndarray, " frames"]) -> float:
+    """Mean rate of two frames at least; of even intervals the median one's, which is exact where a mean is rounded."""
+    mean_hz = mean_rate_hz(time_s)
+    usual_s = float(np.median(np.diff(time_s)))
+    return 1.0 / usual_s if math.isclose(mean_hz * usual_s, 1.0, rel_tol=_EVEN) else mean_hz
 
 
 def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]] | None:

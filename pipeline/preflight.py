@@ -10,6 +10,7 @@ through the files again.
 import argparse
 import errno
 import json
+import math
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -32,30 +33,38 @@ EXIT_DISK_FULL = 4
 def report(
     session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
 ) -> dict[str, Any]:
-    """Cameras with their files, the shared clock, warnings, and what was said of the videos."""
+    """Cameras with their files, the shared clock, warnings, and what was said of the videos.
+
+    ``stretches`` are the output frames that have to be worked on, first and stop; pauses lie between them.
+    """
     starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
-    rates_hz = (
-        [mean_rate_hz(session.times[camera.name].time_s) for camera in session.cameras]
-        if isinstance(session, CaptureSession)
-        else [session.timebase.frame_rate_hz] * len(session.cameras)
-    )
     return {
         "cameras": [
             {
                 "name": camera.name,
                 "file": file,
                 "size_px": list(camera.size_px),
-                "frame_rate_hz": rate_hz,
+                "frame_rate_hz": _camera_rate_hz(session, camera.name),
                 "num_frames": len(session.times[camera.name].time_s),
                 "start_time_s": starts_s[camera.name],
             }
-            for camera, file, rate_hz in zip(session.cameras, files, rates_hz, strict=True)
+            for camera, file in zip(session.cameras, files, strict=True)
         ],
         "timebase": asdict(session.timebase),
+        "stretches": [[one.start, one.stop] for one in session.stretches],
         "warnings": [printable(warning) for warning in session.warnings],
         "recordings": [asdict(one) for one in recordings],
         "units": units,
     }
+
+
+def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
+    """Mean rate of a camera; the session's for keypoints at the session's rate, or with too few frames to tell."""
+    time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
+    camera_hz = mean_rate_hz(time_s)
+    if isinstance(session, CaptureSession):
+        return camera_hz
+    return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:

@@ -57,4 +57,11 @@ KEYPOINT_PX = Quantity(-1e6, 1e6, "pixels")
 FRAME_RATE_HZ = Quantity(1, 1000, "Hz")
 # Of rates that are computed from times, which files round.
 FRAME_RATE_TOLERANCE = 1e-3
+# Of a keypoint frame, in a file of timestamps. A larger number is a date, not a time since the capture started.
 TIME_S = Quantity(0, 1e6, "s")
+# Of a video's first frame, on the clock that all cameras share.
+OFFSET_S = Quantity(-86_400, 86_400, "s")
+# Of a session, from its first frame to its last.
+DURATION_S = Quantity(0, 43_200, "s")
+# Of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz.
+OUTPUT_FRAMES = Quantity(1, 1_000_000, "frames")

@@ -40,7 +40,7 @@ from pipeline.records_npz import encode_fields
 from pipeline.session import CaptureSession
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.smooth import check_smoothing
-from pipeline.video.timeline import chunk_ranges, frames_in, span_s
+from pipeline.video.timeline import chunk_ranges, cut_stretches, frames_in, span_s
 
 _DEFAULTS = ReconstructionConfig()
 _BY_MEMBERSHIP = (
@@ -79,7 +79,7 @@ def reconstruct(
     wanted = restrict(session, config.frames)
     _check(wanted, config)
     detector = open_detector(config.detector)
-    ranges = chunk_ranges(session.timebase, config.chunk_frames, config.frames)
+    ranges = chunk_ranges(_wanted(session, config), config.chunk_frames, session.stretches)
     cameras = [camera.name for camera in session.cameras]
     chunks = [(camera, frames) for frames in ranges for camera in cameras]
     if uses_fields(session, config):
@@ -146,7 +146,12 @@ def _reconstruct_people(
 ) -> Reconstruction:
     if config.method == "clustering":
         tracks = _cluster(
-            session, [range(session.timebase.num_frames)], lambda _: detections, joints, config, on_progress
+            session,
+            cut_stretches(session.stretches, range(session.timebase.num_frames)),
+            lambda _: detections,
+            joints,
+            config,
+            on_progress,
         )
     else:
         count = _counter("associate", 1, on_progress)
@@ -163,9 +168,9 @@ def _cluster(
     config: ReconstructionConfig,
     on_progress: OnProgress,
 ) -> _Tracks:
-    count = _counter("lengths", num_sampled(session, config), on_progress)
+    count = _counter("lengths", num_sampled(session, ranges, config), on_progress)
     lengths = measure_bones(session, ((frames, found_in(frames)) for frames in ranges), joints, config, count)
-    count = _counter("poses", session.timebase.num_frames, on_progress)
+    count = _counter("poses", sum(map(len, ranges)), on_progress)
     poses = [locate_people(session, frames, found_in(frames), lengths, joints, config, count) for frames in ranges]
     count = _counter("associate", 1, on_progress)
     tracks = link(session, poses, joints, config)
@@ -230,9 +235,14 @@ def _map(
     return _map_in_processes(detect, session, chunks, config, on_progress)
 
 
+def _wanted(session: CaptureSession, config: ReconstructionConfig) -> range:
+    """Output frames that are reconstructed."""
+    return range(session.timebase.num_frames) if config.frames is None else config.frames
+
+
 def _num_frames(session: CaptureSession, config: ReconstructionConfig) -> int:
     """How many of all cameras' frames are looked at."""
-    frames = range(session.timebase.num_frames) if config.frames is None else config.frames
+    frames = _wanted(session, config)
     span = span_s(session.timebase, frames.start, frames.stop)
     return sum(len(frames_in(times, *span)) for times in session.times.values())
 

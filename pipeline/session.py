@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.registry import Units, read_calibration
+from pipeline.clock import TimeSource, clock_problems
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.pairing import pair_by_name
-from pipeline.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
+from pipeline.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import mean_rate_hz, probe_in_children
-from pipeline.video.timeline import cut_timebase, session_timebase
+from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
 
 MIN_CAMERAS = 2
 
@@ -48,6 +49,11 @@ class CaptureSession:
         """The output frames that are wanted, numbered from 0."""
         whole = session_timebase(self.times)
         return whole if self.frames is None else cut_timebase(whole, self.frames)
+
+    @property
+    def stretches(self) -> tuple[range, ...]:
+        """Stretches of all output frames in which a camera took frames; see ``recorded_stretches``."""
+        return recorded_stretches(session_timebase(self.times), (one.time_s for one in self.times.values()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +108,7 @@ def open_session(
 
     probed = probe_in_children(paths)
     problems.extend(found for found in probed if isinstance(found, Problem))
+    problems += _range_problems(recordings)
     known, unknown = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
     problems += unknown
     called = {one.file: camera for camera, one in known.items() if one.file is not None}
@@ -130,9 +137,27 @@ def open_session(
         raise InputError(problems)
     paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
     times = {name: _times(video, known.get(name)) for name, video in paired.items()}
-    if untimely := _rate_problems(times, paired) or _apart(times):
-        raise InputError(untimely)
+    if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
+        raise InputError(problems)
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
+
+
+def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
+    """Offsets and frame rates that no camera has."""
+    stated = [
+        ("offset_range", "offset_s", OFFSET_S, one.camera, one.offset_s, "Count from the start of the capture.")
+        for one in recordings
+    ]
+    stated += [
+        ("frame_rate", "rate", FRAME_RATE_HZ, one.camera, one.frame_rate_hz, "State frames a second.")
+        for one in recordings
+        if one.frame_rate_hz is not None
+    ]
+    return [
+        Problem(code, f"{value:g} is not within {allowed}.", camera=camera, field=field, hint=hint)
+        for code, field, allowed, camera, value, hint in stated
+        if not allowed.holds(value)
+    ]
 
 
 def _known_recordings(
@@ -187,24 +212,17 @@ def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoIn
     ]
 
 
-def _apart(times: Mapping[str, FrameTimes]) -> list[Problem]:
-    """Cameras that saw nothing while another one did: a wrong offset, and a clock without end."""
-    spans = {name: (float(one.time_s[0]), float(one.time_s[-1])) for name, one in times.items()}
-    return [
-        Problem(
-            "no_overlap",
-            f"It recorded from {start_s:.3f} to {end_s:.3f} s, when no other camera did.",
-            camera=name,
-            field="offset_s",
-            hint="Check the offsets: seconds at which the first frames were taken.",
-        )
-        for name, (start_s, end_s) in spans.items()
-        if not any(
-            start_s <= other_end_s and other_start_s <= end_s
-            for other, (other_start_s, other_end_s) in spans.items()
-            if other != name
-        )
-    ]
+def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
+    start_s = min(float(one.time_s[0]) for one in times.values())
+    rate_hz = max(mean_rate_hz(one.time_s) for one in times.values())
+    source = TimeSource(
+        files={name: video.path.name for name, video in videos.items()},
+        start_field="offset_s",
+        rate_field="rate",
+        start_hint="Check the offsets: seconds at which the first frames were taken.",
+        rate_hint="If the video's times are wrong, state its frame rate; else cut the session into several.",
+    )
+    return clock_problems(times, start_s, rate_hz, source)
 
 
 def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], list[Problem]]:

@@ -7,11 +7,12 @@ crash or for another job, asks for the same keys and finds what is there.
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol, Self
 
-from worker.jobs.model import ChunkPlan, Session, StagePlan
+from worker.jobs.model import ChunkPlan, InputFile, StagePlan
 from worker.jobs.spec import JobSpec
 
 DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
@@ -21,42 +22,58 @@ DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "
 CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 2, POSES: 2, ASSOCIATE: 3, FIT: 4, EXPORT: 4}
 
 DEFAULT_CHUNK_FRAMES = 100
+MAX_CHUNKS = 20_000
+"""About the most chunks of a stage: rows of the database, which its job is read from."""
 
 
-def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
+class SessionFacts(Protocol):
+    """What a plan depends on."""
+
+    @property
+    def files(self) -> tuple[InputFile, ...]:
+        """Its files."""
+
+    @property
+    def preflight(self) -> Mapping[str, Any]:
+        """What was found in them; see ``worker.jobs.model.Session``."""
+
+
+def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
     """Cut a reconstruction into stages and chunks.
 
     Parameters
     ----------
     session
-        Its ``preflight`` says how many output frames there are.
+        Its ``preflight`` says how many output frames there are, and which of them have to be worked on.
     spec
         What was asked for.
     chunk_frames
         Output frames of one chunk of the map, which is of one camera: the frames between a chunk's start and the
         keyframe before are decoded in vain, so few long chunks are better than many short ones of all cameras. Chunks
-        begin at its multiples, so two jobs of a session cut alike. No key of a reduce depends on it.
+        begin at its multiples, so two jobs of a session cut alike. No key of a reduce depends on it. Chunks of a
+        session that would have more than ``MAX_CHUNKS`` are longer.
 
     Returns
     -------
         The stages in their order: detect (map), associate, fit and export (one chunk each). A session of keypoints has
         nothing to detect. Clustering measures bones (one chunk) and finds people (map) before it associates them.
+        Stages hold ranges, from which their chunks are derived one at a time.
     """
     inputs = _inputs(session)
-    frames = spec.frames or range(session.preflight["timebase"]["num_frames"])
-    window = {} if spec.frames is None else {"frames": [frames.start, frames.stop]}
+    cut = FrameCut.of(session, spec, chunk_frames * _lengthening(session, chunk_frames))
+    window = {} if spec.frames is None else {"frames": [cut.frames.start, cut.frames.stop]}
     stages: list[StagePlan] = []
     if not is_of_keypoints(session):
         inputs = [
             _key(DETECT, {"detector": spec.detector, **({"leaves": "fields"} if spec.uses_fields else {})}, inputs)
         ]
-        stages.append(StagePlan(DETECT, _map_cameras(session, frames, inputs[0], chunk_frames)))
+        stages.append(StagePlan(DETECT, _CameraChunks(inputs[0], cut, _frames_per_output_frame(session))))
     if spec.method == "clustering":
         lengths = _key(LENGTHS, window, inputs)
         inputs = [_key(POSES, window, [*inputs, lengths])]
-        num_measured = _num_measured(session, len(frames))
-        stages.append(StagePlan(LENGTHS, _reduce(lengths, num_measured, {"chunk_frames": chunk_frames})))
-        stages.append(StagePlan(POSES, _map_frames(frames, inputs[0], chunk_frames)))
+        num_measured = _num_measured(session, cut)
+        stages.append(StagePlan(LENGTHS, _reduce(lengths, num_measured, {"chunk_frames": cut.chunk_frames})))
+        stages.append(StagePlan(POSES, _FrameChunks(inputs[0], cut)))
     people = {} if spec.people == "auto" else {"people": spec.people}
     associate = _key(ASSOCIATE, {"method": spec.method, **window, **people}, inputs)
     smoothing = {
@@ -75,52 +92,117 @@ def plan(session: Session, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAM
     return tuple(stages)
 
 
-def is_of_keypoints(session: Session) -> bool:
+def is_of_keypoints(session: SessionFacts) -> bool:
     """Whether the client sent keypoints instead of videos."""
     return any(file.kind == "keypoints" for file in session.files)
 
 
-def _ranges(frames: range, chunk_frames: int) -> list[tuple[int, int]]:
-    """As ``pipeline.video.timeline.chunk_ranges`` cuts them."""
-    starts = range(frames.start - frames.start % chunk_frames, frames.stop, chunk_frames)
-    return [(max(start, frames.start), min(start + chunk_frames, frames.stop)) for start in starts]
+@dataclass(frozen=True, slots=True)
+class FrameCut:
+    """How the output frames of a job are cut into ranges.
+
+    Parameters
+    ----------
+    frames
+        The output frames that are wanted.
+    stretches
+        Output frames of the session that have to be worked on, ascending; pauses lie between them.
+    chunk_frames
+        Ranges begin at the multiples.
+    """
+
+    frames: range
+    stretches: tuple[range, ...]
+    chunk_frames: int
+
+    @classmethod
+    def of(cls, session: SessionFacts, spec: JobSpec, chunk_frames: int) -> Self:
+        """Cut the frames that a job wants of a session."""
+        whole = range(session.preflight["timebase"]["num_frames"])
+        return cls(spec.frames or whole, _stretches(session), chunk_frames)
+
+    def __iter__(self) -> Iterator[range]:
+        """Ranges in order, one at least; as ``pipeline.video.timeline.chunk_ranges`` cuts them."""
+        stop = 0
+        for part in self.parts:
+            first = max(stop, part.start // self.chunk_frames)
+            stop = -(-part.stop // self.chunk_frames)
+            for number in range(first, stop):
+                start = number * self.chunk_frames
+                yield range(max(start, self.frames.start), min(start + self.chunk_frames, self.frames.stop))
+
+    @property
+    def parts(self) -> list[range]:
+        """Stretches within the wanted frames; the first wanted frame if there are none."""
+        inside = (range(max(one.start, self.frames.start), min(one.stop, self.frames.stop)) for one in self.stretches)
+        return [part for part in inside if part] or [self.frames[:1]]
 
 
-def _map_frames(frames: range, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
-    """Ranges of output frames, the same as those of each camera, counted from the first one that is wanted."""
-    return tuple(
-        ChunkPlan(
-            index=index,
-            payload={"start_frame": start - frames.start, "stop_frame": stop - frames.start},
-            unit_count=stop - start,
-            output_key=_hash([stage_key, start, stop]),
-        )
-        for index, (start, stop) in enumerate(_ranges(frames, chunk_frames))
-    )
+@dataclass(frozen=True, slots=True)
+class _CameraChunks:
+    """Chunks of a map over ranges of output frames and cameras.
+
+    Parameters
+    ----------
+    rates
+        Frames of each camera an output frame, by camera name.
+    """
+
+    stage_key: str
+    cut: FrameCut
+    rates: Mapping[str, float]
+
+    def __iter__(self) -> Iterator[ChunkPlan]:
+        pieces = ((camera, frames) for frames in self.cut for camera in self.rates)
+        for index, (camera, frames) in enumerate(pieces):
+            yield ChunkPlan(
+                index=index,
+                payload={"camera": camera, "start_frame": frames.start, "stop_frame": frames.stop},
+                # About as many frames as the camera took meanwhile.
+                unit_count=max(1, round(len(frames) * self.rates[camera])),
+                output_key=_hash([self.stage_key, camera, frames.start, frames.stop]),
+            )
 
 
-def _num_measured(session: Session, num_frames: int) -> int:
+@dataclass(frozen=True, slots=True)
+class _FrameChunks:
+    """Chunks of a map over the same ranges of output frames, counted from the first one that is wanted."""
+
+    stage_key: str
+    cut: FrameCut
+
+    def __iter__(self) -> Iterator[ChunkPlan]:
+        first = self.cut.frames.start
+        for index, frames in enumerate(self.cut):
+            yield ChunkPlan(
+                index=index,
+                payload={"start_frame": frames.start - first, "stop_frame": frames.stop - first},
+                unit_count=len(frames),
+                output_key=_hash([self.stage_key, frames.start, frames.stop]),
+            )
+
+
+def _stretches(session: SessionFacts) -> tuple[range, ...]:
+    # Sessions that were checked by an older version have none.
+    whole = [[0, session.preflight["timebase"]["num_frames"]]]
+    return tuple(range(start, stop) for start, stop in session.preflight.get("stretches", whole))
+
+
+def _lengthening(session: SessionFacts, chunk_frames: int) -> int:
+    """How many times longer chunks are, for a session that would have too many; alike for all jobs of a session."""
+    num_frames = sum(map(len, _stretches(session))) * len(session.preflight["cameras"])
+    return max(1, -(-num_frames // (chunk_frames * MAX_CHUNKS)))
+
+
+def _frames_per_output_frame(session: SessionFacts) -> dict[str, float]:
+    session_hz = session.preflight["timebase"]["frame_rate_hz"]
+    return {camera["name"]: camera["frame_rate_hz"] / session_hz for camera in session.preflight["cameras"]}
+
+
+def _num_measured(session: SessionFacts, cut: FrameCut) -> int:
     """About as many frames as bones are measured in: five a second."""
+    num_frames = sum(map(len, cut.parts))
     return max(1, min(num_frames, round(5 * num_frames / session.preflight["timebase"]["frame_rate_hz"])))
-
-
-def _map_cameras(session: Session, frames: range, stage_key: str, chunk_frames: int) -> tuple[ChunkPlan, ...]:
-    timebase = session.preflight["timebase"]
-    pieces = (
-        (camera, start, stop)
-        for start, stop in _ranges(frames, chunk_frames)
-        for camera in session.preflight["cameras"]
-    )
-    return tuple(
-        ChunkPlan(
-            index=index,
-            payload={"camera": camera["name"], "start_frame": start, "stop_frame": stop},
-            # About as many frames as the camera took meanwhile.
-            unit_count=max(1, round((stop - start) / timebase["frame_rate_hz"] * camera["frame_rate_hz"])),
-            output_key=_hash([stage_key, camera["name"], start, stop]),
-        )
-        for index, (camera, start, stop) in enumerate(pieces)
-    )
 
 
 def _reduce(
@@ -129,7 +211,7 @@ def _reduce(
     return (ChunkPlan(index=0, payload=dict(payload), unit_count=unit_count, output_key=stage_key),)
 
 
-def _inputs(session: Session) -> list[str]:
+def _inputs(session: SessionFacts) -> list[str]:
     """What the files are, how they are timed; names count: files and cameras find each other by name."""
     files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
     if (units := session.preflight.get("units", "m")) != "m":

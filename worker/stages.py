@@ -37,13 +37,13 @@ from pipeline.records_npz import (
     encode_tracks,
 )
 from pipeline.skeleton.animate import animate
-from pipeline.video.timeline import chunk_ranges, span_s
+from pipeline.video.timeline import span_s
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
 from worker.jobs.artifacts import ArtifactStore, record_key
 from worker.jobs.model import ResultWarning, Session
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, is_of_keypoints
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, FrameCut, is_of_keypoints
 
 _detector = functools.cache(open_detector)
 
@@ -159,11 +159,11 @@ def _found(work: Work, session: Views, joints: JointSet, number: int) -> Found:
 def measure_lengths(work: Work) -> Outcome:
     """Measure everybody's bones in frames all over the session, a chunk of the map at a time."""
     session, joints = _views_of(work)
-    first = work.claim.spec.frames.start if work.claim.spec.frames else 0
-    ranges = chunk_ranges(session.timebase, work.claim.payload["chunk_frames"], work.claim.spec.frames)
+    cut = FrameCut.of(work.session, work.claim.spec, work.claim.payload["chunk_frames"])
+    first = cut.frames.start
     chunks = (
         (range(frames.start - first, frames.stop - first), _found(work, session, joints, number))
-        for number, frames in enumerate(ranges)
+        for number, frames in enumerate(cut)
     )
     return Outcome(encode_lengths(measure_bones(session, chunks, joints, _config(work), work.on_unit)))
 

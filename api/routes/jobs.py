@@ -1,7 +1,6 @@
 """Jobs: reconstruct a session, follow it, cancel, retry, delete."""
 
 import uuid
-from functools import partial
 from typing import Annotated
 
 import structlog
@@ -93,7 +92,7 @@ async def create_session_and_job(request: Request, services: ServicesDep, once: 
             new.id,
             new.upload_ids,
             new.spec,
-            partial(plan, spec=new.spec, chunk_frames=services.settings.chunk_frames),
+            plan(new, new.spec, services.settings.chunk_frames),
             services.settings.retention_s,
             tracing.current(),
             new.metadata,

@@ -48,7 +48,7 @@ def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
     """All cameras' fields in a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         files = FieldFiles(Path(folder), [camera.name for camera in simulation.cameras])
-        for frames in chunk_ranges(simulation.timebase, _CHUNK_FRAMES):
+        for frames in chunk_ranges(range(simulation.timebase.num_frames), _CHUNK_FRAMES):
             span = span_s(simulation.timebase, frames.start, frames.stop)
             for camera, fields in render(simulation.sketches, simulation.times, span).items():
                 files.write(camera, frames, encode_fields(fields))
@@ -72,7 +72,7 @@ def cluster_fields(
         fields = files.read(frames)
         return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
 
-    ranges = chunk_ranges(timebase, _CHUNK_FRAMES)
+    ranges = chunk_ranges(range(timebase.num_frames), _CHUNK_FRAMES)
     return reconstruct_seen(simulation.cameras, seen_in, ranges, timebase, COCO_18, parameters)
 
 

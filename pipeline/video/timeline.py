@@ -1,11 +1,15 @@
 """The clock that the cameras of a session share, and how it is cut into pieces."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.data import FrameTimes, Timebase
 from pipeline.video.probe import mean_rate_hz
+
+# A pause of the whole session that is longer is not worked on.
+_PAUSE_S = 60.0
 
 
 def session_timebase(times: Mapping[str, FrameTimes]) -> Timebase:
@@ -28,13 +32,57 @@ def span_s(timebase: Timebase, start_frame: int, stop_frame: int) -> tuple[float
     )
 
 
-def chunk_ranges(timebase: Timebase, chunk_frames: int, wanted: range | None = None) -> list[range]:
-    """Ranges of output frames without gap or overlap, which begin at multiples of ``chunk_frames``.
+def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " frames"]]) -> tuple[range, ...]:
+    """Find the output frames that have to be worked on: all but pauses of more than a minute.
 
-    The last one may be shorter, and of ``wanted`` frames (``None``: all) the first one, too.
+    Parameters
+    ----------
+    time_s
+        Times at which there is anything to see, one array a camera.
+
+    Returns
+    -------
+        Ranges of output frames in order, one at least. Every frame of ``time_s`` that shows an output frame belongs to
+        one of them.
     """
-    frames = range(timebase.num_frames) if wanted is None else wanted
-    starts = range(frames.start - frames.start % chunk_frames, frames.stop, chunk_frames)
+    is_recorded = np.zeros(timebase.num_frames, bool)
+    for one_s in time_s:
+        nearest = np.rint((one_s - timebase.start_time_s) * timebase.frame_rate_hz)
+        is_recorded[np.clip(nearest, 0, timebase.num_frames - 1).astype(np.int64)] = True
+    frames = np.flatnonzero(is_recorded)
+    if not len(frames):
+        return (range(min(1, timebase.num_frames)),)
+    last = np.flatnonzero(np.diff(frames) > _PAUSE_S * timebase.frame_rate_hz)
+    # One frame more on each side: a time half-way between two output frames belongs to either.
+    starts = np.maximum(frames[[0, *(last + 1)]] - 1, 0).tolist()
+    stops = np.minimum(frames[[*last, -1]] + 2, timebase.num_frames).tolist()
+    return tuple(range(start, stop) for start, stop in zip(starts, stops, strict=True))
+
+
+def cut_stretches(stretches: Iterable[range], frames: range) -> list[range]:
+    """Those parts of ascending stretches that lie within ``frames``; the first frame if there are none."""
+    parts = (range(max(one.start, frames.start), min(one.stop, frames.stop)) for one in stretches)
+    return [part for part in parts if part] or [frames[:1]]
+
+
+def chunk_ranges(frames: range, chunk_frames: int, stretches: Iterable[range] | None = None) -> list[range]:
+    """Cut the output frames of a session at the multiples of ``chunk_frames``.
+
+    Parameters
+    ----------
+    frames
+        The output frames that are wanted.
+    stretches
+        Of ``recorded_stretches``; pieces without any of their frames are left out. ``None``: all frames.
+
+    Returns
+    -------
+        Ranges in order, which don't overlap, one at least. The first and the last one may be shorter.
+    """
+    numbers: dict[int, None] = {}
+    for part in cut_stretches([frames] if stretches is None else stretches, frames):
+        numbers |= dict.fromkeys(range(part.start // chunk_frames, -(-part.stop // chunk_frames)))
+    starts = (number * chunk_frames for number in numbers)
     return [range(max(start, frames.start), min(start + chunk_frames, frames.stop)) for start in starts]
 
 

@@ -13,7 +13,7 @@
             waiting | ready | running -> canceled
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -150,10 +150,18 @@ class ChunkPlan:
 
 @dataclass(frozen=True, slots=True)
 class StagePlan:
-    """A stage: its chunks may run at once; it becomes ready when the stage before it is done."""
+    """A stage: its chunks may run at once; it becomes ready when the stage before it is done.
 
-    name: str  # as in ``worker.plan``
-    chunks: tuple[ChunkPlan, ...]
+    Parameters
+    ----------
+    name
+        As in ``worker.plan``.
+    chunks
+        One at least; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
+    """
+
+    name: str
+    chunks: Iterable[ChunkPlan]
 
 
 @dataclass(frozen=True, slots=True)

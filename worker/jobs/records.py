@@ -1,7 +1,8 @@
 """Sessions, jobs and their results: made, read, canceled, retried, deleted."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
+from itertools import islice
 from types import MappingProxyType
 from typing import Any
 
@@ -18,6 +19,7 @@ from worker.jobs.model import (
     FINISHED,
     Attempt,
     Change,
+    ChunkPlan,
     ChunkState,
     InputFile,
     Job,
@@ -38,6 +40,7 @@ from worker.jobs.tables import chunks, events, jobs, results, sessions
 from worker.jobs.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.uploads import Uploads
 
+_ROWS_AT_ONCE = 1000
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -88,7 +91,7 @@ class Records(Uploads):
         session_id: str,
         upload_ids: Collection[str],
         spec: JobSpec,
-        plan: Callable[[Session], Sequence[StagePlan]],
+        stages: Sequence[StagePlan],
         retention_s: float | None = None,
         trace: str | None = None,
         metadata: Mapping[str, Any] = _NO_METADATA,
@@ -96,7 +99,6 @@ class Records(Uploads):
         """Both or neither; parameters and errors as of ``create_session`` and ``create_job``."""
         with self._database.writing() as connection:
             self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata)
-            stages = plan(self._session(connection, session_id))
             return self._told(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
 
     def require_room(self, num_bytes: int, unfinished_jobs: int = 0) -> None:
@@ -410,22 +412,26 @@ def _require_finished(state: str, error: Conflict) -> None:
 
 
 def _insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
-    if not stages or not all(stage.chunks for stage in stages):
+    """Insert the chunks of all stages, some at a time: a long session's rows never stand in memory at once."""
+    if not stages or any(next(iter(stage.chunks), None) is None for stage in stages):
         raise ValueError("a job needs a stage, and every stage a chunk")
-    connection.execute(
-        insert(chunks),
-        [
-            {
-                "job_id": job_id,
-                "stage_index": stage_index,
-                "stage": stage.name,
-                "chunk_index": chunk.index,
-                "payload": dict(chunk.payload),
-                "output_key": chunk.output_key,
-                "unit_count": chunk.unit_count,
-                "state": ChunkState.READY if stage_index == 0 else ChunkState.WAITING,
-            }
-            for stage_index, stage in enumerate(stages)
-            for chunk in stage.chunks
-        ],
+    rows = (
+        _chunk_row(job_id, stage_index, stage.name, chunk)
+        for stage_index, stage in enumerate(stages)
+        for chunk in stage.chunks
     )
+    while some := list(islice(rows, _ROWS_AT_ONCE)):
+        connection.execute(insert(chunks), some)
+
+
+def _chunk_row(job_id: str, stage_index: int, stage: str, chunk: ChunkPlan) -> dict[str, Any]:
+    return {
+        "job_id": job_id,
+        "stage_index": stage_index,
+        "stage": stage,
+        "chunk_index": chunk.index,
+        "payload": dict(chunk.payload),
+        "output_key": chunk.output_key,
+        "unit_count": chunk.unit_count,
+        "state": ChunkState.READY if stage_index == 0 else ChunkState.WAITING,
+    }

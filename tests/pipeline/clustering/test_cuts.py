@@ -40,7 +40,7 @@ def of_range(session: KeypointSession, frames: range) -> Mapping[str, Detections
 
 
 def clustered(session: KeypointSession, chunk_frames: int) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    ranges = chunk_ranges(session.timebase, chunk_frames)
+    ranges = chunk_ranges(range(session.timebase.num_frames), chunk_frames)
     found = [of_range(session, frames) for frames in ranges]
     lengths = measure_bones(session, zip(ranges, found, strict=True), session.joints, CONFIG)
     poses = [

@@ -116,7 +116,7 @@ ACTS: dict[str, Act] = {
     "session": lambda jobs, records: records.create_session("take", [], {}, jobs.store.announce_session()),
     "upload": lambda jobs, records: records.create_upload("0190", "cam.mp4", 5, "", 60.0),
     "both": lambda jobs, records: records.create_session_and_job(
-        "take", [], PREFLIGHT, jobs.store.announce_session(), [], JobSpec(), lambda _: stages(1)
+        "take", [], PREFLIGHT, jobs.store.announce_session(), [], JobSpec(), stages(1)
     ),
 }
 

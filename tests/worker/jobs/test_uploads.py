@@ -5,7 +5,7 @@ from uuid_utils import uuid7
 
 from tests.worker.jobs.conftest import Bench, stages
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
-from worker.jobs.model import Actor, Session, StagePlan
+from worker.jobs.model import Actor, Session
 from worker.jobs.quotas import Quotas
 from worker.jobs.records import Records
 from worker.jobs.spec import JobSpec
@@ -93,13 +93,9 @@ def test_session_and_job_come_together_or_not_at_all(jobs: Bench) -> None:
     mine = of(jobs, quotas=Quotas(unfinished_jobs=1))
     upload_id = begin(mine)
 
-    def plan(session: Session) -> tuple[StagePlan, ...]:
-        assert session.preflight == PREFLIGHT
-        return stages(2)
-
     def make(*upload_ids: str) -> str:
         session_id = jobs.store.announce_session()
-        return mine.create_session_and_job("take", [], PREFLIGHT, session_id, upload_ids, JobSpec(), plan).id
+        return mine.create_session_and_job("take", [], PREFLIGHT, session_id, upload_ids, JobSpec(), stages(2)).id
 
     job_id = make()
     assert mine.job(job_id).stages[0].total == 20
