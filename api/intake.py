@@ -39,6 +39,9 @@ MANIFEST, SPEC = "manifest", "spec"
 # What a file is called in a session where the form's part has another name.
 _KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
 
+# Fields of a camera in the manifest that problems of its frame times are of.
+_OF_CAMERA = {"offset_s", "rate"}
+
 _tracer = trace.get_tracer("multicap")
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -333,11 +336,11 @@ def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
 
     An archive's part stands for what is in it. Of several entries of a camera the last one is the wrong one.
     """
-    if item.code.startswith("recording_") or item.code == "no_overlap":
-        of_camera = [index for index, one in enumerate(manifest.cameras) if one.name == item.camera]
-        return (
-            item.model_copy(update={"pointer": pointer_to(MANIFEST, "cameras", of_camera[-1])}) if of_camera else item
-        )
+    of_camera = [index for index, one in enumerate(manifest.cameras) if one.name == item.camera]
+    if of_camera and (item.code.startswith("recording_") or item.field in _OF_CAMERA):
+        stated = manifest.cameras[of_camera[-1]].model_fields_set
+        field = [item.field] if item.field in stated else []
+        return item.model_copy(update={"pointer": pointer_to(MANIFEST, "cameras", of_camera[-1], *field)})
     pointers = {file.name: pointer for pointer, file in _files(form).items()}
     of_archive = {PurePosixPath(file.name).stem: pointers[file.name] for file in form.keypoints}
     file = item.file or ""

@@ -34,8 +34,6 @@ from pipeline.metrics.quality import all_checks
 from pipeline.run import reconstruct, reconstruct_keypoints
 from pipeline.session import Recording, open_session
 
-_MAX_OFFSET_S = 86_400.0
-
 
 def write_results(
     reconstruction: Reconstruction,
@@ -129,11 +127,6 @@ def _check_sources(
     if keypoints is not None and offsets:
         message = "Offsets are those of videos; keypoints have timestamps."
         problems.append(Problem("sources", message, hint="Leave them away."))
-    problems += [
-        Problem("offset_range", "An offset is a number of seconds, at most a day.", camera=camera)
-        for camera, seconds in offsets.items()
-        if not abs(seconds) <= _MAX_OFFSET_S
-    ]
     if problems:
         raise InputError(problems)
 
@@ -257,7 +250,7 @@ def command(
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
             session = open_session(named[0] if len(named) == 1 else named, calibration, recordings, known_units(units))
-        check_exports(restrict(session, config.frames).timebase, formats)
+        check_exports(restrict(session, config.frames).timebase, formats, output_rate)
         for warning in session.warnings:
             warn(warning)
         if isinstance(session, KeypointSession):

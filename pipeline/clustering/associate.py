@@ -67,12 +67,13 @@ def find_people(
     points_px, score = [np.empty((0, *shape, 2))], [np.empty((0, *shape))]
     for frame in frames:
         instant = seen.at(frame)
-        poses = find_poses(projections, instant, skeleton, lengths, parameters)
-        number.append(np.full(len(poses.xyz_m), frame))
-        xyz_m.append(poses.xyz_m)
-        # What stands behind the last candidate is taken where there is none.
-        points_px.append(np.append(instant.candidates.seen_px, [[np.nan, np.nan]], axis=0)[poses.candidate])
-        score.append(np.append(instant.candidates.score, 0.0)[poses.candidate])
+        if len(instant.candidates.joint):
+            poses = find_poses(projections, instant, skeleton, lengths, parameters)
+            number.append(np.full(len(poses.xyz_m), frame))
+            xyz_m.append(poses.xyz_m)
+            # What stands behind the last candidate is taken where there is none.
+            points_px.append(np.append(instant.candidates.seen_px, [[np.nan, np.nan]], axis=0)[poses.candidate])
+            score.append(np.append(instant.candidates.score, 0.0)[poses.candidate])
         on_frame()
     return Poses3D(*(np.concatenate(values) for values in (number, xyz_m, points_px, score)))
 

@@ -24,9 +24,7 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
     frame_rate_hz
         Of the new frames.
     """
-    old = reconstruction.timebase
-    ratio = old.frame_rate_hz / frame_rate_hz  # old frames a new one
-    new = Timebase(old.start_time_s, frame_rate_hz, math.floor((old.num_frames - 1) / ratio + _SAME) + 1)
+    ratio = reconstruction.timebase.frame_rate_hz / frame_rate_hz  # old frames a new one
     tracks, motions = [], []
     for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
         frames = _new_frames(track.start_frame, track.num_frames, ratio)
@@ -34,7 +32,15 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
             tracks.append(_track_at(track, frames, ratio))
             motions.append(_motion_at(motion, frames, ratio, frame_rate_hz))
     animation = Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor)
-    return replace(reconstruction, timebase=new, animation=animation)
+    return replace(
+        reconstruction, timebase=resampled_timebase(reconstruction.timebase, frame_rate_hz), animation=animation
+    )
+
+
+def resampled_timebase(old: Timebase, frame_rate_hz: float) -> Timebase:
+    """Frames at another rate, from the same first one to the last one that is not after the old last one."""
+    ratio = old.frame_rate_hz / frame_rate_hz
+    return Timebase(old.start_time_s, frame_rate_hz, math.floor((old.num_frames - 1) / ratio + _SAME) + 1)
 
 
 def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:

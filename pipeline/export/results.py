@@ -13,9 +13,10 @@ from pipeline.data import Reconstruction, SkeletonMotion, Timebase, Track3D
 from pipeline.errors import InputError, Problem
 from pipeline.export import bvh, c3d_file, csv_table, glb, skeletons_json, trc
 from pipeline.export.presets import PRESETS
-from pipeline.export.resample import resample
+from pipeline.export.resample import resample, resampled_timebase
 from pipeline.metrics.quality import encode as encode_metrics
 from pipeline.metrics.quality import quality_report
+from pipeline.quantities import OUTPUT_FRAMES
 from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = ("bvh",)
@@ -27,12 +28,31 @@ _MM_PER_M = 1000.0
 _DECIMALS_MM = 4
 
 
-def check_exports(timebase: Timebase, exports: Collection[Export]) -> None:
-    """Check that formats can hold a session; ``InputError`` if one can't."""
-    if "c3d" in exports and timebase.num_frames > c3d_file.MAX_FRAMES:
-        message = f"A C3D file holds {c3d_file.MAX_FRAMES} frames at most; the session has {timebase.num_frames}."
+def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz: float | None = None) -> None:
+    """Check that files can hold a session.
+
+    Parameters
+    ----------
+    frame_rate_hz
+        Of the motion in the files; ``None``: the session's.
+
+    Raises
+    ------
+    InputError
+        If there are more frames than files hold, or than a format does.
+    """
+    num_frames = (timebase if frame_rate_hz is None else resampled_timebase(timebase, frame_rate_hz)).num_frames
+    problems = []
+    if num_frames > OUTPUT_FRAMES.high:
+        message = f"At this rate the session has {num_frames:,} frames; at most {OUTPUT_FRAMES.high:,} are written."
+        hint = "Ask for a lower rate, or for fewer frames."
+        problems.append(Problem("too_many_frames", message, field="output_rate_hz", hint=hint))
+    if "c3d" in exports and num_frames > c3d_file.MAX_FRAMES:
+        message = f"A C3D file holds {c3d_file.MAX_FRAMES} frames at most; the session has {num_frames}."
         hint = "Leave c3d away: trc and csv have the same joints and no such limit."
-        raise InputError([Problem("too_long_for_c3d", message, field="exports", hint=hint)])
+        problems.append(Problem("too_long_for_c3d", message, field="exports", hint=hint))
+    if problems:
+        raise InputError(problems)
 
 
 def write_results(
@@ -63,8 +83,8 @@ def write_results(
     OSError
         If the folder can't be written to, the disk is full, or a file does not hold what was written.
     """
+    check_exports(reconstruction.timebase, exports, frame_rate_hz)
     shown = reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
-    check_exports(shown.timebase, exports)
     folder.mkdir(parents=True, exist_ok=True)
     far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in exports}}
     path = folder / "skeletons.json"

@@ -44,8 +44,8 @@ for video in videos:
         print("x" * 10_000_000)
         sys.exit(0)
     if start in {b"APART", b"TWICE"}:
-        code = {b"APART": "no_overlap", b"TWICE": "recording_doubled"}[start]
-        problems.append({"code": code, "message": "Check it.", "file": None, "camera": video.stem, "field": None,
+        code, field = {b"APART": ("no_overlap", "offset_s"), b"TWICE": ("recording_doubled", None)}[start]
+        problems.append({"code": code, "message": "Check it.", "file": None, "camera": video.stem, "field": field,
                          "hint": None})
     if start == b"WRONG":
         problems.append({"code": "video_unreadable", "message": "No video.", "file": video.name, "camera": video.stem,

@@ -22,6 +22,8 @@ INSTALL_COMMANDS: Mapping[str, str] = {
 
 # As in ``pipeline.export.c3d_file``.
 _MAX_C3D_FRAMES = 2**16 - 1
+# As in ``pipeline.quantities``.
+_MAX_OUTPUT_FRAMES = 1_000_000
 
 
 def _number(value: object) -> object:
@@ -118,6 +120,12 @@ class JobSpec(BaseModel):
             found["cutoff_hz"] = "cutoff_range", message
         if self.output_rate_hz is not None:
             num_frames = round((num_frames - 1) * self.output_rate_hz / frame_rate_hz) + 1
+            if num_frames > _MAX_OUTPUT_FRAMES:
+                message = (
+                    f"At this rate the session has {num_frames:,} frames; at most {_MAX_OUTPUT_FRAMES:,} are written. "
+                    "Ask for a lower rate, or for fewer frames by frame_range."
+                )
+                found["output_rate_hz"] = "too_many_frames", message
         if "c3d" in self.exports and num_frames > _MAX_C3D_FRAMES:
             message = f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; these are {num_frames}. Use trc or csv."
             found["exports"] = "too_long_for_c3d", message
