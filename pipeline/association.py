@@ -74,14 +74,18 @@ def uses_fields(session: Views, config: ReconstructionConfig) -> bool:
 
 
 def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
-    """Those derived from the session, but for what was asked to be otherwise.
+    """Derive the tracker's parameters from the session, but for what was asked to be otherwise.
+
+    A person in a session of fewer than ``confirm_instants`` frames is confirmed by all of them.
 
     Raises
     ------
     InputError
         If a parameter does not exist, or can't have that value.
     """
-    return change_parameters(derive_tracking(session.cameras, session.timebase.frame_rate_hz), changes)
+    derived = derive_tracking(session.cameras, session.timebase.frame_rate_hz)
+    confirm_instants = min(derived.confirm_instants, session.timebase.num_frames)
+    return change_parameters(replace(derived, confirm_instants=confirm_instants), changes)
 
 
 def clustering_parameters(session: Views, config: ReconstructionConfig) -> ClusteringParameters:

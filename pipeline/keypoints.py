@@ -348,7 +348,7 @@ def _times_from_file(
 
 
 def _rate_hz(time_s: Float[np.ndarray, " frames"]) -> float:
-    """Mean rate of two frames at least; of even intervals the median one's, which is exact where a mean is rounded."""
+    """Mean rate of two frames at least; of even intervals the median one's, which rounding changes least."""
     mean_hz = mean_rate_hz(time_s)
     usual_s = float(np.median(np.diff(time_s)))
     return 1.0 / usual_s if math.isclose(mean_hz * usual_s, 1.0, rel_tol=_EVEN) else mean_hz

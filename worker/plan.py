@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from types import MappingProxyType
 from typing import Any, Protocol, Self
 
@@ -23,7 +24,7 @@ CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 2, POSES: 2, ASSOCIATE: 
 
 DEFAULT_CHUNK_FRAMES = 100
 MAX_CHUNKS = 20_000
-"""About the most chunks of a stage: rows of the database, which its job is read from."""
+"""Most chunks of a stage. Each is a row of the database, and a job is read from all of its rows."""
 
 
 class SessionFacts(Protocol):
@@ -50,8 +51,8 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
     chunk_frames
         Output frames of one chunk of the map, which is of one camera: the frames between a chunk's start and the
         keyframe before are decoded in vain, so few long chunks are better than many short ones of all cameras. Chunks
-        begin at its multiples, so two jobs of a session cut alike. No key of a reduce depends on it. Chunks of a
-        session that would have more than ``MAX_CHUNKS`` are longer.
+        begin at its multiples, so two jobs of a session cut alike. No key of a reduce depends on it. It is doubled for
+        a session that would have more than ``MAX_CHUNKS``.
 
     Returns
     -------
@@ -60,7 +61,7 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
         Stages hold ranges, from which their chunks are derived one at a time.
     """
     inputs = _inputs(session)
-    cut = FrameCut.of(session, spec, chunk_frames * _lengthening(session, chunk_frames))
+    cut = FrameCut.of(session, spec, _bounded_length(session, chunk_frames))
     window = {} if spec.frames is None else {"frames": [cut.frames.start, cut.frames.stop]}
     stages: list[StagePlan] = []
     if not is_of_keypoints(session):
@@ -188,10 +189,12 @@ def _stretches(session: SessionFacts) -> tuple[range, ...]:
     return tuple(range(start, stop) for start, stop in session.preflight.get("stretches", whole))
 
 
-def _lengthening(session: SessionFacts, chunk_frames: int) -> int:
-    """How many times longer chunks are, for a session that would have too many; alike for all jobs of a session."""
-    num_frames = sum(map(len, _stretches(session))) * len(session.preflight["cameras"])
-    return max(1, -(-num_frames // (chunk_frames * MAX_CHUNKS)))
+def _bounded_length(session: SessionFacts, chunk_frames: int) -> int:
+    """Double the length of chunks until a session has at most ``MAX_CHUNKS``; alike for all of its jobs."""
+    most = max(1, MAX_CHUNKS // len(session.preflight["cameras"]))
+    while sum(1 for _ in islice(FrameCut.of(session, JobSpec(), chunk_frames), most + 1)) > most:
+        chunk_frames *= 2
+    return chunk_frames
 
 
 def _frames_per_output_frame(session: SessionFacts) -> dict[str, float]:

@@ -11,7 +11,7 @@ from pipeline.geometry.tracks import reproject
 
 # A joint that is away for no longer than this is interpolated.
 _MAX_GAP_S = 0.2
-# A person must have been seen by two cameras for as long.
+# A person must have been seen by two cameras for as long, or for half of a shorter session.
 _MIN_LIFE_S = 0.15
 
 Person = tuple[Track3D, Observations]
@@ -43,7 +43,7 @@ def record_life(
         that is too short a life to be a person.
     """
     alive = np.flatnonzero(np.isfinite(xyz_m[..., 0]).any(-1))
-    if len(alive) < max(2, _MIN_LIFE_S * timebase.frame_rate_hz):
+    if len(alive) < max(2, min(_MIN_LIFE_S * timebase.frame_rate_hz, timebase.num_frames / 2)):
         return None
     life = slice(alive[0], alive[-1] + 1)
     xyz_m, seen_px, score = xyz_m[life], seen_px[life], score[life]

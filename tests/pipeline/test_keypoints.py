@@ -255,3 +255,80 @@ def test_timestamps_at_the_limits_of_rates_are_taken(scene: Path, rate_hz: float
 def test_one_clock_only_and_a_sane_one(scene: Path) -> None:
     assert "two_clocks" in problems_of(scene, frame_rate_hz=30.0)
     assert "frame_rate" in problems_of(scene, timed=False, frame_rate_hz=0.0)
+
+
+def retime(scene: Path, time_s: Callable[[int], float], cameras: slice = slice(None)) -> None:
+    """Give the frames of some cameras other times."""
+    chosen = sorted((scene / "keypoints").iterdir())[cameras]
+    head, *rows = (scene / "timestamps.csv").read_text().splitlines()
+    others = [row for row in rows if row.split(",")[0] not in {folder.name for folder in chosen}]
+    ours = [
+        f"{folder.name},{int(path.name[6:18])},{time_s(number)!r}"
+        for folder in chosen
+        for number, path in enumerate(sorted(folder.iterdir()))
+    ]
+    (scene / "timestamps.csv").write_text("\n".join([head, *others, *ours]) + "\n")
+
+
+def test_the_rate_of_uneven_times_is_their_mean(scene: Path) -> None:
+    """Intervals of 2 and 3 ticks of a 60 Hz clock: their median is 20 or 30 Hz."""
+    retime(scene, lambda number: int(2.5 * number) / 60)
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(24.0, rel=0.02)
+
+
+def test_the_rate_of_times_rounded_to_milliseconds(scene: Path) -> None:
+    """The median interval is 33 ms, which would be 30.3 Hz."""
+    retime(scene, lambda number: round(number / 30, 3))
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(30.0, rel=2e-3)
+
+
+def test_the_rate_of_even_times(scene: Path) -> None:
+    retime(scene, lambda number: number / 25)
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(25.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("last_s", "codes"),
+    [(40_000.0, ["too_many_frames"]), (100_000.0, ["session_too_long"] * 3), (1e8, ["timestamps_start"])],
+)
+def test_a_last_time_that_is_far_too_late(scene: Path, last_s: float, codes: list[str]) -> None:
+    retime(scene, lambda number: number / 100 if number < 20 else last_s + number / 100)
+    with pytest.raises(InputError) as raised:
+        opened(scene)
+    assert [problem.code for problem in raised.value.problems] == codes
+    assert all(problem.file == "timestamps.csv" and problem.hint for problem in raised.value.problems)
+    if codes != ["timestamps_start"]:
+        assert all(problem.camera and problem.field == "time_s" for problem in raised.value.problems)
+
+
+def test_a_camera_whose_times_are_of_another_hour(scene: Path) -> None:
+    retime(scene, lambda number: 3600.0 + number / 25, slice(1))
+    assert list(problems_of(scene)) == ["no_overlap"]
+
+
+@pytest.mark.parametrize("step_s", [5e-324, 1e-300, 1e-4])
+def test_times_too_close_to_be_frames(scene: Path, step_s: float) -> None:
+    retime(scene, lambda number: number * step_s)
+    assert list(problems_of(scene)) == ["frame_rate"]
+
+
+@pytest.mark.parametrize(
+    ("number", "frame_rate_hz", "codes"),
+    [
+        (999_999_999_999_999, None, {"session_too_long"}),
+        (1_100_000, 1.0, {"session_too_long"}),
+        (1_000_000, 1000.0, {"too_many_frames"}),
+        (999_999, 1000.0, set()),
+    ],
+)
+def test_numbers_of_files_are_times_too(scene: Path, number: int, frame_rate_hz: float | None, codes: set[str]) -> None:
+    for camera in range(3):
+        last = frames_of(scene, camera)[-1]
+        last.rename(last.with_name(f"frame_{number:015d}_keypoints.json"))
+    if not codes:
+        assert opened(scene, timed=False, frame_rate_hz=frame_rate_hz).timebase.num_frames == number + 1
+        return
+    with pytest.raises(InputError) as raised:
+        opened(scene, timed=False, frame_rate_hz=frame_rate_hz)
+    assert {problem.code for problem in raised.value.problems} == codes
+    assert all(problem.camera and problem.file and problem.hint for problem in raised.value.problems)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import InputError
-from pipeline.session import Recording, open_session
+from pipeline.session import CaptureSession, Recording, open_session
 from tests.pipeline.media import write_audio, write_video
 
 
@@ -184,6 +184,10 @@ class TestRecordings:
             ([Recording("a", "b.mp4")], {("video_doubled", "a"), ("camera_without_video", "b")}),
             ([Recording("a", offset_s=100.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
             ([Recording("a", offset_s=-86_400.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
+            (
+                [Recording("a", offset_s=86_401.0), Recording("b", offset_s=float("nan"), frame_rate_hz=float("inf"))],
+                {("offset_range", "a"), ("offset_range", "b"), ("frame_rate", "b")},
+            ),
         ],
     )  # fmt: skip
     def test_what_can_not_be(
@@ -192,3 +196,72 @@ class TestRecordings:
         with pytest.raises(InputError) as error:
             open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), recordings)
         assert {(problem.code, problem.camera) for problem in error.value.problems} == found
+
+    def test_offsets_of_days_with_a_rate_of_1000(self, folder: Path, tmp_path: Path) -> None:
+        """172 million output frames, of videos of ten frames."""
+        for name in ("c", "d"):
+            shutil.copy(folder / "a.mp4", folder / f"{name}.mp4")
+        cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"])
+        offsets_s = {"a": -86_400.0, "b": -86_400.0, "c": 86_400.0, "d": 86_400.0}
+        stated = [Recording(name, offset_s=offset_s, frame_rate_hz=1000.0) for name, offset_s in offsets_s.items()]
+        with pytest.raises(InputError) as error:
+            open_session(folder, cameras, stated)
+        (problem,) = error.value.problems
+        assert (problem.code, problem.file, problem.camera, problem.field) == (
+            "session_too_long",
+            "c.mp4",
+            "c",
+            "offset_s",
+        )
+
+    def test_cameras_that_start_much_later(self, folder: Path, tmp_path: Path) -> None:
+        for name in ("c", "d"):
+            shutil.copy(folder / "a.mp4", folder / f"{name}.mp4")
+        cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"])
+        session = open_session(folder, cameras, [Recording(name, offset_s=36_000.0) for name in ("c", "d")])
+        assert session.timebase.num_frames == 900_010
+        assert session.stretches == (range(11), range(899_999, 900_010))
+
+
+class TestTimesOfVideos:
+    """Uneven frames are ordinary; a video that lasts for days is not."""
+
+    def open(self, tmp_path: Path, stamps_ms: list[int], ending: str = "mp4") -> CaptureSession:
+        videos = [write_video(tmp_path / f"{name}.{ending}", len(stamps_ms), stamps=stamps_ms) for name in ("a", "b")]
+        return open_session(videos, calibration(tmp_path / "c.json", ["a", "b"]))
+
+    @pytest.mark.parametrize("ending", ["mp4", "mkv"])
+    def test_24_frames_a_second_on_a_clock_of_60_hz(self, tmp_path: Path, ending: str) -> None:
+        ticks = np.floor(np.arange(97) * 2.5)
+        session = self.open(tmp_path, [round(tick * 1000 / 60) for tick in ticks], ending)
+        assert session.timebase.frame_rate_hz == pytest.approx(24.0, rel=1e-3)
+        assert session.timebase.num_frames == 97
+
+    @pytest.mark.parametrize("ending", ["mp4", "mkv"])
+    def test_a_phone_s_frames_that_jitter(self, tmp_path: Path, ending: str) -> None:
+        jitter_s = np.random.default_rng(3).uniform(-0.004, 0.004, 90)
+        jitter_s[[0, -1]] = 0.0
+        session = self.open(
+            tmp_path, np.round(1000 * (np.arange(90) * 1001 / 30_000 + jitter_s)).astype(int).tolist(), ending
+        )
+        assert session.timebase.frame_rate_hz == pytest.approx(30_000 / 1001, rel=1e-3)
+        assert session.timebase.num_frames == 90
+
+    @pytest.mark.parametrize("num_frames", [2, 3])
+    def test_a_tenth_of_a_second(self, tmp_path: Path, num_frames: int) -> None:
+        session = self.open(tmp_path, [0, 40, 80][:num_frames])
+        assert session.timebase.frame_rate_hz == pytest.approx(25.0)
+        assert session.timebase.num_frames == num_frames
+
+    def test_a_pause_within_the_videos(self, tmp_path: Path) -> None:
+        session = self.open(tmp_path, [*range(0, 400, 40), *range(3_600_000, 3_600_400, 40)])
+        assert session.timebase.num_frames == 90_010
+        assert session.stretches == (range(11), range(89_999, 90_010))
+
+    def test_one_time_of_two_days(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError) as error:
+            self.open(tmp_path, [*range(0, 400, 40), 172_800_000], "mkv")
+        assert [(one.code, one.file, one.camera, one.field) for one in error.value.problems] == [
+            ("session_too_long", "a.mkv", "a", "rate"),
+            ("session_too_long", "b.mkv", "b", "rate"),
+        ]

@@ -1,5 +1,6 @@
 """Laws of planning."""
 
+import tracemalloc
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -9,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.detect.registry import REGISTRY
+from pipeline.quantities import OUTPUT_FRAMES
 from pipeline.video.timeline import chunk_ranges
 from worker import plan as planning
-from worker.jobs.model import InputFile, Session
+from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, plan
+from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, MAX_CHUNKS, POSES, FrameCut, plan
 
 FILES = tuple(
     InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
@@ -225,3 +227,68 @@ def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
 def test_how_many_people_are_wanted_counts_from_association_on() -> None:
     everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
     assert {name for name in two if two[name] != everybody[name]} == {ASSOCIATE, FIT, EXPORT}
+
+
+def paused(num_frames: int, stretches: list[list[int]], **changes: Any) -> Session:
+    plain = make_session(num_frames, **changes)
+    return replace(plain, preflight={**plain.preflight, "stretches": stretches})
+
+
+def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:
+    payloads = [chunk.payload for chunk in stage.chunks]
+    return list(dict.fromkeys((one["start_frame"], one["stop_frame"]) for one in payloads))
+
+
+def test_pauses_have_no_chunks() -> None:
+    session = paused(900_000, [[0, 60], [899_950, 900_000]])
+    detect, lengths, poses, *_ = plan(session, CLUSTERING, 25)
+    assert (
+        ranges_of(detect) == ranges_of(poses) == [(0, 25), (25, 50), (50, 75), (899_950, 899_975), (899_975, 900_000)]
+    )
+    assert next(iter(lengths.chunks)).unit_count == round(5 * 110 / 25)
+
+
+def test_stretches_within_one_range_share_its_chunk() -> None:
+    detect, *_ = plan(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
+    assert ranges_of(detect) == [(0, 50), (50, 100), (100, 150)]
+
+
+def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
+    detect, *_ = plan(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
+    assert ranges_of(detect) == [(5000, 5100)]
+
+
+@given(
+    stretches=st.lists(st.tuples(st.integers(0, 50), st.integers(1, 80)), min_size=1, max_size=6),
+    chunk_frames=st.integers(1, 60),
+    data=st.data(),
+)
+def test_the_pipeline_cuts_alike(stretches: list[tuple[int, int]], chunk_frames: int, data: st.DataObject) -> None:
+    borders, end = [], 0
+    for pause, length in stretches:
+        borders.append([end + pause, end + pause + length])
+        end += pause + length
+    start = data.draw(st.integers(0, end - 1))
+    stop = data.draw(st.integers(start + 1, end))
+    session, spec = paused(end, borders), JobSpec(frame_range=(start, stop))
+    ours = chunk_ranges(range(start, stop), chunk_frames, [range(*one) for one in borders])
+    assert list(FrameCut.of(session, spec, chunk_frames)) == ours
+
+
+def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
+    session = make_session(OUTPUT_FRAMES.high, rates_hz=(25.0,) * 64)
+    detect, *_ = plan(session, JobSpec(), 1)
+    assert sum(1 for _ in detect.chunks) <= MAX_CHUNKS
+    part, *_ = plan(session, JobSpec(frame_range=(0, 10_000)), 1)
+    assert ranges_of(part)[:-1] == ranges_of(detect)[: len(ranges_of(part)) - 1]  # jobs of a session cut alike
+
+
+def test_a_plan_takes_no_memory() -> None:
+    session = make_session(OUTPUT_FRAMES.high)
+    tracemalloc.start()
+    try:
+        stages = plan(session, CLUSTERING, 100)
+        assert sum(1 for stage in stages for _ in stage.chunks) > 20_000
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()

@@ -5,7 +5,14 @@ from hypothesis import strategies as st
 
 from pipeline.data import FrameTimes, Timebase
 from pipeline.video.probe import mean_rate_hz
-from pipeline.video.timeline import chunk_ranges, frames_in, session_timebase, span_s
+from pipeline.video.timeline import (
+    chunk_ranges,
+    cut_stretches,
+    frames_in,
+    recorded_stretches,
+    session_timebase,
+    span_s,
+)
 
 
 @given(
@@ -23,6 +30,39 @@ def test_every_frame_is_in_exactly_one_chunk(rate_hz: float, num_frames: int, ch
     assert [frame for span in spans for frame in frames_in(times, *span)] == list(range(num_frames))
     if chunk_frames < num_frames and abs(phase) < 0.4:
         assert len(frames_in(times, *spans[0])) == chunk_frames
+
+
+def test_a_pause_of_hours_is_no_stretch() -> None:
+    times = [np.arange(50) / 25.0, 40_000.0 + np.arange(50) / 25.0]
+    timebase = session_timebase({str(k): FrameTimes(time_s) for k, time_s in enumerate(times)})
+    assert recorded_stretches(timebase, times) == (range(51), range(999_999, 1_000_050))
+    assert recorded_stretches(timebase, []) == (range(1),)
+
+
+@given(
+    start_s=st.lists(st.floats(0.0, 900.0), min_size=1, max_size=5),
+    chunk_frames=st.integers(1, 130),
+    wanted=st.tuples(st.integers(0, 9000), st.integers(1, 9000)).map(lambda one: range(one[0], one[0] + one[1])),
+)
+def test_every_frame_is_in_a_chunk_whatever_the_pauses(start_s: list[float], chunk_frames: int, wanted: range) -> None:
+    """Cameras that record for two seconds, each at another time."""
+    times = {str(k): FrameTimes(one_s + np.arange(20) / 10.0) for k, one_s in enumerate(start_s)}
+    timebase = session_timebase(times)
+    stretches = recorded_stretches(timebase, (one.time_s for one in times.values()))
+    ranges = chunk_ranges(range(timebase.num_frames), chunk_frames, stretches)
+    frames = [frame for one in ranges for frame in one]
+    assert frames == sorted(set(frames))
+    spans = [span_s(timebase, one.start, one.stop) for one in ranges]
+    for one in times.values():
+        assert [frame for span in spans for frame in frames_in(one, *span)] == list(range(20))
+    assert len(frames) <= len(start_s) * (620 + 22 + 2 * chunk_frames)  # pauses of a minute are not cut out
+
+    inside = wanted if wanted.start < timebase.num_frames else range(timebase.num_frames)
+    inside = range(inside.start, min(inside.stop, timebase.num_frames))
+    cut = chunk_ranges(inside, chunk_frames, stretches)
+    worked_on = {frame for one in cut for frame in one}
+    assert worked_on <= set(inside)
+    assert {frame for one in cut_stretches(stretches, inside) for frame in one} <= worked_on
 
 
 def test_timebase_takes_the_fastest_camera_and_the_longest_span() -> None:

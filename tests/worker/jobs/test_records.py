@@ -103,6 +103,13 @@ def test_a_job_without_work_is_refused(jobs: Bench, plan: Any) -> None:
     assert jobs.store.jobs() == []
 
 
+def test_thousands_of_chunks(jobs: Bench) -> None:
+    job = jobs.queue(2500)
+    detect, export = jobs.store.job(job.id).stages
+    assert (detect.total, export.total) == (2500 * UNITS, UNITS)
+    assert jobs.store.outputs(job.id, "detect") == [f"detect-{k}" for k in range(2500)]
+
+
 def test_places_in_the_queue(jobs: Bench) -> None:
     first, second, third = jobs.queue(), jobs.queue(), jobs.queue()
     assert [jobs.store.job(job.id).queue_position for job in (first, second, third)] == [1, 2, 3]

@@ -1,6 +1,7 @@
 """What a spec refuses of a session."""
 
 from pipeline.export.c3d_file import MAX_FRAMES
+from pipeline.quantities import OUTPUT_FRAMES
 from worker.jobs.spec import JobSpec
 
 
@@ -12,3 +13,14 @@ def test_all_that_a_session_does_not_allow_is_said_at_once() -> None:
     }
     assert spec.problems(MAX_FRAMES, 25.1) == {}
     assert JobSpec(exports=("trc",)).problems(100_000, 25.0) == {}
+
+
+def test_frames_at_another_rate_are_bounded() -> None:
+    """A session of three hours at 24 Hz, which has 2.6 million frames at 240 Hz."""
+    spec = JobSpec(output_rate_hz=240.0)
+    assert {field: code for field, (code, _) in spec.problems(3 * 3600 * 24, 24.0).items()} == {
+        "output_rate_hz": "too_many_frames"
+    }
+    assert spec.problems(OUTPUT_FRAMES.high // 10, 24.0) == {}
+    assert spec.problems(OUTPUT_FRAMES.high // 10 + 2, 24.0)
+    assert JobSpec(output_rate_hz=240.0, frame_range=(0, 1000)).problems(3 * 3600 * 24, 24.0) == {}
