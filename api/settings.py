@@ -82,7 +82,9 @@ class Settings(BaseSettings):
     max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
 
     max_duration_s: float | None = Field(
-        default=None, gt=0, description="Of a session, from the first camera's first frame to the last one's last."
+        default=None,
+        gt=0,
+        description="Of a session, from the first camera's first frame to the last one's last; without it 43,200 s.",
     )
     max_pixels: int | None = Field(
         default=None, gt=0, description="Of a frame; without it 8192 x 4320, which the check bears."

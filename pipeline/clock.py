@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from pipeline.data import FrameTimes
 from pipeline.errors import Problem
-from pipeline.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OUTPUT_FRAMES
+from pipeline.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, MAX_OUTPUT_FRAMES
 from pipeline.video.probe import mean_rate_hz
 
 
@@ -102,12 +102,12 @@ def _session_problems(
             field=source.start_field,
             hint=source.start_hint,
         )
-    elif FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE) and num_frames > OUTPUT_FRAMES.high + 0.5:
+    elif FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE) and num_frames > MAX_OUTPUT_FRAMES + 0.5:
         fastest = max(times, key=lambda name: mean_rate_hz(times[name].time_s))
         yield Problem(
             "too_many_frames",
             f"The session lasts {duration_s:,.2f} s, and its fastest camera takes {rate_hz:g} frames a second: that "
-            f"is {num_frames:,.0f} output frames; at most {OUTPUT_FRAMES.high:,} are taken.",
+            f"is {num_frames:,.0f} output frames; at most {MAX_OUTPUT_FRAMES:,} are taken.",
             file=source.files[fastest],
             camera=fastest,
             field=source.rate_field,

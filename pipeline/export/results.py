@@ -16,7 +16,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.resample import resample, resampled_timebase
 from pipeline.metrics.quality import encode as encode_metrics
 from pipeline.metrics.quality import quality_report
-from pipeline.quantities import OUTPUT_FRAMES
+from pipeline.quantities import MAX_OUTPUT_FRAMES
 from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = ("bvh",)
@@ -43,8 +43,8 @@ def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz
     """
     num_frames = (timebase if frame_rate_hz is None else resampled_timebase(timebase, frame_rate_hz)).num_frames
     problems = []
-    if num_frames > OUTPUT_FRAMES.high:
-        message = f"At this rate the session has {num_frames:,} frames; at most {OUTPUT_FRAMES.high:,} are written."
+    if num_frames > MAX_OUTPUT_FRAMES:
+        message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
         hint = "Ask for a lower rate, or for fewer frames."
         problems.append(Problem("too_many_frames", message, field="output_rate_hz", hint=hint))
     if "c3d" in exports and num_frames > c3d_file.MAX_FRAMES:

@@ -25,6 +25,8 @@ from pipeline.errors import PipelineError
 from pipeline.joints import COCO_17
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
+from tests.pipeline.media import write_video
+from tests.pipeline.test_session import calibration
 from tests.small_disk import fill, small_disk
 from worker.jobs.disk import DiskSpace
 from worker.jobs.model import Key, Scope
@@ -93,6 +95,42 @@ def test_videos_can_be_named_one_by_one(tmp_path: Path) -> None:
     codes = [(problem["code"], problem["file"]) for problem in json.loads(result.stdout)["problems"]]
     assert [file for code, file in codes if code == "video_missing"] == ["a.mp4", "b.mp4", "b.mov"]
     assert ("duplicate_video", "b") in codes
+
+
+@pytest.mark.parametrize(
+    ("offsets", "found"),
+    [
+        (["a=1e9", "b=nan"], [("offset_range", "a"), ("offset_range", "b")]),
+        (["a=-86400", "b=-86400", "c=86400", "d=86400"], [("session_too_long", "c")]),
+        (["a=60"], [("no_overlap", "a")]),
+    ],
+)
+def test_offsets_that_make_no_session(tmp_path: Path, offsets: list[str], found: list[tuple[str, str]]) -> None:
+    videos = [str(write_video(tmp_path / f"{name}.mp4", 5)) for name in "abcd"]
+    rig = calibration(tmp_path / "rig.json", list("abcd"))
+    arguments = ["reconstruct", f"--calibration={rig}", f"--out={tmp_path / 'out'}", "--json", "--videos", *videos]
+    result = runner.invoke(app, [*arguments, *(f"--offset={offset}" for offset in offsets)])
+    assert result.exit_code == 2
+    problems = json.loads(result.stdout)["problems"]
+    assert [(problem["code"], problem["camera"]) for problem in problems] == found
+    assert all(problem["field"] == "offset_s" and problem["hint"] for problem in problems)
+
+
+def test_an_output_rate_that_makes_too_many_frames(tmp_path: Path) -> None:
+    files = simulation_files(record(replace(find_scene("unsynchronised"), duration_s=0.5), seed=4, num_views=2))
+    for name, content in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+    for folder in (tmp_path / "keypoints").iterdir():
+        (folder / "frame_900000_keypoints.json").write_text('{"people": []}')
+    session = [f"--keypoints={tmp_path / 'keypoints'}", f"--calibration={tmp_path / 'calibration.json'}"]
+    arguments = ["reconstruct", *session, f"--out={tmp_path / 'out'}", "--json"]
+    result = runner.invoke(app, [*arguments, "--output-rate=60"])
+    assert result.exit_code == 2
+    assert [one["code"] for one in json.loads(result.stdout)["problems"]] == ["too_many_frames"]
+    result = runner.invoke(app, [*arguments, "--frame-rate=1"])
+    assert result.exit_code == 2
+    assert {one["code"] for one in json.loads(result.stdout)["problems"]} == {"session_too_long"}
 
 
 def test_an_unknown_method_or_detector_is_refused(tmp_path: Path) -> None:

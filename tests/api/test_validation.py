@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from api.errors import MEANINGS
+from api.schemas import CameraManifest, Manifest
+from pipeline.quantities import FRAME_RATE_HZ, OFFSET_S
 from tests.api.conftest import Live, form, problem_of
 
 SPEC_FIELDS = (
@@ -213,3 +215,10 @@ def test_refused_types_of_content_name_those_that_are_taken(live: Live, path: st
     answer = live.client.post(path, content=b"name: x", headers={"Content-Type": "application/yaml"})
     detail = problem_of(answer, 415, "unsupported_media_type")["detail"]
     assert all(name in detail for name in types)
+
+
+def test_the_manifest_has_the_limits_of_the_pipeline() -> None:
+    camera = CameraManifest.model_json_schema()["properties"]
+    rates = [camera["rate"]["anyOf"][0], Manifest.model_json_schema()["properties"]["frame_rate_hz"]["anyOf"][0]]
+    assert all((rate["minimum"], rate["maximum"]) == (FRAME_RATE_HZ.low, FRAME_RATE_HZ.high) for rate in rates)
+    assert (camera["offset_s"]["minimum"], camera["offset_s"]["maximum"]) == (OFFSET_S.low, OFFSET_S.high)

@@ -128,7 +128,10 @@ def test_offsets_and_rates_of_a_manifest_that_would_make_millions_of_frames(serv
     parts = video_parts(videos, calibration(tmp_path / "rig.json", list("abcd")))
 
     def send(**offsets_s: float) -> httpx2.Response:
-        cameras = [{"name": name, "offset_s": offset_s, "rate": 1000} for name, offset_s in offsets_s.items()]
+        cameras = [
+            {"name": name, "offset_s": offset_s, "rate": 1000 if name == "a" else 100}
+            for name, offset_s in offsets_s.items()
+        ]
         return served.client.post("/v1/jobs", files=[*parts, ("manifest", (None, json.dumps({"cameras": cameras})))])
 
     assert errors(send(a=-86_400, b=-86_400, c=86_400, d=86_400)) == [
@@ -144,12 +147,11 @@ def test_offsets_and_rates_of_a_manifest_that_would_make_millions_of_frames(serv
 def test_timestamps_that_would_make_millions_of_frames(served: Served) -> None:
     files = keypoint_files(simulate(Clock(25.0), 0.3))
     *rows, last = files["timestamps.csv"].decode().splitlines()
-    camera = last.split(",")[0]
     for last_s, code in (("43000", "too_many_frames"), ("900000", "session_too_long"), ("1e8", "timestamps_start")):
         table = "\n".join([*rows, f"{last.rpartition(',')[0]},{last_s}"]).encode()
         answer = served.client.post("/v1/jobs", files=keypoint_parts(files | {"timestamps.csv": table}))
         (found,) = errors(answer)
-        assert found in {(code, camera, "/timestamps"), (code, None, "/timestamps")}
+        assert (found[0], found[2]) == (code, "/timestamps")
 
 
 def test_an_output_rate_that_would_make_millions_of_frames(served: Served) -> None:

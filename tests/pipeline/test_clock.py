@@ -12,7 +12,10 @@ from pipeline.errors import Problem
 DAY_S = 86_400.0
 
 
-def found(rate_hz: float | None = None, **spans: tuple[float, float, float]) -> Mapping[str, list[Problem]]:
+Spans = Mapping[str, tuple[float, float, float]]
+
+
+def found(spans: Spans, rate_hz: float | None = None) -> Mapping[str, list[Problem]]:
     """Problems by code, of cameras with a start, a duration and a rate each."""
     times = {
         name: FrameTimes(start_s + np.arange(round(duration_s * hz) + 1) / hz)
@@ -42,31 +45,33 @@ def places(problems: list[Problem]) -> list[tuple[str | None, str | None, str | 
         {"a": (0.0, 999.999, 1000.0), "b": (0.0, 1.0, 1000.0)},  # the last frame that is taken
     ],
 )
-def test_clocks_within_the_limits(spans: dict[str, tuple[float, float, float]]) -> None:
-    assert not found(**spans)
+def test_clocks_within_the_limits(spans: Spans) -> None:
+    assert not found(spans)
 
 
 def test_two_pairs_of_cameras_that_are_two_days_apart() -> None:
     """Every camera overlaps with one other, and together they make 172 million frames."""
     spans = {"a": (-DAY_S, 5.0, 1000.0), "b": (-DAY_S, 5.0, 25.0), "c": (DAY_S, 5.0, 25.0), "d": (DAY_S, 6.0, 25.0)}
-    problems = found(**spans)
+    problems = found(spans)
     assert problems.keys() == {"session_too_long"}
     assert places(problems["session_too_long"]) == [("d.mp4", "d", "offset_s")]
     assert "172,806.00 s" in str(problems["session_too_long"][0])
 
 
 def test_the_fastest_camera_of_a_session_with_too_many_frames_is_named() -> None:
-    problems = found(a=(0.0, 3600.0, 25.0), fast=(10.0, 1.0, 1000.0))
+    problems = found({"a": (0.0, 3600.0, 25.0), "fast": (10.0, 1.0, 1000.0)})
     assert problems.keys() == {"too_many_frames"}
     assert places(problems["too_many_frames"]) == [("fast.mp4", "fast", "rate")]
     assert "3,600,001" in str(problems["too_many_frames"][0])
 
 
 def test_all_cameras_that_are_wrong_are_named_at_once() -> None:
-    problems = found(a=(0.0, 10.0, 25.0), b=(0.0, 50_000.0, 1.0), c=(60_000.0, 1.0, 25.0), d=(0.0, 43_201.0, 1.0))
+    problems = found(
+        {"a": (0.0, 10.0, 25.0), "b": (0.0, 50_000.0, 1.0), "c": (60_000.0, 1.0, 25.0), "d": (0.0, 43_201.0, 1.0)}
+    )
     assert places(problems["no_overlap"]) == [("c.mp4", "c", "offset_s")]
     assert places(problems["session_too_long"]) == [("b.mp4", "b", "rate"), ("d.mp4", "d", "rate")]
 
 
 def test_a_rate_that_is_none_is_not_multiplied() -> None:
-    assert not found(rate_hz=float("inf"), a=(0.0, 1.0, 25.0), b=(0.0, 1.0, 25.0))
+    assert not found({"a": (0.0, 1.0, 25.0), "b": (0.0, 1.0, 25.0)}, rate_hz=float("inf"))

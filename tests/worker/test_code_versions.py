@@ -96,8 +96,8 @@ def test_a_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
 def test_the_stage_s_own_function_and_its_helpers_count(sources: Path) -> None:
     edit(
         sources / "worker/stages.py",
-        "    first = work.claim.spec.frames.start if",
-        "    first = 1 + work.claim.spec.frames.start if",
+        "    first = cut.frames.start",
+        "    first = 1 + cut.frames.start",
     )
     assert changed(sources) == {LENGTHS}
     edit(sources / "worker/stages.py", "cutoff_hz=spec.cutoff_hz", "cutoff_hz=2 * spec.cutoff_hz")

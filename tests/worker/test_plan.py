@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.detect.registry import REGISTRY
-from pipeline.quantities import OUTPUT_FRAMES
+from pipeline.quantities import MAX_OUTPUT_FRAMES
 from pipeline.video.timeline import chunk_ranges
 from worker import plan as planning
 from worker.jobs.model import InputFile, Session, StagePlan
@@ -276,7 +276,7 @@ def test_the_pipeline_cuts_alike(stretches: list[tuple[int, int]], chunk_frames:
 
 
 def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
-    session = make_session(OUTPUT_FRAMES.high, rates_hz=(25.0,) * 64)
+    session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
     detect, *_ = plan(session, JobSpec(), 1)
     assert sum(1 for _ in detect.chunks) <= MAX_CHUNKS
     part, *_ = plan(session, JobSpec(frame_range=(0, 10_000)), 1)
@@ -284,7 +284,7 @@ def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
 
 
 def test_a_plan_takes_no_memory() -> None:
-    session = make_session(OUTPUT_FRAMES.high)
+    session = make_session(MAX_OUTPUT_FRAMES)
     tracemalloc.start()
     try:
         stages = plan(session, CLUSTERING, 100)

@@ -92,7 +92,7 @@ def test_a_take_too_long_for_c3d_is_refused_before_anything_is_written(tmp_path:
 def test_too_many_frames_at_another_rate_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     long = take(num_frames=200_000)
     with pytest.raises(InputError) as refused:
-        list(write_results(long, tmp_path / "out", ("c3d",), frame_rate_hz=240.0))
+        list(write_results(long, tmp_path / "out", EXPORTS, frame_rate_hz=240.0))
     assert [(problem.code, problem.field) for problem in refused.value.problems] == [
         ("too_many_frames", "output_rate_hz"),
         ("too_long_for_c3d", "exports"),

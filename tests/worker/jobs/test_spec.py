@@ -1,7 +1,7 @@
 """What a spec refuses of a session."""
 
 from pipeline.export.c3d_file import MAX_FRAMES
-from pipeline.quantities import OUTPUT_FRAMES
+from pipeline.quantities import MAX_OUTPUT_FRAMES
 from worker.jobs.spec import JobSpec
 
 
@@ -21,6 +21,6 @@ def test_frames_at_another_rate_are_bounded() -> None:
     assert {field: code for field, (code, _) in spec.problems(3 * 3600 * 24, 24.0).items()} == {
         "output_rate_hz": "too_many_frames"
     }
-    assert spec.problems(OUTPUT_FRAMES.high // 10, 24.0) == {}
-    assert spec.problems(OUTPUT_FRAMES.high // 10 + 2, 24.0)
+    assert spec.problems(MAX_OUTPUT_FRAMES // 10, 24.0) == {}
+    assert spec.problems(MAX_OUTPUT_FRAMES // 10 + 2, 24.0)
     assert JobSpec(output_rate_hz=240.0, frame_range=(0, 1000)).problems(3 * 3600 * 24, 24.0) == {}
