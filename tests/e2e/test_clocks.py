@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import psutil
 import pytest
 
 from pipeline.simulation.clocks import Clock
@@ -105,6 +106,38 @@ def test_two_hours_of_keypoints_with_somebody_now_and_then(served: Served, metho
     starts = sorted(person["start_frame"] for person in people(served, job))
     assert {start // 1000 for start in starts} == {0, 90, 179}
     assert sum(stage["total"] for stage in job["stages"]) < 1000  # units of work, not 180,000 frames
+
+
+@pytest.mark.benchmark
+def test_two_hours_of_keypoints_with_a_file_for_every_frame(served: Served) -> None:
+    """360,000 files; people for a second of every ten minutes."""
+    once = simulate(Clock(25.0), 1.0)
+    files = {"calibration.json": keypoint_files(once)["calibration.json"]}
+    for name, content in sorted(frames_of(once).items())[:2]:
+        files[f"{name}.zip"] = archive(
+            {
+                f"frame_{number:012d}_keypoints.json": content[number % 15_000]
+                if number % 15_000 < len(content)
+                else b'{"people":[]}'
+                for number in range(180_000)
+            }
+        )
+    calibration_of_two = json.loads(files["calibration.json"])
+    calibration_of_two["cameras"] = calibration_of_two["cameras"][:2]
+    files["calibration.json"] = json.dumps(calibration_of_two).encode()
+    served.client.timeout = httpx2.Timeout(300.0)
+    preflight, job = reconstruct(served, keypoint_parts(files))
+    assert preflight["timebase"]["num_frames"] == 180_000
+    assert {person["start_frame"] // 15_000 for person in people(served, job)} <= set(range(12))
+    assert people(served, job)
+    peak_kib = max(peak_kib_of(process) for process in served.tree())
+    assert peak_kib < 2 * 2**20
+
+
+def peak_kib_of(process: psutil.Process) -> int:
+    """Most memory that a process has ever had."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0])
 
 
 def frames_of(simulation: Simulation) -> dict[str, list[bytes]]:
