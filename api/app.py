@@ -23,6 +23,7 @@ from api.settings import Settings
 from api.uploads import UploadSpool
 from worker.jobs.backup.linked import release_abandoned
 from worker.jobs.disk import DiskSpace, is_disk_full
+from worker.jobs.errors import DamagedDatabase
 from worker.jobs.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
@@ -88,6 +89,8 @@ def create_app(settings: Settings) -> FastAPI:
 
 def unusable_database(settings: Settings, error: Exception) -> str:
     """Sentence that says what to do when the database can't be opened or written."""
+    if isinstance(error, DamagedDatabase):
+        return f"{error}\n{error.instructions()}"
     if is_disk_full(error):
         return f"The disk of the folder {settings.data_dir} is full. Make room on it, then try again."
     where = "MULTICAP_DATABASE_URL" if settings.database_url else f"the folder {settings.data_dir}"

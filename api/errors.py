@@ -21,6 +21,8 @@ from starlette.routing import Match
 from worker.jobs.disk import is_disk_full
 from worker.jobs.errors import (
     ArtifactsUnavailable,
+    DamagedArtifact,
+    DamagedDatabase,
     JobStoreError,
     KeyBusy,
     KeyReused,
@@ -170,10 +172,16 @@ def _cut(error: ErrorItem) -> ErrorItem:
     return error.model_copy(update={"pointer": error.pointer[:_MAX_POINTER] + "..."})
 
 
-def service_away(code: str, detail: str, errors: Sequence[ErrorItem] = ()) -> ApiError:
+def service_away(code: str, detail: str, errors: Sequence[ErrorItem] = (), hint: str | None = None) -> ApiError:
     """The answer while a part of the service is away."""
     headers = {"Retry-After": str(_RETRY_AFTER_S)}
-    return ApiError(503, code, detail, errors=errors, retryable=True, headers=headers)
+    return ApiError(503, code, detail, errors=errors, hint=hint, retryable=True, headers=headers)
+
+
+def database_damaged() -> ApiError:
+    """The answer until the operator has replaced the database."""
+    hint = "The operator finds in the service's log what to do."
+    return service_away("database_damaged", "The database is damaged.", hint=hint)
 
 
 def pointer_to(*steps: str | int) -> str:
@@ -213,6 +221,10 @@ def as_api_error(error: Exception) -> ApiError:
             return error
         case HTTPException():
             return _from_status(error)
+        case DamagedArtifact():
+            return ApiError(500, "artifact_damaged", "A stored file is damaged.")
+        case DamagedDatabase():
+            return database_damaged()
         case JobStoreError():
             return _from_store(error)
         case _:
@@ -223,7 +235,10 @@ def handle(request: Request, error: Exception) -> Response:
     """Turn any exception into a problem; what the service is to blame for goes to the log."""
     answer = as_api_error(error)
     if answer.status >= 500:
-        _log.error("request_failed", code=answer.code, exc_info=error)
+        if isinstance(error, DamagedDatabase):
+            _log.error("request_failed", code=answer.code, detail=str(error), instructions=error.instructions())
+        else:
+            _log.error("request_failed", code=answer.code, exc_info=error)
     if answer.status == 405:
         answer.headers["Allow"] = ", ".join(_methods_at(request))
     return problem_response(request, answer)

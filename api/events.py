@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import structlog
 from starlette.concurrency import run_in_threadpool
 
-from worker.jobs.errors import NotFound
+from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.model import FINISHED, Change, Job
 from worker.jobs.store import JobStore
 
@@ -79,6 +79,8 @@ class JobChanges:
             await self._somebody_watches.wait()
             try:
                 await self._look()
+            except DamagedDatabase:
+                return  # there will be no news; requests say why
             except Exception:
                 # The database may be away for a while; streams wait for it.
                 _log.exception("events_not_read")

@@ -1,6 +1,7 @@
 """From a form, or from uploads, to a session: receive, check, keep. All or nothing."""
 
 import contextlib
+import hashlib
 import json
 import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -78,6 +79,7 @@ class NewSession:
     upload_ids: tuple[str, ...]
     spec: JobSpec
     metadata: Mapping[str, Any]
+    record_sha256: str
 
 
 async def take_in(
@@ -371,11 +373,20 @@ def _keep(
         undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
         for file, (_, source) in zip(files, received, strict=True):
             services.artifacts.put_file(file.key, source.path)
+        with record_path.open("rb") as content:
+            record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
         services.artifacts.put_file(record_key(session_id), record_path)
-        recorded = record(
-            records,
-            NewSession(session_id, manifest.name, files, preflight, arrival.upload_ids, spec, manifest.metadata),
+        new = NewSession(
+            id=session_id,
+            name=manifest.name,
+            files=files,
+            preflight=preflight,
+            upload_ids=arrival.upload_ids,
+            spec=spec,
+            metadata=manifest.metadata,
+            record_sha256=record_sha256,
         )
+        recorded = record(records, new)
         undo.pop_all()
     for upload_id in arrival.upload_ids:
         services.uploads.remove(upload_id)

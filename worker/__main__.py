@@ -10,7 +10,7 @@ from worker.compilation import compile_kernels
 from worker.jobs.private_files import keep_files_private
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
-from worker.settings import WorkerSettings, read_settings, require_known_schema
+from worker.settings import WorkerSettings, read_settings, require_usable_database
 
 
 def main() -> None:
@@ -23,7 +23,7 @@ def main() -> None:
     configure_logs(settings.log_level)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until Celery takes it over
     store = JobStore(settings.resolved_database_url)
-    require_known_schema(store)
+    require_usable_database(store)
     compile_kernels(store)
     store.close()
     tasks.tell_loading()

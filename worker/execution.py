@@ -1,6 +1,6 @@
 """What a stage function is given and what it gives back."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,11 +13,19 @@ class StoppedError(Exception):
     """The work is no longer wanted here: the lease is lost, the job is canceled, or the worker shuts down."""
 
 
+class DamagedOutputsError(Exception):
+    """Stored outputs of ``chunks``, indices of an earlier ``stage``, are damaged or missing."""
+
+    def __init__(self, stage: str, chunks: Collection[int]) -> None:
+        super().__init__(f"{len(chunks)} outputs of the stage {stage} are damaged")
+        self.stage, self.chunks = stage, chunks
+
+
 class Outputs(Protocol):
     """Reads what chunks of an earlier stage left."""
 
     def __call__(self, stage: str, chunks: slice = ...) -> list[bytes]:
-        """In the chunks' order; of all of them, or of some."""
+        """In the chunks' order; of all of them, or of some. Raises ``DamagedOutputsError``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +45,8 @@ class Work:
     on_unit
         To be called after each unit of work (a frame, a person); raises ``StoppedError`` when the work is no longer
         wanted.
+    check
+        To be called during long steps that are no unit; raises ``StoppedError`` likewise.
     """
 
     claim: Claim
@@ -45,6 +55,7 @@ class Work:
     outputs: Outputs
     scratch: Path
     on_unit: Callable[[], None]
+    check: Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)

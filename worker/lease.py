@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import structlog
 
 from worker.execution import StoppedError
+from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import Claim
 from worker.jobs.store import JobStore
 
@@ -83,6 +84,8 @@ class Lease:
             try:
                 self._lost |= not self._beat()
                 renewed_s = now_s
+            except DamagedDatabase:
+                self._lost = True
             except Exception:
                 # The database may be away for a moment; if it stays away, the lease runs out.
                 log.exception("heartbeat_failed", chunk=self._claim.chunk_id)

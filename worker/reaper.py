@@ -5,9 +5,9 @@ may stand for any more. So a lost message, or a broker that lost all of them, co
 time is over, and files of what was deleted that are still there. Sends webhooks.
 """
 
-import contextlib
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,12 +16,13 @@ import structlog
 
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.disk import DiskSpace
+from worker.jobs.errors import DamagedDatabase
 from worker.jobs.private_files import keep_files_private
 from worker.jobs.queue import WorkQueue
 from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
-from worker.settings import WorkerSettings, read_settings, require_known_schema
+from worker.settings import WorkerSettings, read_settings, require_usable_database
 from worker.webhooks import Sender, deliver_forever
 
 log = structlog.get_logger()
@@ -30,7 +31,12 @@ log = structlog.get_logger()
 def reap(
     store: JobStore, artifacts: ArtifactStore, disk: DiskSpace, publish: Callable[[], object], lease_s: float
 ) -> None:
-    """Look once; what can't be done now, such as with a database that is away, is tried again the next time."""
+    """Look once; what can't be done now, such as with a database that is away, is tried again the next time.
+
+    Raises
+    ------
+    DamagedDatabase
+    """
 
     def free_leases() -> None:
         if store.reap(lease_s):
@@ -47,6 +53,8 @@ def reap(
     for step in (free_leases, expire, remove):
         try:
             step()
+        except DamagedDatabase:
+            raise
         except Exception:
             log.exception("reap_failed", step=step.__name__)
 
@@ -57,18 +65,25 @@ def main() -> None:
     settings = read_settings(WorkerSettings)
     configure_logs(settings.log_level)
     store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)
-    require_known_schema(store)
+    require_usable_database(store)
     artifacts = settings.open_artifacts()
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
     # Beside the rest: whom a webhook goes to may be slow.
     threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with contextlib.suppress(KeyboardInterrupt):
+    exit_code = 0
+    try:
         while True:
             reap(store, artifacts, disk, queue.publish, settings.lease_s)
             time.sleep(settings.reap_interval_s)
+    except KeyboardInterrupt:
+        pass
+    except DamagedDatabase as error:
+        sys.stderr.write(f"error: {error}\n{error.instructions()}\n")
+        sys.stderr.flush()
+        exit_code = 1
     # Without waiting for messages under way: they are sent again when their leases end.
-    os._exit(0)
+    os._exit(exit_code)
 
 
 if __name__ == "__main__":

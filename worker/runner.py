@@ -10,9 +10,9 @@ from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
 from worker import tracing
-from worker.execution import ResultFile, Stages, StoppedError, Work
-from worker.jobs.artifacts import ArtifactStore, result_key, stage_key
-from worker.jobs.errors import NewerDatabase
+from worker.execution import DamagedOutputsError, ResultFile, Stages, StoppedError, Work
+from worker.jobs.artifacts import ArtifactStore, read_artifact, result_key, stage_key
+from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.model import Claim, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
@@ -112,6 +112,11 @@ class Runner:
                 log.info("chunk_stopped")
                 span.set_attribute("multicap.stopped", True)
                 more = self._store.release(claim.chunk_id, claim.lease_token)
+            except DamagedOutputsError as error:
+                log.warning("outputs_damaged", stage=error.stage, chunks=sorted(error.chunks))
+                more = self._store.compute_again(claim.chunk_id, claim.lease_token, error.stage, error.chunks)
+            except DamagedDatabase:
+                raise
             except Exception as error:
                 log.exception("chunk_failed", attempt=claim.attempt)
                 span.record_exception(error)
@@ -146,6 +151,7 @@ class Runner:
                     outputs=partial(self._outputs, claim),
                     scratch=scratch,
                     on_unit=lease.on_unit,
+                    check=lease.check,
                 )
             )
             lease.check()
@@ -166,18 +172,25 @@ class Runner:
         if claim.stage in _NEVER_REUSED:
             return None
         recorded = self._store.artifact(claim.session_id, claim.output_key)
-        key = stage_key(claim.session_id, claim.output_key)
-        if recorded is None or not self._artifacts.exists(key):
+        if recorded is None:
             return None
-        return recorded if _sha256(self._read(key)) == recorded[0] else None
+        try:
+            self._artifacts.open(stage_key(claim.session_id, claim.output_key), recorded[0]).close()
+        except (NotFound, DamagedArtifact):
+            return None
+        return recorded
 
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
-        keys = self._store.outputs(claim.job_id, stage)[chunks]
-        return [self._read(stage_key(claim.session_id, key)) for key in keys]
-
-    def _read(self, key: str) -> bytes:
-        with self._artifacts.open(key) as file:
-            return file.read()
+        contents, damaged = [], set()
+        for output in self._store.outputs(claim.job_id, stage)[chunks]:
+            try:
+                key = stage_key(claim.session_id, output.key)
+                contents.append(read_artifact(self._artifacts, key, output.sha256))
+            except (NotFound, DamagedArtifact):
+                damaged.add(output.index)
+        if damaged:
+            raise DamagedOutputsError(stage, damaged)
+        return contents
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
         key = result_key(claim.job_id, file.name)

@@ -11,7 +11,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
 from sqlalchemy.exc import SQLAlchemyError
 
 from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.errors import NewerDatabase
+from worker.jobs.errors import DamagedDatabase, NewerDatabase
 from worker.jobs.store import JobStore
 from worker.jobs.stores import (
     ARTIFACTS_URL,
@@ -71,10 +71,13 @@ def _is_json(schema: Schema) -> bool:
     return schema.get("type") in {"array", "object"}
 
 
-def require_known_schema(store: JobStore) -> None:
-    """End the program with a sentence if the database is of a newer version of Multicap."""
+def require_usable_database(store: JobStore) -> None:
+    """End the program with sentences if the database is damaged, or of a newer version of Multicap."""
     try:
+        store.require_whole()
         store.require_known_schema()
+    except DamagedDatabase as error:
+        sys.exit(f"error: {error}\n{error.instructions()}")
     except NewerDatabase as error:
         sys.exit(f"error: {error}")
     except SQLAlchemyError:  # it may come later

@@ -7,7 +7,7 @@ import contextlib
 import functools
 import json
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pipeline.association import Found, Views, link, locate_people, measure_bones, restrict, track
@@ -15,7 +15,7 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import open_detector
-from pipeline.errors import ModelError, PipelineError
+from pipeline.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.export.results import METRICS, write_results
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
@@ -40,7 +40,9 @@ from pipeline.skeleton.animate import animate
 from pipeline.video.timeline import span_s
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
-from worker.jobs.artifacts import ArtifactStore, record_key
+from worker.jobs.artifacts import ArtifactStore, read_artifact, record_key
+from worker.jobs.checksums import require_file
+from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import ResultWarning, Session
 from worker.jobs.spec import JobSpec
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, FrameCut, is_of_keypoints
@@ -55,6 +57,19 @@ _MEDIA_TYPES = {
     ".c3d": "application/octet-stream",
     ".csv": "text/csv; charset=utf-8; header=present",
 }
+
+
+@contextlib.contextmanager
+def _undamaged(file: str, camera: str | None = None) -> Iterator[None]:
+    """Say of an input that is not what was stored that it has to be sent again."""
+    try:
+        yield
+    except (DamagedArtifact, NotFound) as error:
+        message = "The service's copy of this file is damaged: it is not what was sent."
+        if isinstance(error, NotFound):
+            message = "The service's copy of this file is missing."
+        hint = "Send the session again. The operator finds the cause on the disk that holds the service's artifacts."
+        raise InputError([Problem("input_damaged", message, file=file, camera=camera, hint=hint)]) from error
 
 
 class _OpenSession:
@@ -74,23 +89,33 @@ class _OpenSession:
         self._files.close()
         self._names.clear()
         self._id = None
-        with artifacts.open(record_key(session.id)) as record:
-            content = record.read()
+        with _undamaged("The record of the session's check"):
+            content = read_artifact(artifacts, record_key(session.id), session.record_sha256)
         self._views = (
             decode_keypoints(content) if is_of_keypoints(session) else decode_session(content, self._new_folder())
         )
         self._id = session.id
         return self._views
 
-    def fetch_video(self, session: Session, artifacts: ArtifactStore, camera: str) -> None:
-        """Have the open session's video of a camera at hand: a distant store's only when it is needed."""
-        (name,) = (one["file"] for one in session.preflight["cameras"] if one["name"] == camera)
-        if name in self._names:
-            return
-        (key,) = (file.key for file in session.files if file.name == name)
-        stored = self._files.enter_context(artifacts.local_path(key))
-        (self._folder / name).symlink_to(stored.absolute())
-        self._names.add(name)
+    @contextlib.contextmanager
+    def video(self, work: Work, camera: str) -> Iterator[None]:
+        """Have the open session's video of a camera at hand, inside the block: it is what was sent, to the block's end.
+
+        A distant store's video is fetched when it is needed, and kept for the next chunk.
+        """
+        (name,) = (one["file"] for one in work.session.preflight["cameras"] if one["name"] == camera)
+        (file,) = (file for file in work.session.files if file.name == name)
+        sent = file.key, file.sha256, work.check
+        with _undamaged(name, camera):
+            if name not in self._names:
+                stored = self._files.enter_context(work.artifacts.local_path(*sent))
+                (self._folder / name).symlink_to(stored.absolute())
+                self._names.add(name)
+            with work.artifacts.local_path(*sent) as stored:
+                try:
+                    yield
+                finally:
+                    require_file(stored, *sent)
 
     def _new_folder(self) -> Path:
         self._folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
@@ -131,12 +156,12 @@ def detect(work: Work) -> Outcome:
     if isinstance(session, KeypointSession):
         raise PipelineError("A session of keypoints has no videos.")
     chunk = work.claim.payload
-    _open.fetch_video(work.session, work.artifacts, chunk["camera"])
     span = span_s(session.timebase, chunk["start_frame"], chunk["stop_frame"])
     seen = session, chunk["camera"], span, _detector(work.claim.spec.detector), work.on_unit
-    if work.claim.spec.uses_fields:
-        return Outcome(encode_fields(detect_fields_chunk(*seen)))
-    return Outcome(encode_detections(detect_chunk(*seen)))
+    with _open.video(work, chunk["camera"]):
+        if work.claim.spec.uses_fields:
+            return Outcome(encode_fields(detect_fields_chunk(*seen)))
+        return Outcome(encode_detections(detect_chunk(*seen)))
 
 
 def _bodies(session: Views, joints: JointSet, outputs: Iterable[bytes]) -> Mapping[str, Detections]:

@@ -15,6 +15,7 @@ from pipeline.kernel_cache import is_complete
 from worker.compilation import COMPILING
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.disk import DiskSpace
+from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
@@ -144,7 +145,10 @@ def _installed_detectors() -> tuple[str, ...]:
 
 def work() -> None:
     """Run ready chunks until there are none."""
-    process_runner().work(WorkerSettings().claim_for_s)
+    try:
+        process_runner().work(WorkerSettings().claim_for_s)
+    except DamagedDatabase as error:
+        log.error("database_damaged", detail=str(error), instructions=error.instructions())  # noqa: TRY400 - no mistake
 
 
 def _sweep_forever(artifacts: ArtifactStore) -> None:

@@ -23,6 +23,7 @@ from standardwebhooks import Webhook
 
 from worker.addresses import is_public, url_fault
 from worker.jobs.deliveries import MAX_TRIES
+from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import Delivery, WebhookSecret
 from worker.jobs.store import JobStore
 
@@ -213,6 +214,8 @@ def deliver_forever(store: JobStore, sender: Sender) -> None:
         while True:
             try:
                 courier.start_due()
+            except DamagedDatabase:
+                return  # the reaper ends, and says why
             except Exception:
                 log.exception("webhooks_failed")
             courier.wait(_LOOK_S)

@@ -15,7 +15,7 @@ from worker.jobs.backup.contents import Report
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
 from worker.jobs.backup.restore import restore_backup, verify_backup
-from worker.jobs.errors import NewerDatabase
+from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
 app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
@@ -68,8 +68,10 @@ def _reported(as_json: bool) -> Iterator[None]:
     """Turn what went wrong into sentences and the documented exit codes."""
     try:
         yield
-    except (BackupError, NewerDatabase) as error:
+    except (BackupError, DamagedDatabase, NewerDatabase) as error:
         faults = error.faults if isinstance(error, BackupError) else (str(error),)
+        if isinstance(error, DamagedDatabase):
+            faults = (f"{error}\n{error.instructions()}",)
         is_usage = isinstance(error, BackupUsageError)
         if as_json:
             code = "bad_usage" if is_usage else "backup_failed"

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from api.auth import AdminDep
 from api.contract import answer, problems
 from api.dependencies import ServicesDep
-from api.errors import ErrorItem, problem_response, service_away
+from api.errors import ErrorItem, database_damaged, problem_response, service_away
 from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
 from worker.jobs.disk import DiskSpace
@@ -49,7 +49,7 @@ def get_health() -> Health:
 def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
     """Say whether a worker could start a job's work now; if not, what is missing or on its way."""
     checks: dict[str, ErrorItem | None] = {
-        "database": _check("database", services.store.ping()),
+        "database": _database_check(services.store),
         "broker": _check("broker", services.queue.ping()),
         "artifacts": _check("artifacts", services.artifacts.ping()),
         "disk": _disk_check(services.disk),
@@ -76,6 +76,14 @@ def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Respons
 
 def _check(name: str, there: bool) -> ErrorItem | None:
     return None if there else ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name])
+
+
+def _database_check(store: JobStore) -> ErrorItem | None:
+    found = _check("database", store.ping())
+    if not store.is_damaged:
+        return found
+    problem = database_damaged()
+    return ErrorItem(code=problem.code, message=problem.detail, hint=problem.hint)
 
 
 def _disk_check(disk: DiskSpace) -> ErrorItem | None:

@@ -96,6 +96,7 @@ async def create_session_and_job(request: Request, services: ServicesDep, once: 
             services.settings.retention_s,
             tracing.current(),
             new.metadata,
+            new.record_sha256,
         )
         _announce(services, job)
         return job

@@ -1,6 +1,7 @@
 """Results: what a job made, and the files themselves."""
 
-from collections.abc import Generator
+import contextlib
+from collections.abc import Generator, Sequence
 from typing import Annotated, Any, BinaryIO
 from urllib.parse import quote
 
@@ -14,9 +15,9 @@ from api.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_ra
 from api.conditional import NOT_MODIFIED, IfNoneMatch
 from api.contract import answer, location, problems
 from api.dependencies import JobId, Services, ServicesDep
-from api.errors import ApiError
+from api.errors import ApiError, ErrorItem
 from api.schemas import ResultList, ResultOut
-from worker.jobs.errors import NotFound
+from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
@@ -62,8 +63,7 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
 def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Response:
     """Download all result files of a job as one archive."""
     results = records.results(job_id)
-    if not all(services.artifacts.exists(result.key) for result in results):
-        raise _expired()
+    _require_whole(services, results)
     session = records.session(records.job(job_id).session_id)
     # Made while it is sent, by the API's own processor: the fastest compression, which halves a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
@@ -75,7 +75,31 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -
 
 def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
     """A file's blocks; it is opened for the first one."""
-    yield from _blocks(services.artifacts.open(result.key), ByteRange(0, result.num_bytes))
+    yield from _blocks(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
+
+
+def _require_whole(services: Services, results: Sequence[Result]) -> None:
+    """Raise the problem of all files that are damaged, or of one that is missing."""
+    damaged = []
+    for result in results:
+        try:
+            services.artifacts.open(result.key, result.sha256).close()
+        except NotFound:
+            raise _expired() from None
+        except DamagedArtifact:
+            damaged.append(result)
+    if damaged:
+        raise _damaged(damaged)
+
+
+def _opened(services: Services, result: Result) -> BinaryIO:
+    """Open a whole file, or raise its problem."""
+    try:
+        return services.artifacts.open(result.key, result.sha256)
+    except NotFound:
+        raise _expired() from None
+    except DamagedArtifact as error:
+        raise _damaged([result]) from error
 
 
 def _attachment(name: str) -> dict[str, str]:
@@ -88,6 +112,30 @@ def _expired() -> ApiError:
         "expired",
         "The file was removed.",
         hint="Start another job of its session: what this one found in the videos is used again.",
+    )
+
+
+def _require_size(services: Services, result: Result) -> None:
+    """Raise the problem of a file that is missing, or longer or shorter than it was: all that the store says of it."""
+    try:
+        num_bytes = services.artifacts.size(result.key)
+    except NotFound:
+        raise _expired() from None
+    if num_bytes != result.num_bytes:
+        raise _damaged([result])
+
+
+def _damaged(results: Sequence[Result]) -> ApiError:
+    message = "The stored file does not have the SHA-256 that it was made with."
+    return ApiError(
+        500,
+        "result_damaged",
+        f"{len(results)} stored result files are damaged."
+        if len(results) > 1
+        else "The stored result file is damaged.",
+        errors=[ErrorItem(code="result_damaged", message=message, file=result.name) for result in results],
+        hint="Start another job of its session with the same spec: it makes the file anew, of stages whose outputs are "
+        "verified first.",
     )
 
 
@@ -128,23 +176,21 @@ def get_result(
         "Cache-Control": "private, no-cache",
         **_attachment(result.name),
     }
-    if matches(if_none_match, etag):
-        return Response(status_code=304, headers=headers)
     # A signature is for GET: HEAD is answered here.
     signed_s = None if request.scope["state"].get("by_head") else services.settings.signed_downloads_s
     if signed_s and (address := services.artifacts.signed_url(result.key, signed_s)):
-        if not services.artifacts.exists(result.key):
-            raise _expired()
-        return RedirectResponse(address)
-    try:
-        wanted = requested_range(range_, result.num_bytes) if if_range in {None, etag} else None
-    except UnsatisfiableRange:
-        size = {"Content-Range": f"bytes */{result.num_bytes}"}
-        raise ApiError(416, "range_not_satisfiable", "The file has no such range.", headers=size) from None
-    try:
-        file = services.artifacts.open(result.key)
-    except NotFound:
-        raise _expired() from None
+        _require_size(services, result)
+        return Response(status_code=304, headers=headers) if matches(if_none_match, etag) else RedirectResponse(address)
+    with contextlib.ExitStack() as stack:
+        file = stack.enter_context(_opened(services, result))
+        if matches(if_none_match, etag):
+            return Response(status_code=304, headers=headers)
+        try:
+            wanted = requested_range(range_, result.num_bytes) if if_range in {None, etag} else None
+        except UnsatisfiableRange:
+            size = {"Content-Range": f"bytes */{result.num_bytes}"}
+            raise ApiError(416, "range_not_satisfiable", "The file has no such range.", headers=size) from None
+        stack.pop_all()
     sent = wanted or ByteRange(0, result.num_bytes)
     headers["Content-Length"] = str(sent.stop - sent.start)
     if wanted:

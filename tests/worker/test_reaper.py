@@ -78,7 +78,7 @@ def test_it_removes_what_was_deleted_by_somebody_who_was_killed_then(bench: Benc
     bench.runner().work(60.0)
     files = [
         result_key(job.id, "person-1.bvh"),
-        *(stage_key(bench.session.id, key) for key in bench.store.outputs(job.id, DETECT)),
+        *(stage_key(bench.session.id, output.key) for output in bench.store.outputs(job.id, DETECT)),
     ]
     assert all(bench.artifacts.exists(key) for key in files)
     bench.store.delete_session(bench.session.id)

@@ -120,7 +120,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None
 def test_a_damaged_output_is_made_again(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    key = bench.store.outputs(bench.store.jobs()[0].id, ASSOCIATE)[0]
+    key = bench.store.outputs(bench.store.jobs()[0].id, ASSOCIATE)[0].key
     bench.artifacts.put_bytes(stage_key(bench.session.id, key), b"damaged")
     again = bench.create_job()
     bench.runner().work(60.0)

@@ -9,20 +9,23 @@
 """
 
 import contextlib
+import hashlib
+import io
 import os
 import re
 import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
+from worker.jobs.checksums import VerifiedFile, found, no_check, require_file
 from worker.jobs.disk import is_disk_full, sync
-from worker.jobs.errors import NotFound
+from worker.jobs.errors import DamagedArtifact, NotFound
 
 _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
@@ -72,6 +75,9 @@ class ArtifactStore(Protocol):
     A key consists of names of ASCII letters, digits, ``.``, ``_`` and ``-``, with slashes between them; a name begins
     with a letter, a digit or ``_``. Every method raises ``ValueError`` for another key. A file is there whole or not at
     all, and is replaced whole. Where a file is asked for that is not there, ``NotFound`` is raised.
+
+    A file that is read with its SHA-256 has it: ``DamagedArtifact`` is raised otherwise, also when the file is damaged
+    while it is read. A process compares a version of a file once (see ``worker.jobs.checksums``).
     """
 
     def put_file(self, key: str, path: Path) -> None:
@@ -80,11 +86,15 @@ class ArtifactStore(Protocol):
     def put_bytes(self, key: str, data: bytes) -> None:
         """Keep bytes."""
 
-    def open(self, key: str) -> BinaryIO:
-        """Open a file for reading, with seeking."""
+    def open(self, key: str, sha256: str | None = None) -> BinaryIO:
+        """Open a file for reading, with seeking; without a digest it is not compared."""
 
-    def local_path(self, key: str) -> AbstractContextManager[Path]:
-        """A path to read the file at, inside the block only."""
+    def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> AbstractContextManager[Path]:
+        """A path to read the file at, inside the block only.
+
+        The file is compared before the block; ``checksums.require_file`` says whether it has changed since. ``check``
+        is called while it is compared.
+        """
 
     def size(self, key: str) -> int:
         """Bytes of a file."""
@@ -103,6 +113,21 @@ class ArtifactStore(Protocol):
 
     def sweep(self) -> None:
         """Remove what a store keeps on this machine beside its files and nobody uses."""
+
+
+def read_artifact(artifacts: ArtifactStore, key: str, sha256: str | None) -> bytes:
+    """Content of a file that fits into memory; ``sha256`` is its digest, ``None`` if nobody knows it.
+
+    Raises
+    ------
+    NotFound
+    DamagedArtifact
+    """
+    with artifacts.open(key) as file:
+        content = file.read()
+    if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
+        raise DamagedArtifact(key)
+    return content
 
 
 def is_key(key: str) -> bool:
@@ -159,18 +184,18 @@ class LocalArtifacts:
             sync(temporary)
             self._publish(temporary, target)
 
-    def open(self, key: str) -> BinaryIO:
+    def open(self, key: str, sha256: str | None = None) -> BinaryIO:
         """Open a file for reading."""
-        try:
-            return self._path(key).open("rb")
-        except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
-            raise NotFound(f"There is no artifact {key}.") from error
+        path = self._path(key)
+        with found(key):
+            return path.open("rb") if sha256 is None else io.BufferedReader(VerifiedFile(path, key, sha256))
 
     @contextlib.contextmanager
-    def local_path(self, key: str) -> Iterator[Path]:
+    def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> Iterator[Path]:
         """The file itself."""
-        self.size(key)
-        yield self._path(key)
+        path = self._path(key)
+        require_file(path, key, sha256, check)
+        yield path
 
     def size(self, key: str) -> int:
         """Bytes of a file."""

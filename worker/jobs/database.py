@@ -2,12 +2,14 @@
 
 import contextlib
 import functools
+import json
 import os
 import sqlite3
 import time
 import weakref
 from collections.abc import Iterator, Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, NoReturn
 
 from alembic import command
 from alembic.config import Config
@@ -15,17 +17,22 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Double, Engine, Table, create_engine, event, text
 from sqlalchemy.dialects import postgresql, sqlite
-from sqlalchemy.engine import make_url
+from sqlalchemy.engine import ExceptionContext, make_url
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import FunctionElement
 
-from worker.jobs.errors import NewerDatabase
+from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
 # How long a transaction waits for another one's lock.
 _LOCK_TIMEOUT_S = 30.0
 _LOCK_RETRY_S = 0.01
 _CONNECT_TIMEOUT_S = 10
+
+_DAMAGE = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+_PRIMARY_CODE = 0xFF
+# Of Python's driver, for text that a damaged page holds; it has no code.
+_NOT_TEXT = "Could not decode to UTF-8"
 
 _MIGRATION_LOCK = 0x6D63_6170  # any number that every process agrees on
 
@@ -83,6 +90,24 @@ def require_known_schema(revision: str) -> None:
         raise NewerDatabase(revision)
 
 
+def sqlite_path(database_url: str) -> Path | None:
+    """Path of a SQLite database; ``None`` for another one."""
+    url = make_url(database_url)
+    return Path(url.database or "") if url.get_backend_name() == "sqlite" else None
+
+
+def damage_of(error: BaseException) -> str | None:
+    """SQLite's words for what is wrong with its file; ``None`` for other errors."""
+    code = getattr(error, "sqlite_errorcode", 0) & _PRIMARY_CODE
+    return str(error) if code in _DAMAGE or str(error).startswith(_NOT_TEXT) else None
+
+
+def require_content(path: Path) -> None:
+    """Raise ``DamagedDatabase`` for a file of no bytes beside files of sessions: SQLite takes it for a new database."""
+    if path.is_file() and path.stat().st_size == 0 and any(path.parent.glob("artifacts/sessions/*")):
+        raise DamagedDatabase(path, "the file is empty, though there are files of sessions beside it")
+
+
 def _migrations() -> Config:
     config = Config()
     config.set_main_option("script_location", "worker.jobs:migrations")
@@ -91,6 +116,9 @@ def _migrations() -> Config:
 
 class Database:
     """One database, SQLite or PostgreSQL; may be shared by threads and carried across a fork.
+
+    Once SQLite has found its file damaged, every transaction raises ``DamagedDatabase``: what is written to such a file
+    makes the damage worse.
 
     Parameters
     ----------
@@ -102,25 +130,34 @@ class Database:
         self._url = make_url(url)
         if self._url.drivername in {"postgres", "postgresql"}:  # without a driver's name it is the one that we have
             self._url = self._url.set(drivername="postgresql+psycopg")
-        self._engine = _create_engine(self._url.render_as_string(hide_password=False))
+        self._damage: str | None = None
+        self._engine = self._create_engine()
         self._inherited: list[Engine] = []
         _databases.add(self)
+
+    @property
+    def is_damaged(self) -> bool:
+        """Whether the file was found damaged since this object was made."""
+        return self._damage is not None
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:
         """A transaction that reads."""
+        self._require_undamaged()
         with self._engine.begin() as connection:
             yield connection
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Connection]:
         """A transaction that writes. In SQLite it waits here for its turn, instead of failing at its first write."""
+        self._require_undamaged()
         with self._engine.connect().execution_options(writing=True) as connection, connection.begin():
             yield connection
 
     @contextlib.contextmanager
     def snapshot(self) -> Iterator[Connection]:
         """A transaction that reads all tables as they are at one moment."""
+        self._require_undamaged()
         with self._engine.connect() as connection:
             if connection.dialect.name == "postgresql":  # SQLite reads in no other way
                 connection.execution_options(isolation_level="REPEATABLE READ")
@@ -137,14 +174,29 @@ class Database:
         if (revision := self.revision()) is not None:
             require_known_schema(revision)
 
+    def require_whole(self) -> None:
+        """Raise ``DamagedDatabase`` if SQLite finds its file damaged; this reads all of the file.
+
+        Damage within a row's values is not found.
+        """
+        if (path := self._path) is None:
+            return
+        require_content(path)
+        with self.reading() as connection:
+            answer = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
+        if answer != "ok":
+            self._fail(" ".join(str(answer).split()))
+
     def migrate(self) -> None:
         """Bring the schema up to date; several processes may try at once.
 
         Raises
         ------
+        DamagedDatabase
         NewerDatabase
             If the schema is none that this version knows; the database stays as it is.
         """
+        self.require_whole()
         with self.writing() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _MIGRATION_LOCK})
@@ -162,7 +214,38 @@ class Database:
         # The parent's connections stay open here, unused: closing them would end the parent's sessions and drop
         # what SQLite holds for the parent.
         self._inherited.append(self._engine)
-        self._engine = _create_engine(self._url.render_as_string(hide_password=False))
+        self._engine = self._create_engine()
+
+    @property
+    def _path(self) -> Path | None:
+        return sqlite_path(self._url.render_as_string(hide_password=False))
+
+    def _create_engine(self) -> Engine:
+        if self._url.get_backend_name() != "sqlite":
+            return create_engine(self._url, pool_pre_ping=True, connect_args={"connect_timeout": _CONNECT_TIMEOUT_S})
+        engine = create_engine(self._url, connect_args={"timeout": _LOCK_TIMEOUT_S}, json_deserializer=self._read_json)
+        event.listen(engine, "connect", _configure_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+        event.listen(engine, "handle_error", self._note_damage)
+        return engine
+
+    def _read_json(self, text: str) -> Any:
+        try:
+            return json.loads(text)
+        except ValueError:
+            self._fail("a row holds text that is no JSON")
+
+    def _note_damage(self, context: ExceptionContext) -> None:
+        if reason := damage_of(context.original_exception):
+            self._fail(reason)
+
+    def _fail(self, reason: str) -> NoReturn:
+        self._damage = reason
+        raise DamagedDatabase(self._path or Path(), reason)
+
+    def _require_undamaged(self) -> None:
+        if self._damage is not None:
+            self._fail(self._damage)
 
 
 _databases: "weakref.WeakSet[Database]" = weakref.WeakSet()
@@ -174,15 +257,6 @@ def _renew_all_after_fork() -> None:
 
 
 os.register_at_fork(after_in_child=_renew_all_after_fork)
-
-
-def _create_engine(url: str) -> Engine:
-    if make_url(url).get_backend_name() != "sqlite":
-        return create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": _CONNECT_TIMEOUT_S})
-    engine = create_engine(url, connect_args={"timeout": _LOCK_TIMEOUT_S})
-    event.listen(engine, "connect", _configure_sqlite)
-    event.listen(engine, "begin", _begin_sqlite)
-    return engine
 
 
 def _configure_sqlite(connection: sqlite3.Connection, record: Any) -> None:

@@ -10,10 +10,17 @@
     │   └── KeyBusy          the request of an idempotency key is being answered
     ├── KeyReused            an idempotency key came with another request
     ├── QuotaExceeded        the tenant has as much as it may have
-    └── NewerDatabase        the database was written by a newer version of Multicap
+    ├── NewerDatabase        the database was written by a newer version of Multicap
+    ├── DamagedDatabase      the database's file can't be read (a SQLAlchemyError too)
+    └── DamagedArtifact      a stored file is not what was stored
     OSError
     └── ArtifactsUnavailable the artifact store does not answer, or refuses us
 """
+
+import shlex
+from pathlib import Path
+
+from sqlalchemy.exc import SQLAlchemyError
 
 
 class JobStoreError(Exception):
@@ -60,6 +67,47 @@ class NewerDatabase(JobStoreError):  # noqa: N818
             f"This database was written by a newer version of Multicap (schema {schema}). "
             "Upgrade Multicap, or restore a backup made with this version."
         )
+
+
+class DamagedDatabase(JobStoreError, SQLAlchemyError):  # noqa: N818
+    """The file of a SQLite database can't be read.
+
+    Parameters
+    ----------
+    path
+        The file.
+    reason
+        SQLite's words.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"The database {path} is damaged: {reason}.")
+
+    def instructions(self) -> str:
+        """What the operator does: sentences and commands, a line each."""
+        folder, restored = self.path.parent, self.path.parent.with_name(f"{self.path.parent.name}-restored")
+        aside = folder / "damaged"
+        database, quoted = shlex.quote(str(self.path)), shlex.quote(str(aside))
+        return "\n".join(
+            [
+                "Stop the service and set the database aside, with all files that belong to it:",
+                f"    mkdir {quoted} && mv {database}* {quoted}/",
+                "With a backup, restore it into a new folder and start there:",
+                f"    multicap backup restore BACKUP.tar --data {shlex.quote(str(restored))}",
+                f"    multicap serve --data {shlex.quote(str(restored))}",
+                "Without one, start empty: sessions, jobs and keys are gone then.",
+                f"    multicap serve --data {shlex.quote(str(folder))}",
+            ]
+        )
+
+
+class DamagedArtifact(JobStoreError):  # noqa: N818
+    """A stored file, at ``key`` of the artifact store, does not have the SHA-256 that it was stored with."""
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+        super().__init__(f"The stored file {key} is damaged.")
 
 
 class ArtifactsUnavailable(OSError):  # noqa: N818

@@ -12,8 +12,9 @@ from uuid import uuid4
 
 from filelock import FileLock
 
-# No name of a copy or of its lock is a name of the other, nor of a copy that is not whole yet.
-_COPY, _LOCK, _PART = ".copy", ".lock", ".part"
+# Suffixes of a copy, of its lock, of a copy that is not whole yet, and of an empty file whose time is the copy's last
+# use: the copy's own times say whether its content has changed.
+_COPY, _LOCK, _PART, _USED = ".copy", ".lock", ".part", ".used"
 
 
 class FileCache:
@@ -51,19 +52,28 @@ class FileCache:
             Writes the file to a path, if there is no copy yet; of all processes only one does.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"{hashlib.sha256(key.encode()).hexdigest()}{_COPY}"
+        path = self._path(key)
         with FileLock(path.with_suffix(_LOCK)):
             while (pinned := _pin(path)) is None:
                 self._fetch(path, num_bytes, fetch)
         with pinned:
             yield path
-            os.utime(path)
+            path.with_suffix(_USED).touch()
+
+    def drop(self, key: str) -> None:
+        """Remove the copy of a file, also from who uses it: it is damaged."""
+        path = self._path(key)
+        with FileLock(path.with_suffix(_LOCK)):
+            path.unlink(missing_ok=True)
 
     def sweep(self) -> None:
         """Remove what was not used for long, and what killed processes left."""
-        for path, info in self._found(_COPY, _PART, _LOCK):
-            if time.time() - info.st_mtime > self._keep_s:
+        for path, info in self._found(_COPY, _PART, _LOCK, _USED):
+            if time.time() - _used_s(path, info) > self._keep_s:
                 _remove_unused(path)
+
+    def _path(self, key: str) -> Path:
+        return self._folder / f"{hashlib.sha256(key.encode()).hexdigest()}{_COPY}"
 
     def _fetch(self, path: Path, num_bytes: int, fetch: Callable[[Path], None]) -> None:
         self._make_room(num_bytes)
@@ -75,7 +85,7 @@ class FileCache:
             part.unlink(missing_ok=True)
 
     def _make_room(self, num_bytes: int) -> None:
-        copies = sorted(self._found(_COPY), key=lambda one: one[1].st_mtime)
+        copies = sorted(self._found(_COPY), key=lambda one: _used_s(*one))
         too_many = sum(info.st_size for _, info in copies) + num_bytes - self._max_bytes
         for path, info in copies:
             if too_many <= 0:
@@ -102,8 +112,16 @@ def _pin(path: Path) -> BinaryIO | None:
     if not path.exists():  # it was removed just before
         file.close()
         return None
-    os.utime(path)
+    path.with_suffix(_USED).touch()
     return file
+
+
+def _used_s(path: Path, info: os.stat_result) -> float:
+    """Time of a copy's last use; of another file, its last change."""
+    try:
+        return path.with_suffix(_USED).stat().st_mtime if path.suffix == _COPY else info.st_mtime
+    except FileNotFoundError:
+        return info.st_mtime
 
 
 def _remove_unused(path: Path) -> bool:

@@ -1,6 +1,6 @@
 """Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -9,13 +9,13 @@ from uuid_utils import uuid7
 
 from worker.jobs.attempts import note_failure
 from worker.jobs.database import Database, now, upsert
-from worker.jobs.model import ChunkState, Claim, JobState, Problem, Result, ResultWarning
+from worker.jobs.model import ChunkOutput, ChunkState, Claim, JobState, Problem, Result, ResultWarning
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, jobs, results
 from worker.jobs.totals import Total, count
 from worker.jobs.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
 
-# Tries that a chunk has: lost leases and failures worth another try count alike.
+# Tries that a chunk has: lost leases, failures worth another try and damaged outputs count alike.
 MAX_ATTEMPTS = 5
 
 _AT_WORK = (JobState.QUEUED, JobState.RUNNING)
@@ -170,15 +170,51 @@ class Leases:
             row = connection.execute(query).one_or_none()
         return None if row is None else (row.sha256, row.num_bytes)
 
-    def outputs(self, job_id: str, stage: str) -> list[str]:
-        """Output keys of a job's stage, in the order of its chunks."""
+    def outputs(self, job_id: str, stage: str) -> list[ChunkOutput]:
+        """Outputs of a job's stage, in the order of its chunks."""
+        stored = (artifacts.c.session_id == jobs.c.session_id) & (artifacts.c.output_key == chunks.c.output_key)
         query = (
-            select(chunks.c.output_key)
+            select(chunks.c.chunk_index, chunks.c.output_key, artifacts.c.sha256)
+            .select_from(chunks.join(jobs).outerjoin(artifacts, stored))
             .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
             .order_by(chunks.c.chunk_index)
         )
         with self._database.reading() as connection:
-            return list(connection.scalars(query))
+            return [ChunkOutput(*row) for row in connection.execute(query)]
+
+    def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
+        """Give a chunk back until chunks of an earlier stage have run again, because it found their outputs damaged.
+
+        A chunk of that stage that has had ``MAX_ATTEMPTS`` tries ends the job.
+
+        Parameters
+        ----------
+        stage, damaged
+            The earlier stage, and indices of its chunks.
+
+        Returns
+        -------
+            Whether a chunk became ready.
+        """
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, waiting = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, waiting)
+                return False
+            move_chunk(connection, waiting.id, ChunkState.WAITING)
+            # Others may have found the same: what is not done is being computed already.
+            done = select(chunks).where(
+                chunks.c.job_id == job.id, chunks.c.stage == stage, chunks.c.state == ChunkState.DONE
+            )
+            again = [chunk for chunk in connection.execute(done).all() if chunk.chunk_index in damaged]
+            # The first one without another try ends the job.
+            return bool(again) and all(
+                _try_again(connection, job, chunk, _output_damaged(chunk), started_at=None, finished_at=None)
+                for chunk in again
+            )
 
     def reap(self, lease_s: float) -> bool:
         """Take back chunks whose workers have fallen silent; whether a chunk is ready for a worker now.
@@ -245,14 +281,14 @@ def _lock_held(
     return None if job is None or chunk is None else (job, chunk)
 
 
-def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem) -> bool:
-    """Make a chunk ready for its next try, or end its job; whether it became ready."""
+def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem, **values: Any) -> bool:
+    """Make a chunk ready for its next try, or end its job; whether it became ready. ``values`` are of its columns."""
     if job.state == JobState.CANCELING:
         _cancel(connection, job, chunk)
         return False
     note_failure(connection, job, chunk, problem)
     if problem.retryable and chunk.attempt < MAX_ATTEMPTS:
-        move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1)
+        move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
         count(connection, Total.CHUNKS_RETRIED, chunk.stage)
         return True
     if problem.retryable:
@@ -282,6 +318,16 @@ def _worker_lost(stage: str) -> Problem:
         f"A worker of the stage {stage} fell silent.",
         stage=stage,
         hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
+        retryable=True,
+    )
+
+
+def _output_damaged(chunk: Row[Any]) -> Problem:
+    return Problem(
+        "output_damaged",
+        f"The stored output of chunk {chunk.chunk_index} of the stage {chunk.stage} was damaged.",
+        stage=chunk.stage,
+        hint="Check the disk that holds the service's artifacts, then retry the job: whole outputs are used again.",
         retryable=True,
     )
 

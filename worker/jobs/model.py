@@ -9,6 +9,7 @@
 
     chunk   waiting -> ready -> running -> done
             running -> ready                     (lease lost, or a failure worth another try)
+            running -> waiting, done -> ready    (the output of the latter is damaged, and the former needs it)
             running -> failed
             waiting | ready | running -> canceled
 """
@@ -127,7 +128,8 @@ class Session:
     """A capture session: its files, and what the preflight found in them.
 
     ``preflight`` is the JSON object that ``python -m pipeline.preflight`` printed (see there): cameras, timebase,
-    warnings.
+    warnings. ``record_sha256`` is the digest of the record that the preflight wrote for the workers; ``None`` for
+    sessions of older versions.
     """
 
     id: str
@@ -136,6 +138,7 @@ class Session:
     files: tuple[InputFile, ...]
     preflight: Mapping[str, Any]
     metadata: Mapping[str, Any] = field(default_factory=dict)  # the client's own
+    record_sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,6 +371,15 @@ class WorkerStatus:
     done: int = 0
     total: int = 0
     detectors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkOutput:
+    """Output of a chunk that is done; ``sha256`` is ``None`` while it is not."""
+
+    index: int
+    key: str  # as ``ChunkPlan.output_key``
+    sha256: str | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,7 @@ class Records(Uploads):
         session_id: str,
         upload_ids: Collection[str] = (),
         metadata: Mapping[str, Any] = _NO_METADATA,
+        record_sha256: str | None = None,
     ) -> Session:
         """Record a session whose files are in the artifact store; ``announce_session`` has made its id.
 
@@ -70,6 +71,8 @@ class Records(Uploads):
             Uploads that its files were; they are forgotten.
         metadata
             The client's own; it comes back.
+        record_sha256
+            Digest of the preflight record in the artifact store; ``None``: the record is read without one.
 
         Raises
         ------
@@ -78,7 +81,7 @@ class Records(Uploads):
         QuotaExceeded
         """
         with self._database.writing() as connection:
-            self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata)
+            self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata, record_sha256)
             session = self._session(connection, session_id)
             self._leave_receipt(connection, session)
             return session
@@ -95,10 +98,11 @@ class Records(Uploads):
         retention_s: float | None = None,
         trace: str | None = None,
         metadata: Mapping[str, Any] = _NO_METADATA,
+        record_sha256: str | None = None,
     ) -> Job:
         """Both or neither; parameters and errors as of ``create_session`` and ``create_job``."""
         with self._database.writing() as connection:
-            self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata)
+            self._insert_session(connection, name, files, preflight, session_id, upload_ids, metadata, record_sha256)
             return self._told(connection, self._insert_job(connection, session_id, spec, stages, retention_s, trace))
 
     def require_room(self, num_bytes: int, unfinished_jobs: int = 0) -> None:
@@ -319,6 +323,7 @@ class Records(Uploads):
         session_id: str,
         upload_ids: Collection[str],
         metadata: Mapping[str, Any],
+        record_sha256: str | None,
     ) -> None:
         num_bytes = sum(file.num_bytes for file in files)
         self._use_up(connection, upload_ids)  # first: no byte counts twice
@@ -335,6 +340,7 @@ class Records(Uploads):
                 client_metadata=dict(metadata),
                 num_bytes=num_bytes,
                 tenant=self._owner,
+                record_sha256=record_sha256,
             )
         )
         note_deed(connection, self._actor, self._owner, Act.SESSION_CREATED, session_id)

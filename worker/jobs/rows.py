@@ -24,6 +24,7 @@ def session_of(row: Row[Any]) -> Session:
         files=tuple(InputFile(**file) for file in row.files),
         preflight=row.preflight,
         metadata=row.client_metadata,
+        record_sha256=row.record_sha256,
     )
 
 

@@ -3,7 +3,7 @@
 import contextlib
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,7 +13,8 @@ from obstore.exceptions import BaseError
 from obstore.store import S3Store
 
 from worker.jobs.artifacts import require_key, require_prefix
-from worker.jobs.errors import ArtifactsUnavailable, NotFound
+from worker.jobs.checksums import Verified, no_check, require_file, sha256_of
+from worker.jobs.errors import ArtifactsUnavailable, DamagedArtifact, NotFound
 from worker.jobs.file_cache import FileCache
 
 # A part of a large file as it is sent, and how many at once: what a put takes of memory.
@@ -54,6 +55,7 @@ class S3Artifacts:
         client: Any = {"connect_timeout": "5s", "timeout": "120s", "allow_http": plain}
         self._store = S3Store.from_url(url, client_options=client, retry_config=_RETRY)
         self._cache = cache
+        self._verified = Verified()
 
     def put_file(self, key: str, path: Path) -> None:
         """Send a file, in parts if it is large; then it goes here."""
@@ -76,15 +78,30 @@ class S3Artifacts:
         with _reached(key):
             obstore.put(self._store, key, data, attributes=_attributes(key), max_concurrency=_PARTS_AT_ONCE)
 
-    def open(self, key: str) -> BinaryIO:
-        """Open an object; it is read a piece at a time."""
+    def open(self, key: str, sha256: str | None = None) -> BinaryIO:
+        """Open an object; it is read a piece at a time, and once more if it has to be compared."""
         head = self._head(key)
-        return io.BufferedReader(_Object(self._store, key, head["size"], head["e_tag"]), _READ_BYTES)
+        file = io.BufferedReader(_Object(self._store, key, head["size"], head["e_tag"]), _READ_BYTES)
+        version = key, head["size"], head["e_tag"]
+        if sha256 is not None and not self._verified.holds(version, sha256):
+            if sha256_of(file) != sha256:
+                raise DamagedArtifact(key)
+            self._verified.add(version, sha256)
+            file.seek(0)
+        return file
 
     @contextlib.contextmanager
-    def local_path(self, key: str) -> Iterator[Path]:
-        """A copy on this machine."""
-        with self._cache.copy(key, self.size(key), lambda path: self._download(key, path)) as path:
+    def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> Iterator[Path]:
+        """A copy on this machine; one that is damaged is fetched again."""
+        num_bytes = self.size(key)
+        with contextlib.ExitStack() as stack:
+            path = stack.enter_context(self._copy(key, num_bytes))
+            try:
+                require_file(path, key, sha256, check)
+            except DamagedArtifact:
+                self._cache.drop(key)
+                path = stack.enter_context(self._copy(key, num_bytes))
+                require_file(path, key, sha256, check)
             yield path
 
     def size(self, key: str) -> int:
@@ -129,6 +146,9 @@ class S3Artifacts:
         require_key(key)
         with _reached(key):
             return obstore.head(self._store, key)
+
+    def _copy(self, key: str, num_bytes: int) -> contextlib.AbstractContextManager[Path]:
+        return self._cache.copy(key, num_bytes, lambda path: self._download(key, path))
 
     def _download(self, key: str, path: Path) -> None:
         with _reached(key), path.open("wb") as file:

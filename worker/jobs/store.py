@@ -49,6 +49,15 @@ class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit, Workers):
         """The clients' side, of one tenant."""
         return Records(self._database, tenant, quotas, actor)
 
+    def require_whole(self) -> None:
+        """Raise ``DamagedDatabase`` if the database is damaged, as ``Database.require_whole`` does."""
+        self._database.require_whole()
+
+    @property
+    def is_damaged(self) -> bool:
+        """Whether the database was found damaged."""
+        return self._database.is_damaged
+
     def require_known_schema(self) -> None:
         """Raise ``NewerDatabase`` if the database is of a newer version of Multicap."""
         self._database.require_known_schema()

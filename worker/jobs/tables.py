@@ -58,6 +58,7 @@ sessions = Table(
     Column("client_metadata", JSON, nullable=False, server_default="{}"),
     Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
+    Column("record_sha256", String(64)),  # of the preflight record; null: unknown, of a session of an older version
     Index(None, "tenant", "id"),
 )
 

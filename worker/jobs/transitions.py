@@ -65,26 +65,31 @@ def cancel_chunks(connection: Connection, job_id: str, states: Collection[ChunkS
 
 
 def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
-    """Go on after a chunk of a stage was done: to the next stage, or to the job's end. Whether a stage became ready."""
+    """Go on after a chunk of a stage was done: to the next stage, or to the job's end. Whether chunks became ready.
+
+    The next stage is the first one that is not done. That is an earlier one while outputs are computed again.
+    """
     unfinished = select(chunks.c.id).where(
         chunks.c.job_id == job_id, chunks.c.stage_index == stage_index, chunks.c.state != ChunkState.DONE
     )
     if connection.execute(unfinished.limit(1)).first() is not None:
         return False
-    waiting = (
+    not_done = (
         select(chunks.c.stage_index, chunks.c.stage)
-        .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.WAITING)
+        .where(chunks.c.job_id == job_id, chunks.c.state != ChunkState.DONE)
         .order_by(chunks.c.stage_index)
     )
-    next_stage = connection.execute(waiting.limit(1)).one_or_none()
+    next_stage = connection.execute(not_done.limit(1)).one_or_none()
     if next_stage is None:
         move_job(connection, job_id, JobState.SUCCEEDED)
         return False
-    connection.execute(
-        update(chunks)
-        .where(chunks.c.job_id == job_id, chunks.c.stage_index == next_stage.stage_index)
-        .values(state=ChunkState.READY)
+    waiting = (
+        chunks.c.job_id == job_id,
+        chunks.c.stage_index == next_stage.stage_index,
+        chunks.c.state == ChunkState.WAITING,
     )
+    if connection.execute(update(chunks).where(*waiting).values(state=ChunkState.READY)).rowcount == 0:
+        return False
     note(connection, job_id, "stage", next_stage.stage)
     return True
 

@@ -1,6 +1,7 @@
 """What every artifact store promises; another one joins by a line in ``artifacts``."""
 
 import errno
+import hashlib
 import os
 import stat
 import time
@@ -40,6 +41,16 @@ def on_s3(s3: S3, monkeypatch: pytest.MonkeyPatch) -> S3:
 def artifacts(request: pytest.FixtureRequest, tmp_path: Path) -> ArtifactStore:
     url = "" if request.param == "folder" else request.getfixturevalue("on_s3").new_url()
     return open_artifacts(url, tmp_path)
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def set_used_s(copy: Path, time_s: float) -> None:
+    """Have a copy's last use be at another time."""
+    for path in (copy, copy.with_suffix(".used")):
+        os.utime(path, (time_s, time_s))
 
 
 def read(artifacts: ArtifactStore, key: str) -> bytes:
@@ -94,7 +105,7 @@ def test_open_files_can_be_sought(artifacts: ArtifactStore) -> None:
 
 def test_local_path_holds_the_file(artifacts: ArtifactStore) -> None:
     artifacts.put_bytes(KEY, b"pose")
-    with artifacts.local_path(KEY) as path:
+    with artifacts.local_path(KEY, sha256(b"pose")) as path:
         assert path.read_bytes() == b"pose"
 
 
@@ -104,7 +115,7 @@ def test_what_is_not_there_is_not_found(artifacts: ArtifactStore, key: str) -> N
     for ask in (artifacts.open, artifacts.size):
         with pytest.raises(NotFound):
             ask(key)
-    with pytest.raises(NotFound), artifacts.local_path(key):
+    with pytest.raises(NotFound), artifacts.local_path(key, sha256(b"")):
         pass
     assert not artifacts.exists(key)
 
@@ -181,7 +192,7 @@ def test_a_large_file_is_whole(artifacts: ArtifactStore, tmp_path: Path) -> None
         assert file.read() == content[-5 * 2**20 :]
         file.seek(3)
         assert file.read(9 * 2**20) == content[3 : 3 + 9 * 2**20]
-    with artifacts.local_path(KEY) as there:
+    with artifacts.local_path(KEY, sha256(content)) as there:
         assert there.read_bytes() == content
 
 
@@ -254,9 +265,9 @@ class TestS3:
 
     def test_copies_are_made_once(self, store: S3Artifacts, tmp_path: Path) -> None:
         store.put_bytes(KEY, b"pose")
-        with store.local_path(KEY) as first, store.local_path(KEY) as second:
+        with store.local_path(KEY, sha256(b"pose")) as first, store.local_path(KEY, sha256(b"pose")) as second:
             assert first == second
-        with store.local_path(KEY) as third:
+        with store.local_path(KEY, sha256(b"pose")) as third:
             assert (third, third.read_bytes()) == (first, b"pose")
         assert self.copies(tmp_path) == 1
 
@@ -265,28 +276,34 @@ class TestS3:
     ) -> None:
         for name in "abcd":
             store.put_bytes(name, name.encode() * 1000)
-        with store.local_path("a") as used:
+        with store.local_path("a", sha256(b"a" * 1000)) as used:
             for age, name in ((300, "b"), (200, "c")):
-                with store.local_path(name) as path:
+                with store.local_path(name, sha256(name.encode() * 1000)) as path:
                     pass
-                os.utime(path, (time.time() - age, time.time() - age))
+                set_used_s(path, time.time() - age)
             assert self.copies(tmp_path) == 2  # there is room for two and a half
-            with store.local_path("d") as path:
+            with store.local_path("d", sha256(b"d" * 1000)) as path:
                 assert path.read_bytes() == b"d" * 1000
                 assert used.read_bytes() == b"a" * 1000
-                with store.local_path("b") as more:  # more than there is room for, but all are in use
+                with store.local_path(
+                    "b", sha256(b"b" * 1000)
+                ) as more:  # more than there is room for, but all are in use
                     assert more.read_bytes() == b"b" * 1000
                 assert self.copies(tmp_path) == 3
 
     def test_copies_go_when_nobody_has_used_them_for_long(self, store: S3Artifacts, tmp_path: Path) -> None:
         for name in "abc":
             store.put_bytes(name, b"x")
-        with store.local_path("a") as old, store.local_path("b") as used, store.local_path("c"):
-            pass
+        paths = []
+        for name in "abc":
+            with store.local_path(name, sha256(b"x")) as path:
+                paths.append(path)
+        old, used, _ = paths
         (tmp_path / "cache" / "0190.part").write_bytes(b"of a killed process")
-        for path in (old, used, tmp_path / "cache" / "0190.part"):
-            os.utime(path, (0, 0))
-        with store.local_path("b"):
+        for path in (old, used):
+            set_used_s(path, 0.0)
+        os.utime(tmp_path / "cache" / "0190.part", (0, 0))
+        with store.local_path("b", sha256(b"x")):
             store.sweep()
         assert self.copies(tmp_path) == 2
         assert not old.exists()
@@ -303,9 +320,9 @@ class TestS3:
 
         with monkeypatch.context() as broken:
             broken.setattr(S3Artifacts, "_download", break_off)
-            with pytest.raises(ArtifactsUnavailable), store.local_path(KEY):
+            with pytest.raises(ArtifactsUnavailable), store.local_path(KEY, sha256(b"pose")):
                 pass
-        with store.local_path(KEY) as path:
+        with store.local_path(KEY, sha256(b"pose")) as path:
             assert path.read_bytes() == b"pose"
         assert not list(tmp_path.rglob("*.part"))
 

@@ -225,8 +225,8 @@ def test_retry_goes_to_the_end_of_the_queue(jobs: Bench) -> None:
 
 def test_outputs_are_in_the_order_of_the_chunks(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=12).id
-    assert jobs.store.outputs(job_id, "detect") == [f"detect-{k}" for k in range(12)]
-    assert jobs.store.outputs(job_id, "export") == ["export"]
+    assert [one.key for one in jobs.store.outputs(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
+    assert [one.key for one in jobs.store.outputs(job_id, "export")] == ["export"]
 
 
 def test_results(jobs: Bench) -> None:

@@ -10,8 +10,8 @@ from sqlalchemy import Connection, func, select
 
 from worker.jobs.artifacts import record_key, require_key, stage_key
 from worker.jobs.backup.errors import BackupError
-from worker.jobs.model import FINISHED, ChunkState, JobState
-from worker.jobs.tables import artifacts, chunks, jobs, results, sessions, uploads
+from worker.jobs.model import JobState
+from worker.jobs.tables import artifacts, jobs, results, sessions, uploads
 
 MANIFEST = "manifest.json"
 DATABASE = "multicap.db"
@@ -65,7 +65,7 @@ FILE_PROBLEMS = TypeAdapter(tuple[FileProblem, ...])
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """A file that a row names; size and digest as far as the row has them.
+    """A file that a row names, with its digest if the row has it.
 
     Parameters
     ----------
@@ -76,7 +76,6 @@ class StoredFile:
     """
 
     path: str
-    num_bytes: int | None
     sha256: str | None
     needed: bool
 
@@ -139,46 +138,39 @@ def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, Sto
     return {file.path: file for file in found}
 
 
-def _artifact(key: str, num_bytes: int | None, sha256: str | None, needed: bool) -> StoredFile:
+def _artifact(key: str, sha256: str | None, needed: bool) -> StoredFile:
     require_key(key)
-    return StoredFile(f"artifacts/{key}", num_bytes, sha256, needed)
+    return StoredFile(f"artifacts/{key}", sha256, needed)
 
 
 def _uploads(connection: Connection) -> Iterator[StoredFile]:
     # An upload that was just moved into a session's folder has no file, and its client begins again.
     for upload_id in connection.scalars(select(uploads.c.id).order_by(uploads.c.id)):
         require_key(upload_id)
-        yield StoredFile(f"uploads/{upload_id}", None, None, needed=False)
+        yield StoredFile(f"uploads/{upload_id}", None, needed=False)
 
 
 def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
-    query = select(sessions.c.id, sessions.c.files).order_by(sessions.c.id)
-    for session_id, files in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
+    query = select(sessions.c.id, sessions.c.files, sessions.c.record_sha256).order_by(sessions.c.id)
+    for session_id, files, record_sha256 in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
         for file in files:
-            yield _artifact(file["key"], file["num_bytes"], file["sha256"], needed=True)
-        yield _artifact(record_key(session_id), None, None, needed=True)
+            yield _artifact(file["key"], file["sha256"], needed=True)
+        yield _artifact(record_key(session_id), record_sha256, needed=True)
 
 
 def _outputs(connection: Connection) -> Iterator[StoredFile]:
-    """Outputs of chunks. Workers make one anew that is missing, but for jobs at work that believe it to be there."""
-    wanted = (
-        select(jobs.c.session_id, chunks.c.output_key)
-        .join(chunks, chunks.c.job_id == jobs.c.id)
-        .where(jobs.c.state.not_in(FINISHED), chunks.c.state == ChunkState.DONE)
-    )
-    needed = {(row[0], row[1]) for row in connection.execute(wanted)}
+    """Outputs of chunks; workers compute one again that is missing or damaged."""
     query = select(artifacts).order_by(artifacts.c.session_id, artifacts.c.output_key)
     for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
-        key = stage_key(row.session_id, row.output_key)
-        yield _artifact(key, row.num_bytes, row.sha256, (row.session_id, row.output_key) in needed)
+        yield _artifact(stage_key(row.session_id, row.output_key), row.sha256, needed=False)
 
 
 def _results(connection: Connection) -> Iterator[StoredFile]:
     query = (
-        select(results.c.key, results.c.num_bytes, results.c.sha256)
+        select(results.c.key, results.c.sha256)
         .join(jobs, jobs.c.id == results.c.job_id)
         .where(jobs.c.state != JobState.EXPIRED)
         .order_by(results.c.job_id, results.c.name)
     )
     for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
-        yield _artifact(row.key, row.num_bytes, row.sha256, needed=True)
+        yield _artifact(row.key, row.sha256, needed=True)

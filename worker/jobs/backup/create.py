@@ -28,8 +28,15 @@ from worker.jobs.backup.contents import (
 )
 from worker.jobs.backup.errors import BackupError, BackupUsageError, writing_to
 from worker.jobs.backup.linked import HeldFile, HeldFiles, held_files
-from worker.jobs.backup.snapshot import new_private_file, prepare, reading, remove_database, sqlite_path, take_snapshot
-from worker.jobs.database import schema_revisions
+from worker.jobs.backup.snapshot import (
+    damage_is_of,
+    new_private_file,
+    prepare,
+    reading,
+    remove_database,
+    take_snapshot,
+)
+from worker.jobs.database import schema_revisions, sqlite_path
 from worker.jobs.disk import DiskSpace, sync
 
 # Sessions that are deleted between snapshot and links make another snapshot necessary; links are kept, so that each
@@ -76,6 +83,7 @@ def create_backup(
     Raises
     ------
     BackupError
+    DamagedDatabase
     NewerDatabase
     """
     if not data_dir.is_dir():
@@ -144,8 +152,9 @@ def _consistent_snapshot(database_url: str, target: Path, links: HeldFiles, with
     """A snapshot with all its files, unless some are missing for good."""
     missing_before: set[str] | None = None
     for _ in range(_MAX_SNAPSHOTS):
-        revision = take_snapshot(database_url, target)
-        files, rows = _examine(target, revision, with_artifacts)
+        with damage_is_of(database_url):
+            revision = take_snapshot(database_url, target)
+            files, rows = _examine(target, revision, with_artifacts)
         held = {path: found for path in files if (found := links.hold(path)) is not None}
         missing = files.keys() - held.keys()
         if not missing or missing == missing_before:
@@ -236,6 +245,6 @@ def _add(writer: ArchiveWriter, stored: StoredFile, held: dict[str, HeldFile]) -
         copied = writer.add(stored.path, found.num_bytes, source)
     if not copied.is_whole:
         return FileProblem(path=stored.path, problem="unreadable", needed=stored.needed)
-    if stored.sha256 is not None and (stored.num_bytes, stored.sha256) != (found.num_bytes, copied.sha256):
+    if stored.sha256 not in {None, copied.sha256}:
         return FileProblem(path=stored.path, problem="damaged", needed=stored.needed)
     return None

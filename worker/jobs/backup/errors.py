@@ -8,6 +8,7 @@ from pathlib import Path
 from sqlalchemy.exc import SQLAlchemyError
 
 from worker.jobs.disk import is_disk_full
+from worker.jobs.errors import DamagedDatabase
 
 
 class BackupError(Exception):
@@ -27,6 +28,8 @@ def writing_to(place: Path) -> Iterator[None]:
     """Raise ``BackupError`` where a file or a database at a place can't be written."""
     try:
         yield
+    except DamagedDatabase:
+        raise
     except OSError as error:
         if is_disk_full(error):
             raise disk_full(Path(error.filename) if error.filename else place) from error

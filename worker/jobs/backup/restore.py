@@ -35,10 +35,10 @@ from worker.jobs.backup.snapshot import (
     reading,
     remove_database,
     require_empty,
-    sqlite_path,
 )
+from worker.jobs.database import sqlite_path
 from worker.jobs.disk import sync
-from worker.jobs.errors import NewerDatabase
+from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
 OnProgress = Callable[[int, int], None]
 
@@ -101,6 +101,8 @@ class _Contents:
                 self._expected = files_of_rows(connection, with_artifacts=not self._manifest.artifacts_url)
         except BackupError as error:
             self._refuse(*error.faults)
+        except DamagedDatabase as error:
+            self._refuse(f"The database is damaged: {error.reason}.")
         except NewerDatabase as error:
             self._refuse(str(error))
         except Exception as error:  # whatever a damaged or hostile database makes its readers raise
@@ -124,8 +126,7 @@ class _Contents:
         else:
             _extract(member, self._folder / member.name, digest.update)
         self._seen.add(member.name)
-        found = (member.num_bytes, digest.hexdigest())
-        if stored is not None and stored.sha256 is not None and (stored.num_bytes, stored.sha256) != found:
+        if stored is not None and stored.sha256 not in {None, digest.hexdigest()}:
             self._differing.add(member.name)
 
     def _refuse(self, *faults: str) -> None:

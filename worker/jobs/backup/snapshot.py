@@ -21,20 +21,21 @@ from sqlalchemy import (
     text,
     type_coerce,
 )
-from sqlalchemy.engine import make_url
 
 from worker.jobs.backup.errors import BackupError, BackupUsageError
-from worker.jobs.database import Database, require_known_schema, schema_revisions
+from worker.jobs.database import (
+    Database,
+    damage_of,
+    require_content,
+    require_known_schema,
+    schema_revisions,
+    sqlite_path,
+)
+from worker.jobs.errors import DamagedDatabase
 from worker.jobs.tables import Moment, metadata
 
 _ROWS_AT_ONCE = 50
 _BUSY_S = 30.0
-
-
-def sqlite_path(database_url: str) -> Path | None:
-    """Path of a SQLite database; ``None`` for another one."""
-    url = make_url(database_url)
-    return Path(url.database or "") if url.get_backend_name() == "sqlite" else None
 
 
 def take_snapshot(database_url: str, target: Path) -> str:
@@ -45,12 +46,14 @@ def take_snapshot(database_url: str, target: Path) -> str:
     BackupUsageError
         The database has no tables of Multicap.
     NewerDatabase
+    DamagedDatabase
     """
     new_private_file(target)
     source = sqlite_path(database_url)
     if source is None:
         _copy_server(database_url, target)
     else:
+        require_content(source)
         # In one step: between steps others would write, and the copy would begin again.
         with contextlib.closing(_connect(source)) as database, contextlib.closing(_connect(target)) as copy:
             database.backup(copy)
@@ -62,6 +65,19 @@ def take_snapshot(database_url: str, target: Path) -> str:
             raise BackupUsageError(f"{source} has no tables of Multicap: its service never started.") from error
     require_known_schema(revision)
     return str(revision)
+
+
+@contextlib.contextmanager
+def damage_is_of(database_url: str) -> Iterator[None]:
+    """Raise ``DamagedDatabase`` of a SQLite database when it, or a copy of it, is found damaged inside the block."""
+    try:
+        yield
+    except (sqlite3.Error, DamagedDatabase) as error:
+        source = sqlite_path(database_url)
+        reason = error.reason if isinstance(error, DamagedDatabase) else damage_of(error)
+        if source is None or reason is None:
+            raise
+        raise DamagedDatabase(source, reason) from error
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -107,15 +123,16 @@ def prepare(path: Path) -> None:
 
     Raises
     ------
+    DamagedDatabase
     BackupError
-        It is damaged, or does more than hold rows.
+        A row refers to another one that is missing, or the database does more than hold rows.
     NewerDatabase
     """
     with contextlib.closing(_connect(path)) as database:
         database.execute("PRAGMA trusted_schema = OFF")
         (answer,) = database.execute("PRAGMA integrity_check(1)").fetchone()
         if answer != "ok":
-            raise BackupError(f"The database is damaged: {answer}.")
+            raise DamagedDatabase(path, " ".join(str(answer).split()))
         if database.execute("PRAGMA foreign_key_check").fetchone() is not None:
             raise BackupError("The database is damaged: a row refers to another one that is missing.")
         # A trigger would act as the service, and is nothing that Multicap makes.
