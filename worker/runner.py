@@ -183,9 +183,10 @@ class Runner:
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         contents, damaged = [], set()
         for output in self._store.outputs(claim.job_id, stage)[chunks]:
+            key = stage_key(claim.session_id, output.key)
             try:
-                key = stage_key(claim.session_id, output.key)
-                contents.append(read_artifact(self._artifacts, key, output.sha256))
+                # Without a digest it is being computed again.
+                contents.append(read_artifact(self._artifacts, key, output.sha256 or ""))
             except (NotFound, DamagedArtifact):
                 damaged.add(output.index)
         if damaged:

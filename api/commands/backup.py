@@ -69,16 +69,25 @@ def _reported(as_json: bool) -> Iterator[None]:
     try:
         yield
     except (BackupError, DamagedDatabase, NewerDatabase) as error:
-        faults = error.faults if isinstance(error, BackupError) else (str(error),)
-        if isinstance(error, DamagedDatabase):
-            faults = (f"{error}\n{error.instructions()}",)
+        code, faults = _code_and_faults(error)
         is_usage = isinstance(error, BackupUsageError)
         if as_json:
-            code = "bad_usage" if is_usage else "backup_failed"
             emit({"problems": [{"code": code, "message": fault} for fault in faults]})
         else:
             _list("error", "bold red", faults)
         raise typer.Exit(EXIT_BAD_INPUT if is_usage else EXIT_FAILED) from error
+
+
+def _code_and_faults(error: BackupError | DamagedDatabase | NewerDatabase) -> tuple[str, tuple[str, ...]]:
+    match error:
+        case BackupUsageError():
+            return "bad_usage", error.faults
+        case BackupError():
+            return "backup_failed", error.faults
+        case DamagedDatabase():
+            return "database_damaged", (f"{error}\n{error.instructions()}",)
+        case _:
+            return "backup_failed", (str(error),)
 
 
 def _finish(report: Report, sentence: str, archive: Path, as_json: bool) -> None:

@@ -37,7 +37,9 @@ async def create_session(request: Request, services: ServicesDep, once: OnceDep)
     """
 
     def record(records: Records, new: NewSession) -> Session:
-        return records.create_session(new.name, new.files, new.preflight, new.id, new.upload_ids, new.metadata)
+        return records.create_session(
+            new.name, new.files, new.preflight, new.id, new.upload_ids, new.metadata, new.record_sha256
+        )
 
     return await take_in(request, services, once, frozenset({MANIFEST}), record, _created)
 

@@ -1,9 +1,11 @@
 import hashlib
 import io
 import json
+import os
 import time
 import zipfile
 from collections.abc import Callable
+from pathlib import Path
 from urllib.parse import unquote
 
 import httpx2
@@ -12,6 +14,7 @@ import pytest
 from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
+from worker.jobs.artifacts import result_key
 from worker.jobs.model import Problem
 from worker.reaper import reap
 
@@ -218,6 +221,120 @@ def test_signed_downloads(make_settings: Callable[..., Settings], monkeypatch: p
             assert headed.headers["content-length"] == str(len(RESULT))
             live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
             assert (live.client.get(path).status_code, live.client.head(path).status_code) == (410, 410)
+
+
+def flip(path: Path) -> None:
+    """Change forty bytes in the middle, in place."""
+    with path.open("r+b") as file:
+        file.seek(500)
+        file.write(bytes(byte ^ 255 for byte in RESULT[500:540]))
+
+
+def truncate(path: Path) -> None:
+    os.truncate(path, 600)
+
+
+@pytest.fixture
+def stored(live: Live, job_id: str) -> Path:
+    """File of the result, downloaded once: the service has compared it before."""
+    live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").raise_for_status()
+    return live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
+
+
+DAMAGES = pytest.mark.parametrize("damage", [flip, truncate])
+
+
+@DAMAGES
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Range": "bytes=0-9"},
+        {"Range": "bytes=510-519"},
+        {"Range": "bytes=99999-"},
+        {"If-None-Match": ETAG},
+        {"If-None-Match": "*"},
+    ],
+)
+def test_no_byte_of_a_damaged_file_is_sent(
+    live: Live, path: str, stored: Path, damage: Callable[[Path], None], headers: dict[str, str]
+) -> None:
+    damage(stored)
+    problem = problem_of(live.client.get(path, headers=headers), 500, "result_damaged")
+    assert [item["file"] for item in problem["errors"]] == ["person-1.bvh"]
+    assert problem["hint"].startswith("Start another job of its session")
+    assert not problem["retryable"]
+    headed = live.client.head(path, headers=headers)
+    assert (headed.status_code, headed.headers.get("etag")) == (500, None)
+    stored.write_bytes(RESULT)
+    assert live.client.get(path).content == RESULT
+
+
+@DAMAGES
+def test_no_archive_is_begun_with_a_damaged_file(
+    live: Live, job_id: str, stored: Path, damage: Callable[[Path], None]
+) -> None:
+    damage(stored)
+    problem = problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 500, "result_damaged")
+    assert [item["file"] for item in problem["errors"]] == ["person-1.bvh"]
+
+
+@DAMAGES
+@pytest.mark.parametrize("name", ["results/person-1.bvh", "results.zip"])
+def test_a_file_that_is_damaged_while_it_is_sent_is_not_sent_to_its_end(
+    live: Live, name: str, damage: Callable[[Path], None]
+) -> None:
+    job_id = live.job_id()
+    content = os.urandom(16 * 2**20)
+    live.finish(job_id, content)
+    stored = live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
+    with live.client.stream("GET", f"/v1/jobs/{job_id}/{name}") as answer:
+        blocks = answer.iter_raw()
+        received = next(blocks)
+        assert answer.status_code == 200
+        damage(stored)
+        with pytest.raises(httpx2.RemoteProtocolError):
+            received += b"".join(blocks)
+    assert len(received) < len(content)
+
+
+@pytest.mark.parametrize("name", ["results/person-1.bvh", "results.zip"])
+def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: str, tmp_path: Path) -> None:
+    job_id = live.job_id()
+    content = os.urandom(16 * 2**20)
+    live.finish(job_id, content)
+    stored = live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
+    with live.client.stream("GET", f"/v1/jobs/{job_id}/{name}") as answer:
+        blocks = answer.iter_raw()
+        received = next(blocks)
+        os.link(stored, live.settings.data_dir / "held")
+        received += b"".join(blocks)
+    (live.settings.data_dir / "held").unlink()
+    if name == "results.zip":
+        with zipfile.ZipFile(io.BytesIO(received)) as archive:
+            received = archive.read("person-1.bvh")
+    assert received == content
+
+
+def test_results_of_a_damaged_bucket(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
+    with running_s3() as s3:
+        for name, value in s3.environment.items():
+            monkeypatch.setenv(name, value)
+        url = s3.new_url()
+        with running(make_settings(artifacts_url=url)) as live:
+            job_id = live.job_id()
+            live.finish(job_id)
+            path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+            assert live.client.get(path).content == RESULT
+            live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
+            for address in (path, f"/v1/jobs/{job_id}/results.zip"):
+                problem_of(live.client.get(address), 500, "result_damaged")
+        with running(make_settings(artifacts_url=url, signed_downloads_s=60)) as live:
+            job_id = live.job_id()
+            live.finish(job_id)
+            live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[:-1])
+            path = f"/v1/jobs/{job_id}/results/person-1.bvh"
+            problem_of(live.client.get(path), 500, "result_damaged")
 
 
 def test_empty_file(live: Live) -> None:

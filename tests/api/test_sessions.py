@@ -11,6 +11,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
+from worker.jobs.artifacts import read_artifact, record_key
 from worker.jobs.records import Records
 
 
@@ -64,6 +65,14 @@ def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None
     with live.services.artifacts.open(video.key) as file:
         assert file.read() == content
     assert list(live.settings.spool_dir.iterdir()) == []
+
+
+def test_the_preflight_record_is_kept_with_its_digest(live: Live) -> None:
+    jobs = live.client.post("/v1/jobs", files=form())
+    for session_id in (live.session_id(), jobs.json()["session_id"]):
+        session = live.services.store.session(session_id)
+        assert session.record_sha256 == hashlib.sha256(b"record").hexdigest()
+        assert read_artifact(live.services.artifacts, record_key(session_id), session.record_sha256) == b"record"
 
 
 def test_all_problems_of_all_files_at_once(live: Live) -> None:

@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,10 @@ import pytest
 
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
-from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, detect, export
+from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.execution import Outcome, Work
 from worker.jobs.artifacts import stage_key
+from worker.jobs.leases import MAX_ATTEMPTS
 from worker.jobs.model import ChunkState, JobState, ResultWarning
 from worker.jobs.spec import JobSpec
 from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
@@ -126,6 +128,143 @@ def test_a_damaged_output_is_made_again(bench: Bench) -> None:
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
     assert {stage.name: stage.reused for stage in bench.store.job(again.id).stages}[ASSOCIATE] is False
+
+
+def stored(bench: Bench, job_id: str, stage: str, chunk: int = 0) -> Path:
+    """File of a chunk's output."""
+    key = bench.store.outputs(job_id, stage)[chunk].key
+    return bench.data_dir / "artifacts" / stage_key(bench.session.id, key)
+
+
+def remove(path: Path) -> None:
+    path.unlink()
+
+
+def flip(path: Path) -> None:
+    path.write_bytes(bytes(byte ^ 255 for byte in path.read_bytes()))
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+DAMAGES = pytest.mark.parametrize("damage", [flip, truncate, remove])
+
+
+@DAMAGES
+@pytest.mark.parametrize(("stage", "chunk", "reader"), [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, FIT), (FIT, 0, EXPORT)])
+def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
+    bench: Bench, stage: str, chunk: int, reader: str, damage: Callable[[Path], None]
+) -> None:
+    run = bench.stages[reader]
+    damages = iter([damage])
+
+    def damaging(work: Work) -> Outcome:
+        for once in damages:
+            once(stored(bench, work.claim.job_id, stage, chunk))
+        return run(work)
+
+    bench.stages[reader] = damaging
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+    assert bench.result(job.id) == RESULT
+    (attempt,) = bench.store.attempts(job.id)
+    (failure,) = attempt.failures
+    assert (failure.stage, failure.chunk_index, failure.problem.code) == (stage, chunk, "output_damaged")
+    assert f"chunk {chunk} of the stage {stage}" in failure.problem.detail
+
+
+def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(bench: Bench) -> None:
+    computed: list[int] = []
+
+    def counted(work: Work) -> Outcome:
+        computed.append(work.claim.index)
+        return detect(work)
+
+    def damaging(work: Work) -> Outcome:
+        if len(computed) == 4:
+            for chunk in (1, 3):
+                flip(stored(bench, work.claim.job_id, DETECT, chunk))
+        return associate(work)
+
+    bench.stages |= {DETECT: counted, ASSOCIATE: damaging}
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+    assert computed == [0, 1, 2, 3, 1, 3]
+    assert bench.store.job(job.id).progress == 1.0
+
+
+def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: Bench) -> None:
+    damages = iter([DETECT, ASSOCIATE])
+
+    def damaging(work: Work) -> Outcome:
+        for stage in damages:
+            flip(stored(bench, work.claim.job_id, stage))
+        return fit(work)
+
+    bench.stages[FIT] = damaging
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+    (attempt,) = bench.store.attempts(job.id)
+    assert [failure.stage for failure in attempt.failures] == [ASSOCIATE, DETECT]
+
+
+def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(bench: Bench) -> None:
+    runs = []
+
+    def damaging(work: Work) -> Outcome:
+        runs.append(work.claim.index)
+        flip(stored(bench, work.claim.job_id, DETECT, 1))
+        return associate(work)
+
+    bench.stages[ASSOCIATE] = damaging
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    found = bench.store.job(job.id)
+    assert found.state is JobState.FAILED
+    assert found.problem is not None
+    assert (found.problem.code, found.problem.stage, found.problem.retryable) == ("output_damaged", DETECT, True)
+    assert "chunk 1 of the stage detect" in found.problem.detail
+    assert "disk" in (found.problem.hint or "")
+    assert len(runs) == MAX_ATTEMPTS
+    bench.stages[ASSOCIATE] = associate
+    bench.store.retry(job.id, plan(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+
+
+def test_workers_side_by_side_compute_a_damaged_output_again(bench: Bench) -> None:
+    damaged = threading.Event()
+
+    def damaging(work: Work) -> Outcome:
+        if not damaged.is_set():
+            damaged.set()
+            for chunk in range(4):
+                flip(stored(bench, work.claim.job_id, DETECT, chunk))
+        return associate(work)
+
+    bench.stages |= {DETECT: slow_detect, ASSOCIATE: damaging}
+    job = bench.create_job()
+    threads = [in_thread(bench) for _ in range(3)]
+    for thread in threads:
+        thread.join()
+    bench.runner().work(60.0)
+    assert bench.result(job.id) == RESULT
+
+
+def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> None:
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    flip(stored(bench, job.id, FIT))
+    flip(bench.data_dir / "artifacts" / bench.store.results(job.id)[0].key)
+    again = bench.create_job()
+    bench.runner().work(60.0)
+    assert bench.result(again.id) == RESULT
+    reused = {stage.name: stage.reused for stage in bench.store.job(again.id).stages}
+    assert reused == {DETECT: True, ASSOCIATE: True, FIT: False, EXPORT: False}
 
 
 def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:

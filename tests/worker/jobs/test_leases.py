@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench, result, stages
-from worker.jobs.model import ChunkState, Claim, JobState, Problem
+from worker.jobs.model import ChunkOutput, ChunkState, Claim, JobState, Problem
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
 
@@ -72,6 +72,7 @@ REPORTS: dict[str, Report] = {
     ),
     "fail": lambda store, chunk_id, token: store.fail(chunk_id, token, FINAL),
     "release": lambda store, chunk_id, token: store.release(chunk_id, token),
+    "compute again": lambda store, chunk_id, token: store.compute_again(chunk_id, token, "detect", {0}),
 }
 
 
@@ -238,3 +239,76 @@ def test_the_last_record_of_an_output_counts(jobs: Bench) -> None:
         claim = next(claim for claim in iter(jobs.claim, None) if claim.stage == "detect")
         jobs.store.finish(claim.chunk_id, claim.lease_token, sha256, 1)
     assert jobs.store.artifact(jobs.session_id, "detect-0") == ("b" * 64, 1)
+
+
+def start_reduce(jobs: Bench, num_chunks: int = 3) -> tuple[str, Claim]:
+    """A job whose map is done and whose reduce runs."""
+    job_id = jobs.queue(num_chunks).id
+    for _ in range(num_chunks):
+        jobs.finish(jobs.claim())
+    claim = jobs.claim()
+    assert claim.stage == "export"
+    return job_id, claim
+
+
+def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(jobs: Bench) -> None:
+    job_id, reduce = start_reduce(jobs)
+    before = jobs.store.job(job_id)
+    assert jobs.store.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 2})
+    job = jobs.store.job(job_id)
+    assert [stage.state for stage in job.stages] == [ChunkState.RUNNING, ChunkState.WAITING]
+    assert job.progress == before.progress
+    again = [jobs.claim(), jobs.claim()]
+    assert [(claim.stage, claim.index, claim.attempt) for claim in again] == [("detect", 0, 2), ("detect", 2, 2)]
+    assert jobs.store.claim("worker", LEASE_S) is None
+    assert [jobs.finish(claim) for claim in again] == [False, True]
+    last = jobs.claim()
+    assert (last.chunk_id, last.attempt) == (reduce.chunk_id, 1)
+    jobs.finish(last)
+    assert jobs.store.job(job_id).state == JobState.SUCCEEDED
+    (attempt,) = jobs.store.attempts(job_id)
+    assert [(one.chunk_index, one.problem.code) for one in attempt.failures] == [
+        (0, "output_damaged"),
+        (2, "output_damaged"),
+    ]
+
+
+def test_a_second_finder_waits_for_the_first_one(jobs: Bench) -> None:
+    detect, export = stages(2)
+    chunks = tuple(replace(export.chunks[0], index=index, output_key=f"export-{index}") for index in range(3))
+    job_id = jobs.store.create_job(jobs.session_id, JobSpec(), (detect, replace(export, chunks=chunks))).id
+    for _ in range(2):
+        jobs.finish(jobs.claim())
+    first, second = jobs.claim(), jobs.claim()
+    assert jobs.store.compute_again(first.chunk_id, first.lease_token, "detect", {1})
+    assert not jobs.store.compute_again(second.chunk_id, second.lease_token, "detect", {1})
+    again, third = jobs.claim(), jobs.claim()
+    assert [(claim.stage, claim.index) for claim in (again, third)] == [("detect", 1), ("export", 2)]
+    assert jobs.store.claim("worker", LEASE_S) is None
+    assert not jobs.finish(third)
+    assert jobs.finish(again)
+    assert [(claim.stage, claim.index) for claim in (jobs.claim(), jobs.claim())] == [("export", 0), ("export", 1)]
+    assert jobs.store.job(job_id).state == JobState.RUNNING
+
+
+def test_outputs_that_stay_damaged_end_the_job(jobs: Bench) -> None:
+    job_id, reduce = start_reduce(jobs)
+    for _ in range(MAX_ATTEMPTS - 1):
+        assert jobs.store.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {1})
+        jobs.finish(jobs.claim())
+        reduce = jobs.claim()
+    assert not jobs.store.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 1, 2})
+    job = jobs.store.job(job_id)
+    assert job.state == JobState.FAILED
+    assert job.problem is not None
+    assert (job.problem.code, job.problem.retryable) == ("output_damaged", True)
+    assert "chunk 1 of the stage detect" in job.problem.detail
+    assert f"the last of {MAX_ATTEMPTS} tries" in job.problem.detail
+    assert jobs.store.claim("worker", LEASE_S) is None
+
+
+def test_outputs_bear_the_digests_that_they_were_finished_with(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=2).id
+    jobs.finish(jobs.claim())
+    outputs = jobs.store.outputs(job_id, "detect")
+    assert outputs == [ChunkOutput(0, "detect-0", "detect-0".ljust(64, "0")), ChunkOutput(1, "detect-1", None)]

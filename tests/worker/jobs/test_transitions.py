@@ -54,6 +54,7 @@ ACTIONS: dict[str, Action] = {
     "heartbeat": lambda store, _, chunk_id, token: store.heartbeat(chunk_id, token, 1, LEASE_S),
     "finish": lambda store, _, chunk_id, token: store.finish(chunk_id, token, "0" * 64, 1),
     "release": lambda store, _, chunk_id, token: store.release(chunk_id, token),
+    "compute again": lambda store, _, chunk_id, token: store.compute_again(chunk_id, token, "none", {0}),
     "fail, retryable": lambda store, _, chunk_id, token: store.fail(chunk_id, token, RETRYABLE),
     "fail": lambda store, _, chunk_id, token: store.fail(chunk_id, token, FINAL),
 }
@@ -70,6 +71,7 @@ MOVES = {
     (CG, "finish"): C,
     (CG, "release"): C,
     (CG, "fail, retryable"): C,
+    (CG, "compute again"): C,
     (R, "fail"): F,
     (CG, "fail"): C,
 }
