@@ -1,6 +1,7 @@
 """A running service from outside, as our own commands use it: start one, send a session, follow the job, download."""
 
 import contextlib
+import hashlib
 import json
 import subprocess
 import time
@@ -86,19 +87,35 @@ class Client:
         return job
 
     def download(self, job: Json, folder: Path) -> list[Path]:
-        """Save all result files of a job into a folder, which is made if it is missing."""
+        """Save all result files of a job into a folder, which is made if it is missing.
+
+        Raises
+        ------
+        ServiceError
+            A file is damaged, or its download broke off.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         return [self._save(result, folder) for result in self._call("GET", job["links"]["results"])["results"]]
 
     def _save(self, result: Json, folder: Path) -> Path:
         path = folder / result["name"]
         part = folder / f".{result['name']}.part"
-        with self.http.stream("GET", result["link"], follow_redirects=True) as answer, part.open("wb") as file:
-            if answer.is_error:
-                answer.read()
-                raise _refusal(answer)
-            file.writelines(answer.iter_bytes())
-        return part.replace(path)
+        digest = hashlib.sha256()
+        try:
+            with self.http.stream("GET", result["link"], follow_redirects=True) as answer, part.open("wb") as file:
+                if answer.is_error:
+                    answer.read()
+                    raise _refusal(answer)
+                for block in answer.iter_bytes():
+                    digest.update(block)
+                    file.write(block)
+            if digest.hexdigest() != result["sha256"]:
+                raise ServiceError(f"The downloaded file {path.name} is damaged: its SHA-256 is not the result's.")
+            return part.replace(path)
+        except httpx2.TransportError as error:
+            raise ServiceError(f"The download of {path.name} broke off. Try again.") from error
+        finally:
+            part.unlink(missing_ok=True)
 
     def _call(self, method: str, path: str, **options: Any) -> Json:
         try:

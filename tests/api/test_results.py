@@ -2,6 +2,7 @@ import hashlib
 import io
 import json
 import os
+import threading
 import time
 import zipfile
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from urllib.parse import unquote
 import httpx2
 import pytest
 
+from api.client import Client, ServiceError
 from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
@@ -316,7 +318,9 @@ def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: st
     assert received == content
 
 
-def test_results_of_a_damaged_bucket(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_a_damaged_bucket(
+    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     with running_s3() as s3:
         for name, value in s3.environment.items():
             monkeypatch.setenv(name, value)
@@ -335,6 +339,35 @@ def test_results_of_a_damaged_bucket(make_settings: Callable[..., Settings], mon
             live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[:-1])
             path = f"/v1/jobs/{job_id}/results/person-1.bvh"
             problem_of(live.client.get(path), 500, "result_damaged")
+            # Content of the same size is for the client to compare.
+            live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
+            with pytest.raises(ServiceError, match=r"person-1\.bvh is damaged"):
+                Client(live.client).download(live.client.get(f"/v1/jobs/{job_id}").json(), tmp_path)
+            assert list(tmp_path.iterdir()) == []
+
+
+@DAMAGES
+def test_our_own_client_says_that_a_download_broke_off(
+    live: Live, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    job_id = live.job_id()
+    live.finish(job_id, os.urandom(16 * 2**20))
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    stored = live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
+    damaged = threading.Event()
+
+    def damage_it(response: httpx2.Response) -> None:
+        if response.url.path.endswith("person-1.bvh"):
+            damage(stored)
+            damaged.set()
+
+    with httpx2.Client(base_url=live.client.base_url, event_hooks={"response": [damage_it]}) as http:
+        with pytest.raises(ServiceError, match="broke off"):
+            Client(http).download(job, tmp_path)
+        with pytest.raises(ServiceError, match="is damaged"):
+            Client(http).download(job, tmp_path)
+    assert damaged.is_set()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_empty_file(live: Live) -> None:

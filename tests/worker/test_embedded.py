@@ -1,7 +1,9 @@
 """The data folder of an embedded service, and the broker in it."""
 
+import contextlib
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,21 @@ from worker.jobs.disk import DiskSpace
 from worker.jobs.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.lifeline import tied
+
+
+@contextlib.contextmanager
+def answering(place: embedded.Place) -> Iterator[WorkQueue]:
+    """The broker, until the end of the block."""
+    program, queue = embedded.broker(place), WorkQueue(place.broker_url)
+    with subprocess.Popen(tied(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
+        try:
+            deadline_s = time.monotonic() + 10
+            while not queue.ping() and time.monotonic() < deadline_s:
+                time.sleep(0.05)
+            yield queue
+        finally:
+            queue.close()
+            process.terminate()
 
 
 def test_a_folder_is_taken_once(tmp_path: Path) -> None:
@@ -36,6 +53,17 @@ def test_what_a_killed_part_left_is_removed(tmp_path: Path) -> None:
         assert place.environment()["TMPDIR"] == str(place.temporary_dir)
 
 
+def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path) -> None:
+    old = tmp_path / "broker" / "appendonlydir"
+    old.mkdir(parents=True)
+    (old / "appendonly.aof.1.incr.aof").write_bytes(b"*3\r\n$3\r\nSET" + bytes(4096))  # as a loss of power leaves it
+    (old / "appendonly.aof.manifest").write_bytes(bytes(100))
+    (old.parent / "dump.rdb").write_bytes(b"REDIS0011" + bytes(100))
+    with embedded.occupy(tmp_path) as place, answering(place) as queue:
+        assert queue.publish()
+    assert not old.exists()
+
+
 def test_the_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
     with embedded.occupy(tmp_path / ("x" * 100)) as place:
         assert len(str(place.socket)) <= 100
@@ -44,19 +72,9 @@ def test_the_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -
 
 
 def test_the_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
-    with embedded.occupy(tmp_path / "ä b#c%41?") as place:
-        program = embedded.broker(place)
-        queue = WorkQueue(place.broker_url)
-        with subprocess.Popen(tied(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
-            try:
-                deadline_s = time.monotonic() + 10
-                while not queue.ping() and time.monotonic() < deadline_s:
-                    time.sleep(0.05)
-                assert queue.publish()
-                assert place.socket.stat().st_mode & 0o077 == 0
-            finally:
-                queue.close()
-                process.terminate()
+    with embedded.occupy(tmp_path / "ä b#c%41?") as place, answering(place) as queue:
+        assert queue.publish()
+        assert place.socket.stat().st_mode & 0o077 == 0
 
 
 def test_a_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:

@@ -1,0 +1,136 @@
+"""Files that are damaged under a running service: no job and no download takes them for what was stored."""
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from tests.e2e.captures import keypoint_capture, video_capture
+from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.test_serve_keypoints import files
+from tests.worker.jobs.damage import PAGE_BYTES, overwrite
+from worker.jobs.store import JobStore
+
+pytestmark = pytest.mark.xdist_group("faults")
+
+ENVIRONMENT = {"MULTICAP_LEASE_S": "3", "MULTICAP_HEARTBEAT_S": "0.5", "MULTICAP_REAP_INTERVAL_S": "1"}
+
+Parts = list[tuple[str, tuple[str, bytes]]]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with serving(tmp_path_factory.mktemp("served") / "data", **ENVIRONMENT) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def keypoints(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    folder = tmp_path_factory.mktemp("keypoints")
+    keypoint_capture(folder)
+    return files(folder)
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    folder = tmp_path_factory.mktemp("videos")
+    video_capture(folder)
+    sent = [("videos", (path.name, path.read_bytes())) for path in sorted((folder / "videos").iterdir())]
+    return [*sent, ("calibration", ("calibration.json", (folder / "calibration.json").read_bytes()))]
+
+
+def flip(path: Path) -> None:
+    """Change forty bytes in the middle, in place."""
+    middle = path.stat().st_size // 2
+    content = path.read_bytes()[middle : middle + 40]
+    overwrite(path, middle, bytes(byte ^ 255 for byte in content))
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def remove(path: Path) -> None:
+    path.unlink()
+
+
+def stored(served: Served, pattern: str) -> list[Path]:
+    return sorted((served.data_dir / "artifacts").glob(pattern))
+
+
+def reconstruct(served: Served, session_id: str, **spec: Any) -> dict[str, Any]:
+    job = served.client.post(f"/v1/sessions/{session_id}/jobs", json=spec).raise_for_status().json()
+    return served.wait_for_end(job["id"])
+
+
+@pytest.mark.parametrize("damage", [flip, truncate, remove])
+@pytest.mark.parametrize(("name", "pattern"), [("left.mp4", "inputs/*left.mp4"), ("The record", "record")])
+def test_a_damaged_input_ends_the_job_with_its_name(
+    served: Served, videos: Parts, name: str, pattern: str, damage: Callable[[Path], None]
+) -> None:
+    session = served.client.post("/v1/sessions", files=videos).raise_for_status().json()
+    (path,) = stored(served, f"sessions/{session['id']}/{pattern}")
+    content = path.read_bytes()
+    damage(path)
+    job = reconstruct(served, session["id"])
+    assert job["state"] == "failed"
+    assert job["error"]["code"] == "input_damaged"
+    assert job["error"]["detail"].startswith(name)
+    assert job["error"]["hint"].startswith("Send the session again.")
+    assert not job["error"]["retryable"]
+    assert job["links"]["retry"] is None
+    (attempt,) = served.client.get(job["links"]["attempts"]).json()["attempts"]
+    assert len(attempt["failures"]) == 1
+    # An operator who has a copy can put it back.
+    path.write_bytes(content)
+    retried = served.client.post(f"/v1/jobs/{job['id']}/retry").raise_for_status().json()
+    assert served.wait_for_end(retried["id"])["state"] == "succeeded"
+
+
+def test_every_stored_file_of_a_finished_job_may_be_damaged(served: Served, keypoints: Parts) -> None:
+    session = served.client.post("/v1/sessions", files=keypoints).raise_for_status().json()
+    job = reconstruct(served, session["id"])
+    before = served.downloads(job["id"])
+    for number, path in enumerate(stored(served, f"sessions/{session['id']}/stages/*")):
+        (flip, truncate, remove)[number % 3](path)
+    results = stored(served, f"jobs/{job['id']}/results/*")
+    for path in results:
+        flip(path)
+    for path in results:
+        answer = served.client.get(f"/v1/jobs/{job['id']}/results/{path.name}")
+        assert (answer.status_code, answer.json()["code"]) == (500, "result_damaged")
+    answer = served.client.get(f"/v1/jobs/{job['id']}/results.zip")
+    assert [item["file"] for item in answer.json()["errors"]] == [path.name for path in results]
+    again = reconstruct(served, session["id"])
+    assert served.downloads(again["id"]) == before
+    assert not any(stage["reused"] for stage in again["stages"])
+
+
+def test_a_database_that_is_damaged_under_a_running_service(tmp_path: Path, keypoints: Parts) -> None:
+    with serving(tmp_path / "data", **ENVIRONMENT) as served:
+        job = served.client.post("/v1/jobs", files=keypoints).raise_for_status().json()
+        assert served.wait_for_end(job["id"])["state"] == "succeeded"
+        database = served.data_dir / "multicap.db"
+        with contextlib.closing(JobStore(f"sqlite:///{database}")) as other:
+            other.rotate_webhook_secret("studio", 0.0)
+            with other._database.reading() as connection:
+                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        overwrite(database, PAGE_BYTES, bytes(database.stat().st_size - PAGE_BYTES))
+
+        def codes(answer: httpx2.Response) -> set[str]:
+            return {answer.json()["code"], *(item["code"] for item in answer.json()["errors"])}
+
+        wait_for(lambda: served.client.get(f"/v1/jobs/{job['id']}").status_code == 503)
+        assert codes(served.client.post("/v1/jobs", files=keypoints)) == {"database_damaged"}
+        assert "database_damaged" in codes(served.client.get("/readyz"))
+        reaper = served.data_dir / "logs" / "reaper.log"
+        wait_for(lambda: reaper.exists() and f"error: The database {database} is damaged" in reaper.read_text())
+        logs = "".join(path.read_text() for path in (served.data_dir / "logs").glob("*.log"))
+    assert "multicap backup restore" in logs
+    traces = [line for line in logs.splitlines() if line.startswith("{") and "exception" in json.loads(line)]
+    assert traces == []
+    assert "Traceback" not in logs
