@@ -22,7 +22,7 @@ from uuid_utils import uuid7
 
 from api.errors import ApiError
 from worker.jobs.disk import DiskSpace, sync
-from worker.jobs.errors import NotFound
+from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)
@@ -162,6 +162,8 @@ class UploadSpool:
             try:
                 await run_in_threadpool(self._disk.using_reserve, lambda: self.sweep(store))
                 await run_in_threadpool(self._disk.set_aside)
+            except DamagedDatabase:
+                return  # requests say it
             except Exception:
                 _log.exception("upload_sweep_failed")
             await asyncio.sleep(_SWEEP_INTERVAL_S)
