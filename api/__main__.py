@@ -10,7 +10,7 @@ from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.app import ExposedError, create_app, refuse_strangers, unusable_database
-from api.connections import bounded_protocol
+from api.server import server_config
 from api.settings import Settings
 from worker import tracing
 from worker.jobs.disk import DiskSpace
@@ -20,8 +20,6 @@ from worker.jobs.store import JobStore
 from worker.logs import configure_logs
 from worker.settings import read_settings
 
-# How long open requests may go on after SIGTERM.
-_GRACE_S = 5
 _SWITCH_S = 0.001
 # Those who watch the service ask all the time.
 _NOT_TRACED = "healthz,readyz,metrics"
@@ -43,17 +41,7 @@ def main() -> None:
     if tracing.is_wanted():
         # Uploads come in a great many pieces; a span each would say nothing.
         FastAPIInstrumentor.instrument_app(app, excluded_urls=_NOT_TRACED, exclude_spans=["receive", "send"])
-    config = uvicorn.Config(
-        app,
-        host=settings.host,
-        port=settings.port,
-        http=bounded_protocol(settings.client_idle_s),
-        access_log=False,
-        server_header=False,
-        timeout_graceful_shutdown=_GRACE_S,
-        log_config=None,
-    )
-    uvicorn.Server(config).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
+    uvicorn.Server(server_config(app, settings)).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
     tracing.stop()
 
 

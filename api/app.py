@@ -6,7 +6,6 @@ import shlex
 import shutil
 from collections.abc import AsyncIterator
 
-from anyio import CapacityLimiter
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
@@ -14,10 +13,12 @@ from starlette.middleware.cors import CORSMiddleware
 from api import contract, errors, validation
 from api.dependencies import Services
 from api.events import JobChanges
+from api.fair_threads import FairThreads
+from api.keys_in_use import KeysInUse, RevokedKeyGuard
 from api.metrics import RequestMetrics
 from api.middleware import FailureAnswer, ForeignPageGuard, HeadByGet, RequestContext, SlowClientGuard, TusProtocol
 from api.preflight import Preflight
-from api.rates import RATE_HEADERS, Rates
+from api.rates import RATE_HEADERS, Rates, WrongKeys
 from api.routes import callers, events, health, jobs, options, page, results, sessions, uploads
 from api.settings import Settings
 from api.uploads import UploadSpool
@@ -67,6 +68,7 @@ def create_app(settings: Settings) -> FastAPI:
     errors.install(app)
     validation.install(app)
     app.add_middleware(FailureAnswer)
+    app.add_middleware(RevokedKeyGuard)
     app.add_middleware(HeadByGet)
     # What a browser may do for pages from elsewhere: never with a cookie.
     app.add_middleware(
@@ -117,6 +119,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     app.state.services = services
     tasks = [
         asyncio.create_task(services.changes.poll()),
+        asyncio.create_task(services.keys_in_use.poll()),
         asyncio.create_task(services.uploads.sweep_forever(services.store)),
     ]
     yield
@@ -152,7 +155,9 @@ def _start(settings: Settings) -> Services:
             settings.max_preflight_bytes,
             settings.max_record_bytes,
         ),
-        preflight_limiter=CapacityLimiter(settings.max_parallel_preflights),
-        changes=JobChanges(store),
+        checks=FairThreads(settings.max_parallel_preflights, settings.preflight_wait_s),
+        changes=JobChanges(store, settings.max_tenant_streams),
+        keys_in_use=KeysInUse(store),
         rates=Rates(settings.max_requests_per_minute),
+        wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
     )

@@ -1,5 +1,6 @@
 """Who calls: by a key, by a browser that has shown one, or anybody as long as there are no keys."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -7,7 +8,8 @@ from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
 
-from api.dependencies import ServicesDep
+from api.clients import client_network
+from api.dependencies import Services, ServicesDep
 from api.errors import ApiError
 from worker.jobs.model import Actor, Key, Scope
 from worker.jobs.records import Records
@@ -25,20 +27,35 @@ _cookie = APIKeyCookie(
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who calls, and what they may do. ``key`` is ``None`` as long as there are no keys at all."""
+    """Who calls, from where, and what they may do. ``key`` is ``None`` as long as there are no keys at all."""
 
     tenant: str
     scopes: frozenset[Scope]
     key: Key | None
+    network: str
+
+    @property
+    def owner(self) -> str:
+        """Name under which requests share what is scarce: of the tenant, or without keys of the client's network."""
+        return f"tenant {self.tenant}" if self.key else f"network {self.network}"
 
 
-def _unknown(detail: str) -> ApiError:
+def wrong_key(request: Request, services: Services) -> ApiError:
+    """Count a wrong key of a client, and return the answer to it: 401, or 429 after too many."""
+    try:
+        rate_limit = services.wrong_keys.count(client_network(request))
+    except ApiError as too_many:
+        return too_many
+    return _key_required("This key is not known, has expired or was revoked.", rate_limit)
+
+
+def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
         401,
         "key_required",
         detail,
         hint="Send Authorization: Bearer mc_..., with a key that `multicap keys create` made.",
-        headers={"WWW-Authenticate": "Bearer"},
+        headers={"WWW-Authenticate": "Bearer", **headers},
     )
 
 
@@ -52,14 +69,15 @@ def _find_caller(
     if "authorization" in request.headers:
         key = services.store.find_key(bearer.credentials) if bearer else None
         if key is None:
-            raise _unknown("This key is not known, has expired or was revoked.")
+            raise wrong_key(request, services)
     elif cookie is not None and (key := services.store.find_browser_session(cookie)) is not None:
         _refuse_foreign_pages(request)
     elif services.store.has_keys():
-        raise _unknown("The service asks for a key.")
+        raise wrong_key(request, services) if cookie is not None else _key_required("The service asks for a key.", {})
     else:
         key = None
-    caller = Caller(DEFAULT_TENANT, frozenset(Scope), None) if key is None else Caller(key.tenant, key.scopes, key)
+    tenant, scopes = (DEFAULT_TENANT, frozenset(Scope)) if key is None else (key.tenant, key.scopes)
+    caller = Caller(tenant, scopes, key, client_network(request))
     request.state.caller = caller
     request.state.rate_limit = services.rates.count(caller.tenant)
     return caller

@@ -4,13 +4,14 @@ import uuid
 from dataclasses import dataclass
 from typing import Annotated
 
-from anyio import CapacityLimiter
 from fastapi import Depends, Path, Query, Request
 
 from api.events import JobChanges
+from api.fair_threads import FairThreads
 from api.form import Limits
+from api.keys_in_use import KeysInUse
 from api.preflight import Preflight
-from api.rates import Rates
+from api.rates import Rates, WrongKeys
 from api.settings import Settings
 from api.uploads import UploadSpool
 from worker.jobs.artifacts import ArtifactStore
@@ -34,10 +35,11 @@ class Services:
     uploads: UploadSpool
     queue: WorkQueue
     preflight: Preflight
-    # Checks wait for each other without holding the threads that serve everyone else.
-    preflight_limiter: CapacityLimiter
+    checks: FairThreads
     changes: JobChanges
+    keys_in_use: KeysInUse
     rates: Rates
+    wrong_keys: WrongKeys
 
     @property
     def quotas(self) -> Quotas:

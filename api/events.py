@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import structlog
 from starlette.concurrency import run_in_threadpool
 
+from api.errors import ApiError
 from worker.jobs.errors import DamagedDatabase, NotFound
 from worker.jobs.model import FINISHED, Change, Job
 from worker.jobs.store import JobStore
@@ -15,6 +16,7 @@ from worker.jobs.store import JobStore
 _log = structlog.get_logger(__name__)
 
 _INTERVAL_S = 0.5
+_RETRY_AFTER_S = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,7 @@ class News:
 class _Watch:
     """One stream's view of a job. Who reads slowly finds the latest news only."""
 
+    owner: str
     job_id: str
     shown: Change | None
     news: asyncio.Queue[News] = field(default_factory=lambda: asyncio.Queue(1))
@@ -46,22 +49,38 @@ class JobChanges:
     ----------
     store
         Where jobs are.
+    max_streams
+        How many streams an owner may have.
     """
 
-    def __init__(self, store: JobStore) -> None:
-        self._store = store
+    def __init__(self, store: JobStore, max_streams: int) -> None:
+        self._store, self._max_streams = store, max_streams
         self._watches: set[_Watch] = set()
         self._somebody_watches = asyncio.Event()
 
-    async def follow(self, job_id: str, known: Change | None) -> AsyncIterator[News]:
+    def require_room(self, owner: str) -> None:
+        """Raise 429 if an owner has as many streams as it may have."""
+        if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
+            raise ApiError(
+                429,
+                "too_many_streams",
+                f"At most {self._max_streams} event streams may be open.",
+                hint="Close those of jobs that nobody follows any more.",
+                retryable=True,
+                headers={"Retry-After": str(_RETRY_AFTER_S)},
+            )
+
+    async def follow(self, owner: str, job_id: str, known: Change | None) -> AsyncIterator[News]:
         """What is new of a job, until it has ended or is gone.
 
         Parameters
         ----------
+        owner
+            Tenant, or client without a key, whose stream it is.
         known
             What the client knows already; ``None``: the job as it is now is news.
         """
-        watch = _Watch(job_id, known)
+        watch = _Watch(owner, job_id, known)
         self._watches.add(watch)
         self._somebody_watches.set()
         try:

@@ -8,16 +8,18 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
+import structlog
 from fastapi import Depends, Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
+from api.dependencies import ServicesDep
 from api.errors import ApiError
 from worker.jobs.receipts import Answer, Claim
 from worker.jobs.records import Records
 
-_LEASE_S = 60.0
-_RENEW_S = 20.0
+_log = structlog.get_logger(__name__)
+
 _MAX_KEY_LENGTH = 200
 
 
@@ -33,11 +35,14 @@ class Once:
         Whose; after ``claim`` they leave the receipt.
     operation
         What is asked for: part of the fingerprint.
+    lease_s
+        How long the key stays taken if this process is killed; renewed as long as the request is at work.
     """
 
     key: str | None
     records: Records
     operation: str
+    lease_s: float
     _token: str | None = field(default=None, init=False)
 
     def is_answered(self) -> bool:
@@ -61,7 +66,7 @@ class Once:
         """
         if self.key is None:
             return None
-        found = self.records.claim_key(self.key, _fingerprint([self.operation, parts]), _LEASE_S)
+        found = self.records.claim_key(self.key, _fingerprint([self.operation, parts]), self.lease_s)
         if isinstance(found, Answer):
             return respond(found, {"Idempotent-Replayed": "true"})
         self._token = found
@@ -97,8 +102,12 @@ class Once:
 
     async def _renew_forever(self) -> None:
         while self.key is not None and self._token is not None:
-            await asyncio.sleep(_RENEW_S)
-            await run_in_threadpool(self.records.renew_claim, self.key, self._token, _LEASE_S)
+            await asyncio.sleep(self.lease_s / 3)
+            try:
+                await run_in_threadpool(self.records.renew_claim, self.key, self._token, self.lease_s)
+            except Exception:
+                # The database may be away for a while.
+                _log.exception("idempotency_key_not_renewed")
 
 
 def respond(answer: Answer, headers: dict[str, str] | None = None) -> Response:
@@ -109,6 +118,7 @@ def respond(answer: Answer, headers: dict[str, str] | None = None) -> Response:
 
 def _once(
     request: Request,
+    services: ServicesDep,
     records: RecordsDep,
     idempotency_key: Annotated[
         str | None,
@@ -121,7 +131,8 @@ def _once(
 ) -> Once:
     if idempotency_key is not None and not (idempotency_key.isascii() and idempotency_key.isprintable()):
         raise ApiError(400, "header_invalid", "Idempotency-Key must be printable ASCII.")
-    return Once(idempotency_key or None, records, f"{request.method} {request.url.path}")
+    lease_s = services.settings.idempotency_lease_s
+    return Once(idempotency_key or None, records, f"{request.method} {request.url.path}", lease_s)
 
 
 def _fingerprint(parts: object) -> str:

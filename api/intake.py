@@ -23,7 +23,7 @@ from api.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
 from api.idempotency import Once, respond
 from api.multipart import receive_form
-from api.preflight import InvalidFilesError
+from api.preflight import InvalidFilesError, allowance_s
 from api.schemas import Manifest, UploadedCapture, UploadedSession
 from api.validation import model_items
 from worker.addresses import may_be_public, url_fault
@@ -112,7 +112,9 @@ async def take_in(
     to_come = 0 if names_uploads else announced_bytes(request)
     # A request that comes again may need no more room than there is.
     is_answered = await run_in_threadpool(once.is_answered)
+    owner = request.state.caller.owner
     if not is_answered:
+        services.checks.require_room(owner)
         await run_in_threadpool(once.records.require_room, to_come, unfinished_jobs=int(SPEC in documents))
     async with _folder(services.settings.spool_dir) as folder:
         if names_uploads:
@@ -128,19 +130,18 @@ async def take_in(
         async with once.held():
             # Large files are read once, for their digests, in the turn of the checks.
             arrival = (
-                await anyio.to_thread.run_sync(
-                    _adopt, services, once.records, folder, sent, limiter=services.preflight_limiter
-                )
+                await services.checks.run(owner, _adopt, services, once.records, folder, sent)
                 if names_uploads
                 else _parsed(form)
             )
-            recorded = await _check_and_keep(services, once.records, folder, arrival, SPEC in documents, record)
+            recorded = await _check_and_keep(services, once.records, owner, folder, arrival, SPEC in documents, record)
     return respond(render(recorded))
 
 
 async def _check_and_keep(
     services: Services,
     records: Records,
+    owner: str,
     folder: Path,
     arrival: Arrival,
     with_job: bool,
@@ -155,11 +156,12 @@ async def _check_and_keep(
     if not form.errors:
         try:
             with _tracer.start_as_current_span("preflight"):
-                preflight = await anyio.to_thread.run_sync(
+                preflight = await services.checks.run(
+                    owner,
                     services.preflight.check,
                     _arguments(form, arrival.manifest or Manifest()),
                     record_path,
-                    limiter=services.preflight_limiter,
+                    allowance_s(form),
                 )
         except InvalidFilesError as invalid:
             errors.extend(_located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)

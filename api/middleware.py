@@ -21,6 +21,8 @@ from api.metrics import RequestMetrics
 _log = structlog.get_logger(__name__)
 
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+# Of tus, whose clients may have to send them as POST.
+_METHODS_BY_POST = frozenset({"HEAD", "PATCH", "DELETE"})
 _MAX_LOGGED_PATH = 200
 SAFE_HEADERS = {
     "Content-Security-Policy": (
@@ -197,11 +199,15 @@ class TusProtocol:
                 MutableHeaders(scope=message)["Tus-Resumable"] = self._version
             await send(message)
 
-        # There are proxies and browsers that know no PATCH. Everything behind this sees the method that is meant.
+        # There are proxies and browsers that know no PATCH. Everything behind this sees the method that is meant; the
+        # server still sees the method that came, which says how the answer is framed.
         method = Headers(scope=scope).get("x-http-method-override", "").upper()
-        if scope["method"] == "POST" and method in _METHODS:
-            scope["method"] = method
-        await self._app(scope, receive, send_versioned)
+        if scope["method"] != "POST" or method not in _METHODS_BY_POST:
+            await self._app(scope, receive, send_versioned)
+            return
+        meant = {**scope, "method": method}
+        await self._app(meant, receive, send_versioned)
+        scope.update({name: meant[name] for name in ("route",) if name in meant})
 
 
 class HeadByGet:

@@ -20,6 +20,7 @@ import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from api.errors import ApiError, ErrorItem
+from api.form import Form
 from worker.niceness import stand_back
 
 _log = structlog.get_logger(__name__)
@@ -29,6 +30,18 @@ _EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
 # Behind the API's answers, before the workers: a client waits for it.
 _NICE = 5
+# Twice what a check needs on two cores, of files with as little in each byte as good ones have.
+_S_PER_FILE = 0.2
+_S_PER_VIDEO_BYTE = 60 / 2**30
+_S_PER_KEYPOINTS_BYTE = 600 / 2**30
+
+
+def allowance_s(form: Form) -> float:
+    """Time that the check of a form's files may take beside ``Preflight.timeout_s``: more for more and larger files."""
+    views = (*form.videos, *form.keypoints)
+    of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
+    of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
+    return len(views) * _S_PER_FILE + of_videos + of_keypoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +53,7 @@ class Preflight:
     command
         Program and first arguments.
     timeout_s
-        How long it may take; then it is killed with all its children.
+        How long it may take beside what its files are worth (``allowance_s``); then it is killed with all its children.
     max_bytes
         How much it may say.
     max_record_bytes
@@ -52,7 +65,7 @@ class Preflight:
     max_bytes: int
     max_record_bytes: int
 
-    def check(self, arguments: Sequence[str], record: Path) -> Mapping[str, Any]:
+    def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Mapping[str, Any]:
         """Find out what a session is.
 
         Parameters
@@ -62,6 +75,8 @@ class Preflight:
         record
             Where the program is to keep what the workers need to know of the files. The program's temporary files go
             to the same folder, which the caller removes: a program that is killed leaves them behind.
+        allowance_s
+            Time for these files, on top of ``timeout_s``.
 
         Returns
         -------
@@ -78,7 +93,7 @@ class Preflight:
         """
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
             command = [*self.command, *arguments, "--record", str(record)]
-            exit_code = self._run(command, record.parent, output, log)
+            exit_code = self._run(command, self.timeout_s + allowance_s, record.parent, output, log)
             said = _read(output, self.max_bytes)
             if exit_code == 0 and record.is_file() and (found := _parsed(said)) is not None:
                 return found
@@ -89,7 +104,7 @@ class Preflight:
             _log.error("preflight_failed", exit_code=exit_code, said=len(said), log=_tail(log))
         raise ApiError(500, "preflight_failed", "The check of the files failed; the log says why.", retryable=True)
 
-    def _run(self, command: Sequence[str], temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
+    def _run(self, command: Sequence[str], timeout_s: float, temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
         with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
             command,
             stdin=subprocess.DEVNULL,
@@ -101,11 +116,12 @@ class Preflight:
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
             stand_back(_NICE, child.pid)
             try:
-                return child.wait(self.timeout_s)
+                return child.wait(timeout_s)
             except subprocess.TimeoutExpired:
-                _log.warning("preflight_timeout", timeout_s=self.timeout_s)
-                message = f"The check of the files took longer than {self.timeout_s:g} s."
-                raise InvalidFilesError([ErrorItem(code="preflight_timeout", message=message)]) from None
+                _log.warning("preflight_timeout", timeout_s=timeout_s)
+                message = f"The check of the files took longer than {timeout_s:.3g} s."
+                hint = "Send fewer or smaller files at once, or the same files when the service is less busy."
+                raise InvalidFilesError([ErrorItem(code="preflight_timeout", message=message, hint=hint)]) from None
             finally:
                 # Not yet waited for when it is alive, so that the number is still its own and its children's.
                 if child.returncode is None:

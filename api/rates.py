@@ -1,7 +1,9 @@
-"""How many requests a tenant may make."""
+"""How many requests a tenant may make, and how many wrong keys a client may show."""
 
 import math
+import threading
 import time
+from collections import OrderedDict
 
 from limits import RateLimitItemPerMinute
 from limits.storage import MemoryStorage
@@ -11,6 +13,9 @@ from api.errors import ApiError
 
 RATE_HEADERS = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
 """By the IETF's draft: how many requests a minute, how many of them are left, and seconds until there are more."""
+
+_MINUTE_S = 60.0
+_MAX_NETWORKS = 10_000
 
 
 class Rates:
@@ -37,15 +42,68 @@ class Rates:
             return {}
         allowed = self._limiter.hit(self._item, tenant)
         stats = self._limiter.get_window_stats(self._item, tenant)
-        wait_s = max(1, math.ceil(stats.reset_time - time.time()))
-        headers = dict(zip(RATE_HEADERS, map(str, (self._item.amount, stats.remaining, wait_s)), strict=True))
+        headers = _headers(self._item.amount, stats.remaining, stats.reset_time - time.time())
         if allowed:
             return headers
-        raise ApiError(
-            429,
+        raise _too_many(
             "too_many_requests",
             f"At most {self._item.amount} requests a minute are allowed.",
-            hint="Ask less often: event streams tell of a job's changes by one request.",
-            retryable=True,
-            headers={"Retry-After": str(wait_s), **headers},
+            "Ask less often: event streams tell of a job's changes by one request.",
+            headers,
         )
+
+
+class WrongKeys:
+    """Counts the wrong keys of each client network, in this process. A minute begins with the first of them.
+
+    Parameters
+    ----------
+    per_minute
+        Wrong keys of a network that are answered by 401; more are answered by 429.
+    max_networks
+        Networks that are remembered; of more, the one that was quiet for longest is forgotten.
+    """
+
+    def __init__(self, per_minute: int, max_networks: int = _MAX_NETWORKS) -> None:
+        self._per_minute, self._max_networks = per_minute, max_networks
+        # When the minute of a network began, and how many keys came in it; the last to show one stands last.
+        self._counts: OrderedDict[str, tuple[float, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def count(self, network: str) -> dict[str, str]:
+        """Count a wrong key; 429 if it is one too many.
+
+        Returns
+        -------
+            Headers that say how many more there may be.
+        """
+        now_s = time.monotonic()
+        with self._lock:
+            start_s, count = self._counts.pop(network, (now_s, 0))
+            if now_s - start_s >= _MINUTE_S:
+                start_s, count = now_s, 0
+            self._counts[network] = start_s, count + 1
+            if len(self._counts) > self._max_networks:
+                self._counts.popitem(last=False)
+        headers = _headers(self._per_minute, max(0, self._per_minute - count - 1), start_s + _MINUTE_S - now_s)
+        if count < self._per_minute:
+            return headers
+        raise _too_many(
+            "too_many_wrong_keys",
+            f"More than {self._per_minute} wrong keys came from this address within a minute.",
+            "Correct the key. A valid key is served at once.",
+            headers,
+        )
+
+    def __len__(self) -> int:
+        """How many networks are remembered."""
+        return len(self._counts)
+
+
+def _headers(limit: int, remaining: int, reset_s: float) -> dict[str, str]:
+    return dict(zip(RATE_HEADERS, map(str, (limit, remaining, max(1, math.ceil(reset_s)))), strict=True))
+
+
+def _too_many(code: str, detail: str, hint: str, headers: dict[str, str]) -> ApiError:
+    retry_after = {"Retry-After": headers["RateLimit-Reset"]}
+    return ApiError(429, code, detail, hint=hint, retryable=True, headers=retry_after | headers)

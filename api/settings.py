@@ -3,7 +3,7 @@
 import ipaddress
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, IPvAnyNetwork
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from pipeline.child_processes import module_command
@@ -66,6 +66,27 @@ class Settings(BaseSettings):
         default=frozenset(),
         description="Origins, such as https://portal.example, whose pages may call with keys, as a JSON list.",
     )
+    trusted_proxies: frozenset[IPvAnyNetwork] = Field(
+        default=frozenset(),
+        description="Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed, as a "
+        "JSON list. Without it the peer of a connection is the client.",
+    )
+    max_connections: int = Field(
+        default=4096,
+        gt=0,
+        description="Open connections of an API process; fewer where the limit on open files allows fewer.",
+    )
+    max_client_connections: int = Field(
+        default=512,
+        gt=0,
+        description="Open connections of a client's address (of IPv6 its /64), but for trusted proxies.",
+    )
+    max_wrong_keys_per_minute: int = Field(
+        default=30,
+        gt=0,
+        description="Wrong keys from a client's address (of IPv6 its /64), at each API process; more are answered by "
+        "429. Valid keys are always served.",
+    )
 
     headroom_bytes: int | None = Field(
         default=None,
@@ -105,6 +126,14 @@ class Settings(BaseSettings):
     max_requests_per_minute: int | None = Field(
         default=None, gt=0, description="Of a tenant, at each API process; without it any number."
     )
+    max_tenant_streams: int = Field(
+        default=200, gt=0, description="Open event streams of a tenant, at each API process."
+    )
+    idempotency_lease_s: float = Field(
+        default=30.0,
+        gt=0,
+        description="How long an Idempotency-Key stays taken by a request whose API process was killed.",
+    )
 
     webhook_private: bool = Field(
         default=False, description="Whether webhooks may go to addresses of private networks, and without TLS."
@@ -130,12 +159,24 @@ class Settings(BaseSettings):
         default=tuple(module_command("pipeline.preflight")),
         description="Program that checks a session's files in a process of its own.",
     )
-    preflight_timeout_s: float = Field(default=300.0, gt=0, description="How long the check may take.")
+    preflight_timeout_s: float = Field(
+        default=15.0,
+        gt=0,
+        description="How long the check may take, beside 0.2 s a file, 60 s a GiB of videos and 600 s a GiB of "
+        "keypoints.",
+    )
+    preflight_wait_s: float = Field(
+        default=30.0, gt=0, description="How long a session waits for its check before it is refused."
+    )
     max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="How much the check may say.")
     max_record_bytes: int = Field(
         default=1 * GIB, gt=0, description="Of what the check keeps for the workers: times of all frames, keypoints."
     )
-    max_parallel_preflights: int = Field(default=2, gt=0, description="Checks at the same time.")
+    max_parallel_preflights: int = Field(
+        default=3,
+        gt=0,
+        description="Checks at the same time; a tenant, or without keys a client's address, has one less at most.",
+    )
 
     @property
     def is_exposed(self) -> bool:

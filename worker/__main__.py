@@ -7,6 +7,7 @@ import sys
 from worker import tasks
 from worker.app import create_celery
 from worker.compilation import compile_kernels
+from worker.descriptors import raise_descriptor_limit
 from worker.jobs.private_files import keep_files_private
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
@@ -16,6 +17,7 @@ from worker.settings import WorkerSettings, read_settings, require_usable_databa
 def main() -> None:
     """Work until SIGTERM."""
     keep_files_private()
+    raise_descriptor_limit()
     parser = argparse.ArgumentParser(prog="python -m worker", description="Work on jobs.")
     parser.add_argument("--workers", type=int, default=1, help="Chunks worked on at once, a process each.")
     workers = parser.parse_args().workers

@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import structlog
 
+from worker.descriptors import raise_descriptor_limit
 from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.disk import DiskSpace
 from worker.jobs.errors import DamagedDatabase
@@ -62,6 +63,7 @@ def reap(
 def main() -> None:
     """Reap until SIGTERM or SIGINT."""
     keep_files_private()
+    raise_descriptor_limit()
     settings = read_settings(WorkerSettings)
     configure_logs(settings.log_level)
     store, queue = JobStore(settings.resolved_database_url), WorkQueue(settings.broker_url)

@@ -14,6 +14,7 @@ _NOUNS: Mapping[str, str] = {
 }
 _FORMATS: Mapping[str, str] = {
     "date-time": "a time such as 2026-03-01T09:30:00Z",
+    "ipvanynetwork": "an IP address or network",
     "path": "a path",
     "uuid": "an id (a UUID)",
 }

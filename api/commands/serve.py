@@ -18,6 +18,7 @@ from api.settings import Settings
 from pipeline.child_processes import module_command
 from pipeline.detect import models
 from worker import embedded
+from worker.descriptors import raise_descriptor_limit
 from worker.jobs.private_files import keep_files_private
 from worker.jobs.spec import JobSpec
 from worker.presence import forget_lost
@@ -92,6 +93,7 @@ def command(
     """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
     settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
     keep_files_private()
+    raise_descriptor_limit()
     with reporting(as_json=False):
         models.verify(JobSpec().detector)
     try:

@@ -4,11 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response, status
 
-from api.auth import COOKIE, AnyCallerDep
+from api.auth import COOKIE, AnyCallerDep, wrong_key
 from api.bodies import SmallBodyRoute
 from api.contract import answer, problems
 from api.dependencies import ServicesDep
-from api.errors import ApiError
 from api.schemas import BrowserSession, CallerOut, QuotasOut
 from worker.jobs.model import Actor
 
@@ -54,7 +53,7 @@ def open_browser_session(
     """Let a browser in that shows a key: event streams and downloads of a page send no headers of its own."""
     key = services.store.find_key(shown.key)
     if key is None:
-        raise ApiError(401, "key_required", "This key is not known, has expired or was revoked.")
+        raise wrong_key(request, services)
     request.state.rate_limit = services.rates.count(key.tenant)
     request_id = request.state.request_id
     response.set_cookie(

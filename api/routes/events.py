@@ -7,7 +7,7 @@ from fastapi import APIRouter, Header, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from api.auth import RecordsDep
+from api.auth import AnyCallerDep, RecordsDep
 from api.contract import problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.examples import EVENT
@@ -54,6 +54,7 @@ async def stream_job_events(
     job_id: JobId,
     services: ServicesDep,
     records: RecordsDep,
+    caller: AnyCallerDep,
     last_event_id: Annotated[str | None, Header(description="The last event that the client has seen.")] = None,
 ) -> Response:
     """Follow a job: an event `job` with the job as it is, at first, whenever it changes, and when it ends.
@@ -62,20 +63,22 @@ async def stream_job_events(
     `Last-Event-ID` a client hears of the job again as soon as there is more than it has seen. An event `gone` says that
     the job was deleted.
     """
+    owner = caller.owner
+    services.changes.require_room(owner)
     change = (await run_in_threadpool(records.changes, [job_id])).get(job_id)
     if change is None:
         raise NotFound("There is no such job.")
     seen_all = last_event_id == str(change.event)
     if seen_all and (await run_in_threadpool(records.job, job_id)).state in FINISHED:
         return Response(status_code=204)
-    events = _events(services, job_id, change if seen_all else None)
+    events = _events(services, owner, job_id, change if seen_all else None)
     return EventSourceResponse(
         events, ping=_PING_S, send_timeout=_SEND_TIMEOUT_S, headers={"Cache-Control": "no-store"}
     )
 
 
-async def _events(services: Services, job_id: str, known: Change | None) -> AsyncIterator[ServerSentEvent]:
-    async for news in services.changes.follow(job_id, known):
+async def _events(services: Services, owner: str, job_id: str, known: Change | None) -> AsyncIterator[ServerSentEvent]:
+    async for news in services.changes.follow(owner, job_id, known):
         if news.job is None:
             yield ServerSentEvent(event="gone", data="{}")
         else:

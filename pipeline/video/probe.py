@@ -22,6 +22,7 @@ from pipeline.child_processes import module_command, uninterrupted
 from pipeline.errors import ChildError, Problem
 from pipeline.video.container import CODECS, DECODE_ERRORS, first_video, open_container
 from pipeline.video.info import VideoInfo
+from pipeline.video.signatures import is_container
 
 MAX_PIXELS = 8192 * 4320
 MAX_FRAMES = 2_000_000
@@ -31,8 +32,10 @@ _MAX_TICKS = 2**62
 # Of the usual interval: 3 ticks are like 2, a dropped frame is not.
 _EVEN = 0.6
 
+# Of a small file. A large one gets as much more as reading needs: its packets are read, its pictures are not decoded.
 _TIMEOUT_S = 120.0
-_MAX_CPU_S = 110
+_MAX_CPU_S = 8
+_CPU_S_PER_BYTE = 60 / 2**30
 _MAX_MEMORY_BYTES = 4 * 2**30
 _CHILDREN_AT_ONCE = 2
 
@@ -50,6 +53,10 @@ class _UnusableError(Exception):
         super().__init__(code)
         self.code, self.message, self.hint = code, message, hint
 
+    def problem(self, path: Path) -> Problem:
+        """Problem of a file."""
+        return Problem(self.code, self.message, file=path.name, hint=self.hint)
+
 
 def probe(path: Path) -> VideoInfo | Problem:
     """Look into one file, in this process.
@@ -61,21 +68,31 @@ def probe(path: Path) -> VideoInfo | Problem:
     try:
         return _probe(path)
     except _UnusableError as error:
-        return Problem(error.code, error.message, file=path.name, hint=error.hint)
+        return error.problem(path)
     except DECODE_ERRORS:
-        return Problem(
-            "video_unreadable",
-            "This is no video that can be read, or it is damaged.",
-            file=path.name,
-            hint="A recording that was not closed has no index: record or export it again.",
-        )
+        return _unreadable().problem(path)
 
 
-def _probe(path: Path) -> VideoInfo:
+def _unreadable() -> _UnusableError:
+    return _UnusableError(
+        "video_unreadable",
+        "This is no video that can be read, or it is damaged.",
+        "A recording that was not closed has no index: record or export it again.",
+    )
+
+
+def _check_start(path: Path) -> None:
+    """Raise ``_UnusableError`` for what can be told without opening a container."""
     if not path.is_file():
         raise _UnusableError("video_missing", "There is no such video file.")
     if path.stat().st_size == 0:
         raise _UnusableError("video_empty", "The file is empty.", "Copy it again.")
+    if not is_container(path):
+        raise _unreadable()
+
+
+def _probe(path: Path) -> VideoInfo:
+    _check_start(path)
     with open_container(path) as container:
         stream = first_video(container)
         if stream is None:
@@ -186,6 +203,12 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
 
 
 def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:
+    try:
+        _check_start(path)
+    except _UnusableError as error:
+        return error.problem(path)
+    except OSError:
+        return _unreadable().problem(path)
     child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
         module_command("pipeline.video.probe", str(path.absolute())),
         stdin=subprocess.DEVNULL,
@@ -194,7 +217,7 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
     )
     running.add(child)
     try:
-        said, errors = child.communicate(timeout=_TIMEOUT_S)
+        said, errors = child.communicate(timeout=_TIMEOUT_S + 2 * _more_s(path))
         exit_code: int | None = child.returncode
     except subprocess.TimeoutExpired:
         child.kill()
@@ -219,6 +242,11 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
         time_s=np.array(found["time_s"], np.float64),
         frame_rate_hz=found["frame_rate_hz"],
     )
+
+
+def _more_s(path: Path) -> int:
+    """Seconds that reading a file takes beyond those of a small one."""
+    return math.ceil(path.stat().st_size * _CPU_S_PER_BYTE)
 
 
 def _beyond_limits(name: str) -> Problem:
@@ -252,8 +280,9 @@ def main() -> None:
     """Print what is known of the file as one JSON object, after a line that says that the program could be loaded."""
     resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
     # SIGXCPU at the first limit, which tells of the file; SIGKILL, which tells nothing, at the second.
-    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S + 5))
     path = Path(sys.argv[1])
+    cpu_s = _MAX_CPU_S + _more_s(path)
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 5))
     sys.stdout.buffer.write(_READY)
     sys.stdout.flush()
     try:

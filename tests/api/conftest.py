@@ -19,8 +19,8 @@ import structlog
 import uvicorn
 
 from api.app import create_app
-from api.connections import bounded_protocol
 from api.dependencies import Services
+from api.server import server_config
 from api.settings import Settings
 from worker.jobs.artifacts import result_key
 from worker.jobs.model import Result, ResultWarning
@@ -131,9 +131,7 @@ def keypoint_form(archives: int = 2) -> list[tuple[str, Any]]:
 def running(settings: Settings) -> Iterator[Live]:
     """Serve on a free port of loopback."""
     app = create_app(settings)
-    protocol = bounded_protocol(settings.client_idle_s)
-    config = uvicorn.Config(app, host="127.0.0.1", port=0, http=protocol, log_config=None, lifespan="on")
-    server = uvicorn.Server(config)
+    server = uvicorn.Server(server_config(app, settings.model_copy(update={"host": "127.0.0.1", "port": 0})))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     deadline_s = time.monotonic() + 20

@@ -81,7 +81,7 @@ def refused(answer: httpx2.Response, status: int, code: str) -> None:
 
 @pytest.fixture(scope="module")
 def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
-    with running(make_settings(max_json_bytes=64 * 1024)) as live:
+    with running(make_settings(max_json_bytes=64 * 1024, max_wrong_keys_per_minute=100_000)) as live:
         _, theirs = live.services.store.create_key("theirs", "portal", USUAL)
         _, mine = live.services.store.create_key("mine", "portal", ALL)
         live.client.headers["Authorization"] = f"Bearer {theirs}"

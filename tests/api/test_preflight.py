@@ -127,7 +127,8 @@ def test_a_check_whose_own_child_fails_is_not_the_files_fault(
     (tmp_path / "sitecustomize.py").write_text(kill, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     with running(make_settings(preflight_command=Settings().preflight_command)) as live:
-        problem = problem_of(live.client.post("/v1/sessions", files=form(2)), 500, "preflight_failed")
+        matroska = form(2, b"\x1aE\xdf\xa3")
+        problem = problem_of(live.client.post("/v1/sessions", files=matroska), 500, "preflight_failed")
         assert live.kept() == []
     assert problem["retryable"]
     (entry,) = logged

@@ -81,10 +81,18 @@ class Keys:
 
     def find_key(self, secret: str) -> Key | None:
         """The key with a secret, if it is valid now."""
+        if not secret.startswith(_PREFIX):
+            return None
         query = select(keys).where(keys.c.sha256 == _digest(secret), _is_valid())
         with self._database.reading() as connection:
             row = connection.execute(query).one_or_none()
         return None if row is None else _key(row)
+
+    def valid_keys(self, key_ids: Collection[str]) -> set[str]:
+        """Those of some keys, by their ids, that are valid now."""
+        query = select(keys.c.id).where(keys.c.id.in_(key_ids), _is_valid())
+        with self._database.reading() as connection:
+            return set(connection.scalars(query))
 
     def open_browser_session(self, key: Key, lifetime_s: float, request_id: str | None = None) -> str:
         """Let a browser in that has shown a key; returns a secret of its own, for a cookie."""

@@ -66,14 +66,15 @@ class Receipts(OfTenant):
             free = receipts.c.claimed_until < now()
             query = select(receipts, free.label("is_free")).where(*mine)
             found = connection.execute(query).one_or_none()
-            if found is not None:
+            if found is not None and found.status is None and found.is_free:
+                # Whoever claimed it was killed, and has left nothing.
+                connection.execute(delete(receipts).where(*mine))
+            elif found is not None:
                 if found.fingerprint != fingerprint:
                     raise KeyReused("This key was used for another request.")
                 if found.status is not None:
                     return Answer(found.status, found.headers, found.body)
-                if not found.is_free:
-                    raise KeyBusy("This very request is being answered.")
-                connection.execute(delete(receipts).where(*mine))
+                raise KeyBusy("This very request is being answered.")
             token = str(uuid4())
             connection.execute(
                 insert(receipts).values(

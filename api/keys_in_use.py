@@ -1,0 +1,126 @@
+"""Requests end when their key does: event streams and downloads may go on for hours after the key was checked."""
+
+import asyncio
+import contextlib
+from collections import defaultdict
+from collections.abc import Iterator
+
+import structlog
+from starlette.concurrency import run_in_threadpool
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from worker.jobs.store import JobStore
+
+_log = structlog.get_logger(__name__)
+
+_INTERVAL_S = 0.25
+
+
+class KeysInUse:
+    """Watches the keys of requests that are under way, with one query for all of them.
+
+    Keys are revoked by other processes too, so the database is asked.
+
+    Parameters
+    ----------
+    store
+        Where keys are.
+    """
+
+    def __init__(self, store: JobStore) -> None:
+        self._store = store
+        self._requests: defaultdict[str | None, set[asyncio.Event]] = defaultdict(set)
+        self._in_use = asyncio.Event()
+
+    @contextlib.contextmanager
+    def watching(self, key_id: str | None) -> Iterator[asyncio.Event]:
+        """Watch a key for the length of the block; the event is set when the key is no longer valid.
+
+        Parameters
+        ----------
+        key_id
+            ``None``: no key, which is valid as long as there are no keys at all.
+        """
+        ended = asyncio.Event()
+        self._requests[key_id].add(ended)
+        self._in_use.set()
+        try:
+            yield ended
+        finally:
+            self._requests[key_id].discard(ended)
+            if not self._requests[key_id]:
+                del self._requests[key_id]
+
+    async def poll(self) -> None:
+        """Look as long as a key is in use; runs until it is canceled."""
+        while True:
+            await self._in_use.wait()
+            try:
+                await self._look()
+            except Exception:
+                # The database may be away for a while; keys count as valid until it is back.
+                _log.exception("keys_not_read")
+            if not self._requests:
+                self._in_use.clear()
+            await asyncio.sleep(_INTERVAL_S)
+
+    async def _look(self) -> None:
+        watched = set(self._requests)
+        valid = await run_in_threadpool(self._valid, watched)
+        for key_id in watched - valid:
+            for ended in self._requests.get(key_id, ()):
+                ended.set()
+
+    def _valid(self, watched: set[str | None]) -> set[str | None]:
+        valid: set[str | None] = set()
+        if named := {key_id for key_id in watched if key_id is not None}:
+            valid |= self._store.valid_keys(named)
+        if None in watched and not self._store.has_keys():
+            valid.add(None)
+        return valid
+
+
+class RevokedKeyGuard:
+    """Let requests see their client as gone once their key is no longer valid.
+
+    What a client sends is not read any further, what it is sent breaks off, and the connection is closed.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        keys_in_use: KeysInUse = scope["app"].state.services.keys_in_use
+        ended: asyncio.Event | None = None
+        complete = False
+
+        async def receive_while_valid() -> Message:
+            nonlocal ended, complete
+            if ended is None and (caller := scope["state"].get("caller")) is not None:
+                ended = watches.enter_context(keys_in_use.watching(caller.key.id if caller.key else None))
+            if ended is None or not complete:
+                # Of a body the next piece comes soon, or the client is cut off for being slow.
+                message = await receive()
+                complete = not message.get("more_body", False)
+                return message if ended is None or not ended.is_set() else {"type": "http.disconnect"}
+            return await _first(receive, ended)
+
+        with contextlib.ExitStack() as watches:
+            await self._app(scope, receive_while_valid, send)
+        if ended is not None and ended.is_set():
+            _log.info("key_ended")
+
+
+async def _first(receive: Receive, ended: asyncio.Event) -> Message:
+    """What comes of the client; that it is gone, if the event is set first."""
+    coming, ending = asyncio.ensure_future(receive()), asyncio.ensure_future(ended.wait())
+    try:
+        await asyncio.wait([coming, ending], return_when=asyncio.FIRST_COMPLETED)
+        return coming.result() if coming.done() else {"type": "http.disconnect"}
+    finally:
+        coming.cancel()
+        ending.cancel()
