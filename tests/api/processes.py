@@ -17,18 +17,31 @@ from tests.api.conftest import NO_BROKER
 
 
 @contextlib.contextmanager
-def serving(settings: Settings, port: int = 0) -> Iterator[tuple[httpx2.Client, psutil.Process]]:
-    """The service in a process of its own, until the end of the block."""
+def serving(
+    settings: Settings, port: int = 0, descriptors: int | None = None, **variables: str
+) -> Iterator[tuple[httpx2.Client, psutil.Process]]:
+    """The service in a process of its own, until the end of the block.
+
+    Parameters
+    ----------
+    descriptors
+        Soft limit on open files that the process starts with.
+    variables
+        More of its environment, without the prefix.
+    """
     environment = os.environ | {
         "MULTICAP_DATA_DIR": str(settings.data_dir),
         "MULTICAP_BROKER_URL": NO_BROKER,
         "MULTICAP_PREFLIGHT_COMMAND": str(list(settings.preflight_command)).replace("'", '"'),
         "MULTICAP_PORT": str(port),
         "MULTICAP_MAX_FILE_BYTES": str(3 * GIB),
+        **{f"MULTICAP_{name}": value for name, value in variables.items()},
     }
     log = settings.data_dir.parent / "log"
     with log.open("ab") as output:
-        child = subprocess.Popen([sys.executable, "-m", "api"], env=environment, stdout=output, stderr=output)
+        child = subprocess.Popen(
+            [*_limited(descriptors), sys.executable, "-m", "api"], env=environment, stdout=output, stderr=output
+        )
     try:
         process = psutil.Process(child.pid)
         deadline_s = time.monotonic() + 30
@@ -42,6 +55,10 @@ def serving(settings: Settings, port: int = 0) -> Iterator[tuple[httpx2.Client, 
     finally:
         child.terminate()
         child.wait(20)
+
+
+def _limited(descriptors: int | None) -> list[str]:
+    return [] if descriptors is None else ["prlimit", f"--nofile={descriptors}:"]
 
 
 def peak_bytes(process: psutil.Process) -> int:

@@ -8,14 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import psutil
 import pytest
 
 from api.errors import ApiError
-from api.preflight import InvalidFilesError, Preflight
-from api.settings import Settings
+from api.form import Form, ReceivedFile
+from api.preflight import InvalidFilesError, Preflight, allowance_s
+from api.settings import GIB, Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.hostile.keypoints import keypoint_files, simulate
+from worker.jobs.model import Scope
 
 
 def test_check_that_crashes_is_the_services_fault(live: Live) -> None:
@@ -155,3 +158,53 @@ def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
     assert error.code == "session_too_large"
     assert error.message == "The session's keypoints take more room than the service keeps."
     assert error.hint == "Cut it into several sessions."
+
+
+def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_settings: Callable[..., Settings]) -> None:
+    with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
+        keys = [live.services.store.create_key(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
+        bad, good = ({"Authorization": f"Bearer {key}"} for key in keys)
+        hanging = [
+            pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"), headers=bad) for _ in range(4)
+        ]
+        time.sleep(0.5)  # all of them are there
+        assert live.client.post("/v1/sessions", files=form(), headers=good).status_code == 201
+        assert not any(answer.done() for answer in hanging)
+        assert {answer.result().status_code for answer in hanging} == {422}
+
+
+def test_without_keys_clients_take_turns_by_address(make_settings: Callable[..., Settings]) -> None:
+    with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
+        hanging = [pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!")) for _ in range(4)]
+        time.sleep(0.5)  # all of them are there
+        transport = httpx2.HTTPTransport(local_address="127.0.0.2")
+        with httpx2.Client(base_url=live.client.base_url, transport=transport, timeout=30) as other:
+            assert other.post("/v1/sessions", files=form()).status_code == 201
+        assert not any(answer.done() for answer in hanging)
+
+
+def test_who_waits_too_long_is_refused_and_told_when_to_come_back(make_settings: Callable[..., Settings]) -> None:
+    settings = make_settings(preflight_timeout_s=5.0, preflight_wait_s=0.3, max_parallel_preflights=1)
+    with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:
+        hanging = pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"))
+        time.sleep(0.5)
+        answer = live.client.post("/v1/sessions", files=form())
+        assert problem_of(answer, 429, "too_many_checks")["retryable"]
+        assert int(answer.headers["retry-after"]) > 0
+        transport = httpx2.HTTPTransport(local_address="127.0.0.2")
+        with httpx2.Client(base_url=live.client.base_url, transport=transport, timeout=30) as other:
+            problem_of(other.post("/v1/sessions", files=form()), 503, "checks_busy")
+        assert hanging.result().status_code == 422
+        assert live.kept() == []
+
+
+@pytest.mark.parametrize(
+    ("num_views", "num_bytes", "seconds"),
+    [(2, 1000, 0.4), (31, 2 * GIB, 31 * 0.2 + 31 * 120), (64, 1000, 12.8)],
+)
+def test_the_time_of_a_check_grows_with_its_files(num_views: int, num_bytes: int, seconds: float) -> None:
+    videos = tuple(ReceivedFile(f"{k}.mp4", Path(f"{k}.mp4"), num_bytes, "") for k in range(num_views))
+    of_videos = Form(videos, (), None, None, {}, ())
+    assert allowance_s(of_videos) == pytest.approx(seconds, abs=0.01)
+    of_keypoints = allowance_s(Form((), videos, None, None, {}, ()))
+    assert of_keypoints - 0.2 * num_views == pytest.approx(10 * (seconds - 0.2 * num_views), abs=0.1)

@@ -1,0 +1,110 @@
+"""Wrong keys are counted by the address that they come from; valid ones are always served."""
+
+import itertools
+from collections.abc import Callable, Iterator
+
+import httpx2
+import pytest
+
+from api.rates import WrongKeys
+from api.settings import Settings
+from tests.api.conftest import Live, problem_of, running
+from worker.jobs.model import Scope
+
+LIMIT = 5
+WRONG = {"Authorization": "Bearer mc_wrong"}
+
+
+@pytest.fixture
+def guarded(make_settings: Callable[..., Settings]) -> Iterator[tuple[Live, dict[str, str]]]:
+    settings = make_settings(max_wrong_keys_per_minute=LIMIT, trusted_proxies=frozenset({"127.0.0.9"}))
+    with running(settings) as live:
+        _, secret = live.services.store.create_key("studio", "portal", frozenset(Scope))
+        yield live, {"Authorization": f"Bearer {secret}"}
+
+
+def from_address(live: Live, host: str) -> httpx2.Client:
+    return httpx2.Client(
+        base_url=live.client.base_url, transport=httpx2.HTTPTransport(local_address=host), trust_env=False
+    )
+
+
+def use_up(client: httpx2.Client, **headers: str) -> None:
+    for left in reversed(range(LIMIT)):
+        answer = client.get("/v1/jobs", headers=WRONG | headers)
+        problem_of(answer, 401, "key_required")
+        assert answer.headers["ratelimit-limit"] == str(LIMIT)
+        assert answer.headers["ratelimit-remaining"] == str(left)
+
+
+def test_too_many_wrong_keys_are_refused(guarded: tuple[Live, dict[str, str]]) -> None:
+    live, valid = guarded
+    use_up(live.client)
+    answer = live.client.get("/v1/jobs", headers=WRONG)
+    assert problem_of(answer, 429, "too_many_wrong_keys")["retryable"]
+    assert 0 < int(answer.headers["retry-after"]) <= 60
+    assert answer.headers["ratelimit-remaining"] == "0"
+    assert answer.headers["ratelimit-reset"] == answer.headers["retry-after"]
+    # Others of the same address are served, and none of them is counted.
+    assert live.client.get("/v1/jobs", headers=valid).status_code == 200
+    secret = valid["Authorization"].removeprefix("Bearer ")
+    assert live.client.post("/v1/browser-session", json={"key": secret}).status_code == 204
+    assert live.client.get("/v1/jobs").status_code == 200  # by the cookie
+    with from_address(live, "127.0.0.2") as other:
+        problem_of(other.get("/v1/jobs", headers=WRONG), 401, "key_required")
+
+
+@pytest.mark.parametrize("way", ["cookie", "browser session"])
+def test_wrong_keys_are_counted_on_every_way_in(guarded: tuple[Live, dict[str, str]], way: str) -> None:
+    live, _ = guarded
+
+    def show() -> httpx2.Response:
+        if way == "cookie":
+            return live.client.get("/v1/jobs", headers={"Cookie": "multicap_session=guessed"})
+        return live.client.post("/v1/browser-session", json={"key": "mc_guessed"})
+
+    assert [show().status_code for _ in range(LIMIT + 1)] == [401] * LIMIT + [429]
+
+
+def test_who_shows_no_key_is_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
+    live, _ = guarded
+    assert {live.client.get("/v1/jobs").status_code for _ in range(3 * LIMIT)} == {401}
+
+
+def test_a_trusted_proxy_names_the_client(guarded: tuple[Live, dict[str, str]]) -> None:
+    live, _ = guarded
+    with from_address(live, "127.0.0.9") as proxy:
+        use_up(proxy, **{"X-Forwarded-For": "198.51.100.1"})
+        refused = proxy.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": "198.51.100.1"})
+        problem_of(refused, 429, "too_many_wrong_keys")
+        # What the client itself wrote there stands first, and means nothing.
+        forged = proxy.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": "192.0.2.1, 198.51.100.1"})
+        problem_of(forged, 429, "too_many_wrong_keys")
+        other = proxy.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": "198.51.100.2"})
+        problem_of(other, 401, "key_required")
+
+
+def test_others_cannot_name_clients(guarded: tuple[Live, dict[str, str]]) -> None:
+    live, _ = guarded
+    answers = [
+        live.client.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": f"198.51.100.{k}"}) for k in range(LIMIT + 1)
+    ]
+    assert [answer.status_code for answer in answers] == [401] * LIMIT + [429]
+
+
+def test_a_minute_later_the_count_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = itertools.count(0.0, 25.0)
+    monkeypatch.setattr("api.rates.time.monotonic", lambda: next(clock))
+    wrong_keys = WrongKeys(5)
+    left = [wrong_keys.count("192.0.2.1")["RateLimit-Remaining"] for _ in range(5)]  # at 0, 25, 50, 75, 100 s
+    assert left == ["4", "3", "2", "4", "3"]
+
+
+def test_networks_are_forgotten_before_they_fill_the_memory() -> None:
+    wrong_keys = WrongKeys(2, max_networks=100)
+    for k in range(1000):
+        wrong_keys.count(f"192.0.2.{k}")
+        wrong_keys.count("198.51.100.1") if k == 0 else None
+    assert len(wrong_keys) == 100
+    assert wrong_keys.count("192.0.2.999")["RateLimit-Remaining"] == "0"
+    assert wrong_keys.count("198.51.100.1")["RateLimit-Remaining"] == "1"
