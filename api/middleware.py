@@ -206,6 +206,7 @@ class TusProtocol:
             await self._app(scope, receive, send_versioned)
             return
         meant = {**scope, "method": method}
+        scope["state"]["sent_as_post"] = True
         await self._app(meant, receive, send_versioned)
         scope.update({name: meant[name] for name in ("route",) if name in meant})
 
@@ -221,7 +222,9 @@ class HeadByGet:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request."""
-        if scope["type"] != "http" or scope["method"] != "HEAD" or _is_routed(scope):
+        # An answer to POST has a body, also where HEAD is meant.
+        is_head = scope["type"] == "http" and scope["method"] == "HEAD" and "sent_as_post" not in scope["state"]
+        if not is_head or _is_routed(scope):
             await self._app(scope, receive, send)
             return
         with anyio.CancelScope() as answering:
