@@ -1,7 +1,9 @@
 """A request that is sent again because its answer was lost is not done again."""
 
+import contextlib
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,6 +15,8 @@ import pytest
 from api.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
+from tests.api.processes import serving
+from tests.api.test_events import wait_until
 from tests.api.test_uploads import PIECE, TUS, Uploader, encoded
 from worker.jobs.records import Records
 
@@ -156,3 +160,44 @@ def test_what_may_be_a_key(live: Live, key: str, status: int) -> None:
     session_id = live.session_id()
     answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={}, headers=headers)  # type: ignore[arg-type]
     assert answer.status_code == status
+
+
+def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: Callable[..., Settings]) -> None:
+    """The process is killed while it checks the files, and started again on the same folder."""
+    settings, lease_s = make_settings(), 8.0
+    answers: list[httpx2.Response] = []
+
+    def send(client: httpx2.Client) -> bool:
+        with contextlib.suppress(httpx2.TransportError):
+            answers.append(client.post("/v1/sessions", files=form(1, b"HANG!"), headers=KEY))
+        return bool(answers) and answers[-1].status_code != 409
+
+    with ThreadPoolExecutor(1) as pool, serving(settings, IDEMPOTENCY_LEASE_S=str(lease_s)) as (client, process):
+        sent = pool.submit(send, client)
+        wait_until(lambda: any("preflight.py" in " ".join(one.cmdline()) for one in process.children()))
+        process.kill()
+        sent.result()
+    with serving(settings, IDEMPOTENCY_LEASE_S=str(lease_s), PREFLIGHT_TIMEOUT_S="1") as (client, _):
+        wait_until(lambda: send(client))
+    busy, checked = answers[0], answers[-1]
+    assert problem_of(busy, 409, "idempotency_key_busy")["retryable"]
+    assert problem_of(checked, 422, "invalid_request")["errors"][0]["code"] == "preflight_timeout"
+
+
+def test_a_key_stays_taken_as_long_as_its_request_is_at_work(make_settings: Callable[..., Settings]) -> None:
+    """A check that takes several leases."""
+    with (
+        running(make_settings(idempotency_lease_s=0.6, preflight_timeout_s=5.0)) as live,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        parts = form(1, b"HANG!")
+        first = pool.submit(live.client.post, "/v1/sessions", files=parts, headers=KEY)
+        time.sleep(0.5)
+        answers = []
+        while not first.done():
+            answers.append(live.client.post("/v1/sessions", files=parts, headers=KEY))
+            time.sleep(0.3)
+        assert len(answers) > 5
+        for answer in answers[:-1]:  # the last one may have come after the first request's end
+            assert problem_of(answer, 409, "idempotency_key_busy")["retryable"]
+        assert first.result().status_code == 422

@@ -138,3 +138,13 @@ def test_answer_and_deed_come_together_or_not_at_all(jobs: Bench, act: str) -> N
     assert not records.has_receipt("key")
     ACTS[act](jobs, records.answering(Claim("key", token, lambda made: Answer(201, {}, made.id))))
     assert records.has_receipt("key")
+
+
+def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: Bench) -> None:
+    """Nothing was done under it."""
+    records = of(jobs)
+    lost = claim(records, lease_s=-1.0)
+    job = make(jobs, records, claim(records, fingerprint="e" * 64))
+    with pytest.raises(Conflict):
+        make(jobs, records, lost)
+    assert records.claim_key("key", "e" * 64, 60.0) == render(job)
