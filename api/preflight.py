@@ -6,6 +6,7 @@ found as one JSON object: the session, or ``{"problems": [...]}``.
 
 import errno
 import json
+import math
 import os
 import resource
 import signal
@@ -30,10 +31,10 @@ _EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
 # Behind the API's answers, before the workers: a client waits for it.
 _NICE = 5
-# Twice what a check needs on two cores, of files with as little in each byte as good ones have.
+# Several times what a check needs on two cores, of good files with as few bytes a frame as there are.
 _S_PER_FILE = 0.2
 _S_PER_VIDEO_BYTE = 60 / 2**30
-_S_PER_KEYPOINTS_BYTE = 600 / 2**30
+_S_PER_KEYPOINTS_BYTE = 1800 / 2**30
 
 
 def allowance_s(form: Form) -> float:
@@ -114,6 +115,8 @@ class Preflight:
             start_new_session=True,
         ) as child:
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
+            # For children of an API process that was killed: nobody waits for them any more.
+            resource.prlimit(child.pid, resource.RLIMIT_CPU, (math.ceil(4 * timeout_s), resource.RLIM_INFINITY))
             stand_back(_NICE, child.pid)
             try:
                 return child.wait(timeout_s)

@@ -162,7 +162,7 @@ class Settings(BaseSettings):
     preflight_timeout_s: float = Field(
         default=15.0,
         gt=0,
-        description="How long the check may take, beside 0.2 s a file, 60 s a GiB of videos and 600 s a GiB of "
+        description="How long the check may take, beside 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
         "keypoints.",
     )
     preflight_wait_s: float = Field(

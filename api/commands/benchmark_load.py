@@ -188,7 +188,7 @@ def measure(
 
 def load(
     duration_s: Annotated[float, typer.Option("--duration", min=5, max=3600, help="Seconds.")] = 120.0,
-    polling: Annotated[int, typer.Option(min=1, max=1000, help="Clients that ask for a job once a second.")] = 64,
+    polling: Annotated[int, typer.Option(min=1, max=400, help="Clients that ask for a job once a second.")] = 64,
     uploading: Annotated[int, typer.Option(min=0, max=16, help="Clients that upload.")] = 4,
     upload_mbit: Annotated[
         float, typer.Option(min=1, help="What all that upload come to, in Mbit/s; without it as fast as they can.")

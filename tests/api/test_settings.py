@@ -37,6 +37,11 @@ def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, t
         ("RETENTION_DAYS", "0", "MULTICAP_RETENTION_DAYS=0: must be a number above 0 and of at most 36500."),
         ("ARTIFACTS_URL", "gs://x", "MULTICAP_ARTIFACTS_URL=gs://x: must be a text such as s3://bucket/prefix."),
         ("ALLOWED_HOSTS", "a,b", "MULTICAP_ALLOWED_HOSTS=a,b: must be JSON, a list, each item a text."),
+        (
+            "TRUSTED_PROXIES",
+            '["proxy"]',
+            "MULTICAP_TRUSTED_PROXIES: must be JSON, a list, each item an IP address or network.",
+        ),
         ("ALLOWED_HOSTS", "[1]", "MULTICAP_ALLOWED_HOSTS: must be JSON, a list, each item a text."),
     ],
 )

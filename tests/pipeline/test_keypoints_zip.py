@@ -90,3 +90,16 @@ def test_an_encrypted_archive(tmp_path: Path) -> None:
     content[content.index(b"PK\x01\x02") + 8] |= 1
     path.write_bytes(content)
     assert "encrypted" in refused(tmp_path, path)["cam_0.zip"]
+
+
+def test_nothing_is_unpacked_where_a_directory_is_wrong(tmp_path: Path) -> None:
+    good = archive(tmp_path / "cam_0.zip", {FRAME: b"{}"})
+    wrong = archive(tmp_path / "cam_1.zip", {f"a/{FRAME}": b"{}", f"b/{FRAME}": b"{}"})
+    assert refused(tmp_path, good, wrong).keys() == {"cam_1.zip"}
+    assert not [path for path in (tmp_path / "unpacked").rglob("*") if path.is_file()]
+
+
+def test_a_directory_of_any_size_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keypoints_zip, "_MAX_DIRECTORY_BYTES", 2**20)
+    files = {f"frame_{k:0200d}_keypoints.json": b"" for k in range(4500)}
+    assert "directory" in refused(tmp_path, archive(tmp_path / "cam_0.zip", files))["cam_0.zip"]
