@@ -1,6 +1,7 @@
 """Who belongs to whom: Hungarian assignment, and graph partitioning as a binary integer programme."""
 
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,6 +11,28 @@ from scipy.sparse.csgraph import connected_components
 
 # Stands for "never" in an affinity that a solver has to add up.
 _NEVER = -1e3
+# The programme of so many detections takes up to a second; its constraints grow with their third power. Connected parts
+# of the simulated scenes have 13 at most.
+_MAX_PROGRAMME_NODES = 16
+# Of all programmes of a partition together.
+_MAX_NODES = 32
+# Of the branch and bound tree of a programme; those of the simulated scenes are solved at its root.
+_MAX_BRANCHES = 1000
+
+
+class Partition(NamedTuple):
+    """Detections of several cameras as people.
+
+    Parameters
+    ----------
+    parts
+        Detections of each person, at least two, ascending.
+    is_exact
+        Whether no other partition is better; else some parts were matched camera by camera.
+    """
+
+    parts: tuple[tuple[int, ...], ...]
+    is_exact: bool
 
 
 def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[int, int]]:
@@ -21,11 +44,12 @@ def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[in
 
 def partition(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
-) -> tuple[tuple[int, ...], ...]:
+) -> Partition:
     """Partition detections of several cameras into people (Chen et al. 2020, eq. 14-16).
 
     Maximises the sum of affinities within parts; cycle consistency ``y_ij + y_jk <= 1 + y_ik`` for all i, j, k makes
-    parts of pairs. Solved exactly, one programme for each part of the graph that positive affinities connect.
+    parts of pairs. Each part of the graph that positive affinities connect is solved by itself: exactly where it has
+    16 detections at most, and such parts together 32; else camera by camera, which is exact for two cameras.
 
     Parameters
     ----------
@@ -33,24 +57,26 @@ def partition(
         Symmetric; ``-inf`` where two detections can't be one person.
     groups
         The camera of each detection: a part has at most one of each.
-
-    Returns
-    -------
-        Parts of at least two detections, each ascending.
     """
     beyond_dispute = _partition_by_best(affinities, groups)
     if beyond_dispute is not None:
-        return beyond_dispute
+        return Partition(beyond_dispute, is_exact=True)
     possible = (affinities > 0) & (groups[:, None] != groups[None, :])
     _, labels = connected_components(csr_array(possible), directed=False)
     parts: list[tuple[int, ...]] = []
+    is_exact, left_nodes = True, _MAX_NODES
     for label in np.unique(labels):
         nodes = np.flatnonzero(labels == label)
         inside = affinities[np.ix_(nodes, nodes)], groups[nodes]
         found = _partition_by_best(*inside)
-        found = _partition_connected(*inside) if found is None else found
+        if found is None and len(nodes) <= min(_MAX_PROGRAMME_NODES, left_nodes):
+            left_nodes -= len(nodes)
+            found = _partition_connected(*inside)
+        if found is None:
+            found = _partition_camera_by_camera(*inside)
+            is_exact &= len(np.unique(inside[1])) == 2
         parts.extend(tuple(nodes[list(part)].tolist()) for part in found)
-    return tuple(parts)
+    return Partition(tuple(parts), is_exact)
 
 
 def _partition_by_best(
@@ -67,15 +93,16 @@ def _partition_by_best(
         members = np.flatnonzero(groups == group)
         chosen = members[affinities[:, members].argmax(1)]
         linked[rows, chosen] |= (affinities[rows, chosen] > 0) & (groups != group)
-    if not np.array_equal(linked, linked.T) or not np.array_equal(linked, linked @ linked):
+    _, labels = connected_components(csr_array(linked), directed=False)
+    if not np.array_equal(linked, labels[:, None] == labels):
         return None
-    return tuple(tuple(np.flatnonzero(row).tolist()) for row in np.unique(linked, axis=0)[::-1] if row.sum() >= 2)
+    return _parts_of(labels)
 
 
 def _partition_connected(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
-) -> tuple[tuple[int, ...], ...]:
-    """Solve eq. 14-16 for one connected part of the graph."""
+) -> tuple[tuple[int, ...], ...] | None:
+    """Solve eq. 14-16 for one connected part of the graph; ``None`` where that takes too many branches."""
     num_nodes = len(groups)
     pairs = list(combinations(range(num_nodes), 2))
     variable = {pair: k for k, pair in enumerate(pairs)}
@@ -97,10 +124,40 @@ def _partition_connected(
     consistency = LinearConstraint(
         csr_array((values, (rows, columns)), shape=(num_constraints, len(pairs))), -np.inf, 1.0
     )
-    solution = milp(-gains, integrality=np.ones(len(pairs)), bounds=Bounds(0.0, upper), constraints=consistency)
+    solution = milp(
+        -gains,
+        integrality=np.ones(len(pairs)),
+        bounds=Bounds(0.0, upper),
+        constraints=consistency,
+        options={"node_limit": _MAX_BRANCHES},
+    )
+    if solution.status != 0:
+        return None
     chosen = np.zeros((num_nodes, num_nodes), bool)
     for (i, j), value in zip(pairs, np.round(solution.x), strict=True):
         chosen[i, j] = value > 0
     _, labels = connected_components(csr_array(chosen), directed=False)
-    parts = (tuple(np.flatnonzero(labels == label).tolist()) for label in np.unique(labels))
-    return tuple(part for part in parts if len(part) >= 2)
+    return _parts_of(labels)
+
+
+def _partition_camera_by_camera(
+    affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
+) -> tuple[tuple[int, ...], ...]:
+    """Match one camera's detections after the other's to the parts so far, for the largest sum (Hungarian algorithm)."""
+    gains = np.maximum(affinities, _NEVER)
+    labels = np.arange(len(groups))
+    part_gains = np.zeros_like(gains)  # of the part of each label with each node
+    for group in np.unique(groups):
+        members = np.flatnonzero(groups == group)
+        parts = np.unique(labels[groups < group])
+        for part, member in assign(part_gains[np.ix_(parts, members)]):
+            labels[members[member]] = parts[part]
+        part_gains[labels[members]] += gains[members]
+    return _parts_of(labels)
+
+
+def _parts_of(labels: Int[np.ndarray, " nodes"]) -> tuple[tuple[int, ...], ...]:
+    """Nodes of each label that at least two have, in order of their first nodes."""
+    in_order = np.argsort(labels, kind="stable")
+    parts = np.split(in_order, np.flatnonzero(np.diff(labels[in_order])) + 1)
+    return tuple(sorted(tuple(part.tolist()) for part in parts if len(part) >= 2))

@@ -1,13 +1,14 @@
 """From detections to tracks: association in time order, then every joint from all that was matched to it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
 from pipeline.geometry.life import number_people
-from pipeline.tracking.observations import Bodies, gather, observations_at, people
+from pipeline.progress import OnShare, ignore, part_of
+from pipeline.tracking.observations import NOBODY, Bodies, gather, observations_at, people
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.positions import locate
 from pipeline.tracking.tracker import Tracker, make_frames
@@ -40,7 +41,8 @@ def associate(
         birth.
     """
     bodies = gather(cameras, times, detections, parameters.min_score)
-    identity = _identify(cameras, times, bodies, parameters)
+    frames = make_frames([times[camera.name] for camera in cameras], bodies)
+    identity = Tracker(cameras, frames, parameters).run()
     return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}
 
 
@@ -60,7 +62,7 @@ def locate_people(
     """
     bodies = gather(cameras, times, detections, parameters.min_score)
     identity = np.concatenate([identities[camera.name] for camera in cameras])
-    return _locate(cameras, bodies, identity, timebase, parameters)
+    return _locate(cameras, bodies, identity, timebase, parameters, ignore)
 
 
 def reconstruct_tracks(
@@ -69,16 +71,22 @@ def reconstruct_tracks(
     detections: Mapping[str, Detections],
     timebase: Timebase,
     parameters: TrackingParameters,
+    on_share: OnShare = ignore,
+    on_approximate: Callable[[float], object] = ignore,
 ) -> People:
-    """Associate detections, then locate every person; see ``associate`` and ``locate_people``."""
+    """Associate detections, then locate every person; see ``associate`` and ``locate_people``.
+
+    Parameters
+    ----------
+    on_share
+        Called with the share of the work that is done; each of the two steps counts as a half.
+    on_approximate
+        See ``Tracker.run``.
+    """
     bodies = gather(cameras, times, detections, parameters.min_score)
-    return _locate(cameras, bodies, _identify(cameras, times, bodies, parameters), timebase, parameters)
-
-
-def _identify(
-    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], bodies: Bodies, parameters: TrackingParameters
-) -> Int[np.ndarray, " detections"]:
-    return Tracker(cameras, make_frames([times[camera.name] for camera in cameras], bodies), parameters).run()
+    tracker = Tracker(cameras, make_frames([times[camera.name] for camera in cameras], bodies), parameters)
+    identity = tracker.run(part_of(on_share, 0.0, 0.5), on_approximate)
+    return _locate(cameras, bodies, identity, timebase, parameters, part_of(on_share, 0.5, 1.0))
 
 
 def _locate(
@@ -87,11 +95,15 @@ def _locate(
     identity: Int[np.ndarray, " detections"],
     timebase: Timebase,
     parameters: TrackingParameters,
+    on_share: OnShare,
 ) -> People:
-    found = []
+    found, num_done = [], 0
+    num_identified = int((identity != NOBODY).sum())
     for rows in people(bodies, identity):
         sampled = observations_at(timebase, bodies, rows, len(cameras), parameters)
         located = locate(cameras, sampled, timebase, parameters.min_score)
         if located is not None:
             found.append(located)
+        num_done += len(rows)
+        on_share(num_done / num_identified)
     return number_people(found)

@@ -12,6 +12,9 @@ from pipeline.tracking.assignment import assign, partition
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.state import MIN_JOINTS, Rig
 
+# Detections that are grouped at once: those of a hundred people in five cameras. The simulated scenes have 24.
+_MAX_UNMATCHED = 512
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unmatched:
@@ -24,10 +27,25 @@ class Unmatched:
     score: Float[np.ndarray, " joints"]
 
 
+class Groups(NamedTuple):
+    """Detections of several cameras as people.
+
+    Parameters
+    ----------
+    people
+        Detections of each, of at least two views.
+    is_exact
+        Whether all detections were looked at and no other grouping is better.
+    """
+
+    people: list[list[Unmatched]]
+    is_exact: bool
+
+
 def group_unmatched(
     unmatched: Sequence[Unmatched], fundamentals: Float[np.ndarray, "cameras cameras 3 3"], alpha_px: float
-) -> list[list[Unmatched]]:
-    """Group detections of several cameras into people; each group has at least two views.
+) -> Groups:
+    """Group detections of several cameras into people: of more than 512 those with the highest scores.
 
     Parameters
     ----------
@@ -38,6 +56,10 @@ def group_unmatched(
     alpha_px
         Threshold of the epipolar distance.
     """
+    is_complete = len(unmatched) <= _MAX_UNMATCHED
+    if not is_complete:
+        ranked = np.argsort([-one.score.sum() for one in unmatched], kind="stable")
+        unmatched = [unmatched[int(i)] for i in np.sort(ranked[:_MAX_UNMATCHED])]
     cameras = np.array([one.camera for one in unmatched])
     affinities = np.full((len(unmatched), len(unmatched)), -np.inf)
     for left in np.unique(cameras):
@@ -51,7 +73,8 @@ def group_unmatched(
             )
             affinities[np.ix_(rows, columns)] = block
             affinities[np.ix_(columns, rows)] = block.T
-    return [[unmatched[i] for i in part] for part in partition(affinities, cameras)]
+    parts, is_exact = partition(affinities, cameras)
+    return Groups([[unmatched[i] for i in part] for part in parts], is_complete and is_exact)
 
 
 def spread_m(rig: Rig, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:

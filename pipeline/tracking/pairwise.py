@@ -41,7 +41,7 @@ def associate_pairwise(
             )
             for row in np.flatnonzero(bodies.frame == frame).tolist()
         ]
-        for group in group_unmatched(pool, fundamental, parameters.alpha_epipolar_px):
+        for group in group_unmatched(pool, fundamental, parameters.alpha_epipolar_px).people:
             identity[[one.row for one in group]] = num_groups
             num_groups += 1
     return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}

@@ -231,7 +231,7 @@ class Tracker:
         """New targets from what is unmatched in every camera's most recent frame."""
         pool = [one for view in self._unmatched for one in view if time_s - one.time_s < self._parameters.instant_s]
         bodies = []
-        for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
+        for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px).people:
             group.sort(key=lambda one: one.time_s)
             views = [one.camera for one in group]
             xyz_m = triangulate_robust(

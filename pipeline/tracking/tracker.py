@@ -1,6 +1,6 @@
 """Cross-view tracking over all frames of a session: compiled loops, and new people where they ask for them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -9,6 +9,7 @@ from pipeline.data import Camera, FrameTimes
 from pipeline.geometry.camera import center_in_world, image_from_world
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames
+from pipeline.progress import OnShare, ignore
 from pipeline.tracking import kernels
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.observations import NOBODY, Bodies
@@ -16,6 +17,11 @@ from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
 
 _FIRST_SLOTS = 16
+# Targets at once, tentative ones and lost ones among them; the simulated scenes have 40 at most. Matching grows with the
+# square of their number, memory with that and the cameras.
+_MAX_TARGETS = 512
+# Between two reports of progress; a frame of a hundred people and 512 targets takes a twentieth of a second.
+_FRAMES_AT_ONCE = 64
 
 
 def make_rig(cameras: Sequence[Camera]) -> Rig:
@@ -95,8 +101,18 @@ class Tracker:
         )
         self._num_born = 0
 
-    def run(self) -> Int[np.ndarray, " detections"]:
+    def run(
+        self, on_share: OnShare = ignore, on_approximate: Callable[[float], object] = ignore
+    ) -> Int[np.ndarray, " detections"]:
         """Go through all frames.
+
+        Parameters
+        ----------
+        on_share
+            Called with the share of frames that are done, at least every 64 frames.
+        on_approximate
+            Called with each time at which new people were not grouped exactly, or there were too many targets for all
+            of them.
 
         Returns
         -------
@@ -104,12 +120,17 @@ class Tracker:
         """
         event, num_frames = 0, len(self._frames.time_s)
         while event < num_frames:
+            stop = min(event + _FRAMES_AT_ONCE, num_frames)
+            frames = self._frames._replace(time_s=self._frames.time_s[:stop])
             event = kernels.track(
-                event, self._frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._room
+                event, frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._room
             )
-            if event < num_frames:
-                self._start_targets(float(self._frames.time_s[event]))
-            event += 1
+            if event < stop:
+                time_s = float(self._frames.time_s[event])
+                if not self._start_targets(time_s):
+                    on_approximate(time_s)
+                event += 1
+            on_share(event / num_frames)
         final = np.append(self._final_identities(), NOBODY)
         return final[self._outcome.identity]
 
@@ -125,8 +146,8 @@ class Tracker:
             final[moved] = twins[final[moved]]
         return np.where(self._outcome.earned[final], final, NOBODY)
 
-    def _start_targets(self, time_s: float) -> None:
-        """New targets from what is unmatched in every camera's most recent frame."""
+    def _start_targets(self, time_s: float) -> bool:
+        """Start targets from unmatched detections of every camera's most recent frame; return whether that is exact."""
         pool = [
             Unmatched(camera, row, float(self._pool.time_s[camera]), self._points_px(row), self._frames.score[row])
             for camera in range(len(self._cameras))
@@ -134,7 +155,9 @@ class Tracker:
             for row in self._pool.rows[camera, : self._pool.num_rows[camera]].tolist()
         ]
         bodies = []
-        for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px):
+        groups = group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px)
+        is_exact = groups.is_exact
+        for group in groups.people:
             group.sort(key=lambda one: one.time_s)
             xyz_m = self._locate(group)
             if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
@@ -142,8 +165,15 @@ class Tracker:
         slots = self._lost_slots(time_s)
         returning = find_returning([xyz_m for _, xyz_m in bodies], self._lost(slots, time_s), self._parameters)
         for number, (group, xyz_m) in enumerate(bodies):
-            slot = self._resume(int(slots[returning[number]])) if number in returning else self._new_slot()
+            if number in returning:
+                slot = self._resume(int(slots[returning[number]]))
+            elif self._targets.alive[0] < _MAX_TARGETS:
+                slot = self._new_slot()
+            else:
+                is_exact = False
+                continue
             self._place(slot, group, xyz_m, time_s)
+        return is_exact
 
     def _lost_slots(self, time_s: float) -> Int[np.ndarray, " lost"]:
         alive = self._targets.order[: self._targets.alive[0]]

@@ -27,7 +27,7 @@ def test_partition_drops_the_weakest_edge_of_an_inconsistent_triangle() -> None:
         ]
     )
     # 0.9 + 0.8 beats 0.9 + 0.3 + 0.2.
-    assert partition(affinities, np.array([0, 1, 2, 0])) == ((0, 1), (2, 3))
+    assert partition(affinities, np.array([0, 1, 2, 0])) == (((0, 1), (2, 3)), True)
 
 
 def _best_by_enumeration(affinities: np.ndarray, groups: np.ndarray) -> float:
@@ -63,7 +63,7 @@ def test_partition_is_exact(groups: list[int], seed: int) -> None:
     cameras = np.array(groups)
     half = np.triu(np.random.default_rng(seed).uniform(-1, 1, (len(groups), len(groups))), 1)
     affinities = half + half.T
-    gain = sum(affinities[i, j] for part in partition(affinities, cameras) for i, j in combinations(part, 2))
+    gain = sum(affinities[i, j] for part in partition(affinities, cameras).parts for i, j in combinations(part, 2))
     np.testing.assert_allclose(gain, _best_by_enumeration(affinities, cameras), atol=1e-6)
 
 
@@ -75,5 +75,5 @@ def test_partition_of_people_who_stand_apart_is_exact(groups: list[int], seed: i
     noise = np.triu(rng.uniform(-0.4, 0.1, same.shape), 1)
     affinities = np.where(same, 0.7, 0.0) + noise + noise.T
     cameras = np.array(groups)
-    gain = sum(affinities[i, j] for part in partition(affinities, cameras) for i, j in combinations(part, 2))
+    gain = sum(affinities[i, j] for part in partition(affinities, cameras).parts for i, j in combinations(part, 2))
     np.testing.assert_allclose(gain, _best_by_enumeration(affinities, cameras), atol=1e-6)
