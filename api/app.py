@@ -154,6 +154,7 @@ def _start(settings: Settings) -> Services:
             settings.preflight_timeout_s,
             settings.max_preflight_bytes,
             settings.max_record_bytes,
+            settings.preflight_memory_bytes,
         ),
         checks=FairThreads(settings.max_parallel_preflights, settings.preflight_wait_s),
         changes=JobChanges(store, settings.max_tenant_streams),

@@ -59,12 +59,15 @@ class Preflight:
         How much it may say.
     max_record_bytes
         How much it may write.
+    max_memory_bytes
+        How much memory it may take.
     """
 
     command: tuple[str, ...]
     timeout_s: float
     max_bytes: int
     max_record_bytes: int
+    max_memory_bytes: int
 
     def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Mapping[str, Any]:
         """Find out what a session is.
@@ -117,6 +120,7 @@ class Preflight:
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
             # For children of an API process that was killed: nobody waits for them any more.
             resource.prlimit(child.pid, resource.RLIMIT_CPU, (math.ceil(4 * timeout_s), resource.RLIM_INFINITY))
+            resource.prlimit(child.pid, resource.RLIMIT_DATA, (self.max_memory_bytes, self.max_memory_bytes))
             stand_back(_NICE, child.pid)
             try:
                 return child.wait(timeout_s)

@@ -172,6 +172,9 @@ class Settings(BaseSettings):
     max_record_bytes: int = Field(
         default=1 * GIB, gt=0, description="Of what the check keeps for the workers: times of all frames, keypoints."
     )
+    preflight_memory_bytes: int = Field(
+        default=3 * GIB, ge=GIB // 2, description="Memory of the check; a session that needs more is refused."
+    )
     max_parallel_preflights: int = Field(
         default=3,
         gt=0,

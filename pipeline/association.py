@@ -17,7 +17,7 @@ from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Observations, PafFields, Poses3D, Track3D
+from pipeline.data import Detections, PafFields, People, Poses3D
 from pipeline.detect.chunk import bodies_in
 from pipeline.detect.registry import entry_of
 from pipeline.errors import InputError, Problem
@@ -25,6 +25,7 @@ from pipeline.geometry.life import keep_most_seen
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.parameters import change_parameters
+from pipeline.progress import OnShare, ignore
 from pipeline.session import CaptureSession
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import TrackingParameters
@@ -102,12 +103,31 @@ def clustering_parameters(session: Views, config: ReconstructionConfig) -> Clust
 
 
 def track(
-    session: Views, detections: Mapping[str, Detections], config: ReconstructionConfig = _DEFAULTS
-) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Turn all cameras' detections into tracks by cross-view tracking, one pass in time order."""
+    session: Views,
+    detections: Mapping[str, Detections],
+    config: ReconstructionConfig = _DEFAULTS,
+    on_share: OnShare = ignore,
+) -> People:
+    """Turn all cameras' detections into tracks by cross-view tracking, one pass in time order.
+
+    Parameters
+    ----------
+    on_share
+        Called with the share of the work that is done.
+    """
     parameters = tracking_parameters(session, config.tracking)
-    people = reconstruct_tracks(session.cameras, session.times, detections, session.timebase, parameters)
-    return keep_most_seen(*people, config.people)
+    timebase = session.timebase
+    approximate: set[int] = set()
+    people = reconstruct_tracks(
+        session.cameras,
+        session.times,
+        detections,
+        timebase,
+        parameters,
+        on_share,
+        lambda time_s: approximate.add(round((time_s - timebase.start_time_s) * timebase.frame_rate_hz)),
+    )
+    return People(*keep_most_seen(*people, config.people), len(approximate))
 
 
 def num_sampled(session: Views, ranges: Iterable[range], config: ReconstructionConfig) -> int:
@@ -158,13 +178,11 @@ def locate_people(
     return find_people(session.cameras, seen, frames, skeleton_of(joints), lengths, parameters, on_frame)
 
 
-def link(
-    session: Views, chunks: Sequence[Poses3D], joints: JointSet, config: ReconstructionConfig
-) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+def link(session: Views, chunks: Sequence[Poses3D], joints: JointSet, config: ReconstructionConfig) -> People:
     """Link the poses of all ranges to tracks."""
     parameters = clustering_parameters(session, config)
     people = link_people(session.cameras, chunks, session.timebase, joints, parameters)
-    return keep_most_seen(*people, config.people)
+    return People(*keep_most_seen(*people, config.people), sum(len(one.approximate) for one in chunks))
 
 
 def _seen(session: Views, frames: range, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:

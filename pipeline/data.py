@@ -6,7 +6,7 @@ is 0. World coordinates are metres, right-handed, Z up; pixel (0, 0) is the cent
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -168,12 +168,15 @@ class Poses3D:
         The 2D joints behind them in full-image pixels (distorted, as seen), NaN where a camera has none.
     score
         The detector's confidence, 0 where there is none.
+    approximate
+        The output frames in which there was more to decide than exact methods can, ascending.
     """
 
     frame: Int[np.ndarray, " poses"]
     xyz_m: Float[np.ndarray, "poses joints 3"]
     points_px: Float[np.ndarray, "poses joints cameras 2"]
     score: Float[np.ndarray, "poses joints cameras"]
+    approximate: Int[np.ndarray, " frames"] = field(default_factory=lambda: np.empty(0, int))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,6 +305,22 @@ class FootContact:
         return slice(self.start_frame, self.start_frame + self.num_frames)
 
 
+class People(NamedTuple):
+    """What association finds.
+
+    Parameters
+    ----------
+    tracks, observations
+        Everybody's, in the same order.
+    num_approximate_frames
+        See ``Reconstruction``.
+    """
+
+    tracks: tuple[Track3D, ...]
+    observations: tuple[Observations, ...]
+    num_approximate_frames: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonMotion:
     """One person's animation: constant bones, a root path and a rotation a joint and frame.
@@ -366,6 +385,8 @@ class Reconstruction:
         Behind them, in their order.
     animation
         Made of them, in their order.
+    num_approximate_frames
+        Output frames in which people were not told apart exactly: there was more to decide than exact methods can.
     """
 
     cameras: tuple[Camera, ...]
@@ -375,6 +396,7 @@ class Reconstruction:
     observations: tuple[Observations, ...]
     animation: Animation
     warnings: tuple[str, ...] = field(default=())
+    num_approximate_frames: int = 0
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -2,12 +2,14 @@
 
 A folder holds a file a frame, named as ``frame_000000000123_keypoints.json``; the digits before ``_keypoints`` are the
 frame's number. ``pose_keypoints_2d`` holds x, y and score of 25 (BODY_25), 18 (COCO-18) or 17 (COCO-17) joints; one
-with a score of 0 or less, or that is not finite, was not found. A missing file is a frame that was dropped.
+with a score of 0 or less, or that is not finite, was not found. People without a joint that was found are left out. A
+missing file is a frame that was dropped.
 """
 
 import csv
 import math
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +34,15 @@ DEFAULT_FRAME_RATE_HZ = 25.0
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _FORMATS: Mapping[int, JointSet] = {3 * len(joints.names): joints for joints in (BODY_25, COCO_18, COCO_17)}
 _MAX_FILE_BYTES = 4 * 2**20
-_MAX_PEOPLE = 200
+MAX_PEOPLE = 128
+"""People that a camera may show in a frame; association takes some seconds for each frame of so many."""
+MAX_JOINTS = 18_000_000
+"""Joints of a session, found or not: two hours of one person in four cameras, with BODY_25 at 25 Hz.
+
+Tracking takes some 105 bytes of memory for each.
+"""
+# Of a file, those without a joint among them.
+_MAX_LISTED_PEOPLE = 1000
 # A folder with thousands of bad files has one cause; its first files show it. ``errors.listed`` is no substitute: each
 # problem is of another file, so one bad folder would take up the whole list, and thousands would be kept until then.
 _MAX_PROBLEMS_A_CAMERA = 10
@@ -90,6 +100,7 @@ def open_keypoints(
     timestamps: Path | None = None,
     frame_rate_hz: float | None = None,
     units: Units = "m",
+    max_joints: int | None = None,
 ) -> KeypointSession:
     """Open a folder with a folder of keypoint files a camera.
 
@@ -105,6 +116,8 @@ def open_keypoints(
         25 by default, with a warning; not allowed beside ``timestamps``.
     units
         As of ``read_calibration``.
+    max_joints
+        Joints of all people in all files, found or not; ``None``: any number. No file is read beyond it.
 
     Raises
     ------
@@ -124,7 +137,15 @@ def open_keypoints(
         pairs, unpaired, shown = pair_by_name(cameras, list(folders), "folder")
         problems += unpaired
         warnings += shown
-    frames = {name: _read_folder(path, warnings, problems) for name, path in folders.items()}
+    camera_of = {name: camera for camera, name in pairs.items()}
+    frames: dict[str, dict[int, People]] = {}
+    left_joints = sys.maxsize if max_joints is None else max_joints
+    for name, path in folders.items():
+        frames[name], num_joints = _read_folder(path, camera_of.get(name, name), left_joints, warnings, problems)
+        left_joints -= num_joints
+    if left_joints < 0:
+        message = f"The files hold more than {max_joints:,} joints."
+        problems.append(Problem("session_too_large", message, file=folder.name, hint="Cut it into several sessions."))
     joints = _joint_set(frames, problems)
     found = {camera: frames[name] for camera, name in pairs.items()}
     if timestamps is not None and frame_rate_hz is not None:
@@ -168,8 +189,10 @@ def _camera_folders(folder: Path, warnings: list[str], problems: list[Problem]) 
     return folders
 
 
-def _read_folder(folder: Path, warnings: list[str], problems: list[Problem]) -> dict[int, People]:
-    """People by frame number, in ascending order."""
+def _read_folder(
+    folder: Path, camera: str, max_joints: int, warnings: list[str], problems: list[Problem]
+) -> tuple[dict[int, People], int]:
+    """People by frame number, in ascending order, and how many joints they have: until they are too many."""
     numbered: dict[int, Path] = {}
     ignored: list[str] = []
     found: list[Problem] = []
@@ -190,23 +213,32 @@ def _read_folder(folder: Path, warnings: list[str], problems: list[Problem]) -> 
         hint = "Its files must be named as frame_000000000123_keypoints.json."
         found.append(Problem("keypoints_none", "The folder has no keypoint files.", file=folder.name, hint=hint))
     frames: dict[int, People] = {}
+    num_joints = 0
     for number, path in sorted(numbered.items()):
-        read = _read_file(path)
+        if num_joints > max_joints:
+            break
+        read = _read_file(path, camera, number)
         if isinstance(read, Problem):
             found.append(read)
         else:
             frames[number] = read
+            num_joints += read.shape[0] * read.shape[1]
     problems += found[:_MAX_PROBLEMS_A_CAMERA]
     if len(found) > _MAX_PROBLEMS_A_CAMERA:
         more = len(found) - _MAX_PROBLEMS_A_CAMERA
         problems.append(Problem("keypoints_unreadable", f"{more} more files are like these.", file=folder.name))
-    return frames
+    return frames, num_joints
 
 
-def _read_file(path: Path) -> People | Problem:
-    """People of one frame; of none, an array without joints."""
+def _read_file(path: Path, camera: str, number: int) -> People | Problem:
+    """People of one frame who have a joint; an array without joints where the file lists nobody."""
+    file = f"{path.parent.name}/{path.name}"
     try:
         return _parse(path)
+    except _CrowdError as error:
+        message = f"Frame {number} shows {error.num_people} people; at most {MAX_PEOPLE} are taken."
+        hint = "Leave out the people with the lowest scores, or hide a part of the image from the detector."
+        return Problem("too_many_people", message, file=file, camera=camera, hint=hint)
     except _UnreadableError as error:
         message = str(error)
     except OSError:
@@ -214,11 +246,19 @@ def _read_file(path: Path) -> People | Problem:
     except (UnreadableError, TypeError, KeyError):
         message = "This is no keypoint file of OpenPose, or its people differ in their numbers of joints."
     hint = "Write the file again, or remove it: a missing file is a dropped frame."
-    return Problem("keypoints_unreadable", message, file=f"{path.parent.name}/{path.name}", hint=hint)
+    return Problem("keypoints_unreadable", message, file=file, hint=hint)
 
 
 class _UnreadableError(Exception):
     """What is wrong with a file, in words for a person."""
+
+
+class _CrowdError(Exception):
+    """More people than a frame may show."""
+
+    def __init__(self, num_people: int) -> None:
+        super().__init__(f"{num_people} people")
+        self.num_people = num_people
 
 
 class _LateError(_UnreadableError):
@@ -231,8 +271,8 @@ def _parse(path: Path) -> People:
     people = [person["pose_keypoints_2d"] for person in read_json(path.read_bytes())["people"]]
     if not people:
         return np.empty((0, 0, 3))
-    if len(people) > _MAX_PEOPLE:
-        raise _UnreadableError(f"The file has {len(people)} people; at most {_MAX_PEOPLE} are taken.")
+    if len(people) > _MAX_LISTED_PEOPLE:
+        raise _CrowdError(len(people))
     values = read_numbers(people)
     if values.ndim != 2 or values.shape[1] not in _FORMATS:
         count = values[0].size
@@ -241,6 +281,9 @@ def _parse(path: Path) -> People:
     found = _is_found(joints)
     if not KEYPOINT_PX.holds(joints[found, :2]):
         raise _UnreadableError(f"A joint is not at {KEYPOINT_PX}.")
+    joints = joints[found.any(-1)]
+    if len(joints) > MAX_PEOPLE:
+        raise _CrowdError(len(joints))
     return joints
 
 
@@ -250,7 +293,7 @@ def _is_found(people: People) -> Bool[np.ndarray, "_ _"]:
 
 def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Problem]) -> JointSet | None:
     """What the joints of all files are; ``None`` and a problem if they differ or there are none at all."""
-    formats = {name: {3 * people.shape[1] for people in of.values() if len(people)} for name, of in frames.items()}
+    formats = {name: {3 * people.shape[1] for people in of.values()} - {0} for name, of in frames.items()}
     used = set().union(*formats.values()) if formats else set()
     if len(used) > 1:
         shown = ", ".join(

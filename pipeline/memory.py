@@ -1,6 +1,7 @@
-"""How this process asks the system for memory; of use with glibc, elsewhere nothing happens."""
+"""How this process asks the system for memory, and how much it may have; without glibc only the limit has an effect."""
 
 import ctypes
+import resource
 import sys
 
 # Of glibc's malloc.h.
@@ -27,6 +28,17 @@ def give_pictures_back() -> None:
     shrinking, and the peak grew by a third from one run to the next. It holds for the process from then on.
     """
     _mallopt(_M_MMAP_THRESHOLD, _PICTURE_BYTES)
+
+
+def limit_memory(max_bytes: int) -> None:
+    """Limit the memory of this process and of children that it starts: beyond it allocations fail (``MemoryError``).
+
+    Counted is what is private and may be written to (``RLIMIT_DATA``): what libraries reserve without using, such as
+    heaps of threads, and code are not. A limit that the process was started with stays if it is lower.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    limits = (max_bytes, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_DATA, (min(limits), hard))
 
 
 def _mallopt(parameter: int, value: int) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 
 from pipeline.calibration.registry import UNITS_M
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
-from pipeline.keypoints import KeypointSession, open_keypoints
+from pipeline.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.keypoints_zip import unpack_keypoints
 from pipeline.records_npz import encode_keypoints, encode_session
 from pipeline.session import CaptureSession, Recording, open_session
@@ -79,7 +79,12 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], byt
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         unpack_keypoints(arguments.keypoints, Path(folder))
         session = open_keypoints(
-            Path(folder), arguments.calibration, arguments.timestamps, arguments.frame_rate, arguments.units
+            Path(folder),
+            arguments.calibration,
+            arguments.timestamps,
+            arguments.frame_rate,
+            arguments.units,
+            arguments.max_joints,
         )
     files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
     return report(session, files, arguments.units), encode_keypoints(session)
@@ -107,6 +112,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
     parser.add_argument("--units", choices=UNITS_M, default="m", help="Of the calibration.")
+    parser.add_argument("--max-joints", type=int, default=MAX_JOINTS, help="Of all people in all keypoint files.")
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args(words)
     try:
@@ -115,6 +121,10 @@ def main(words: Sequence[str] | None = None) -> int:
             _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
     except InputError as error:
         found = {"problems": [asdict(problem) for problem in listed(error.problems)]}
+    except MemoryError:
+        message = "The check of the files takes more memory than the service allows for it."
+        problem = Problem("session_too_large", message, hint="Cut the session into several, or lower its resolution.")
+        found = {"problems": [asdict(problem)]}
     except OSError as error:
         if error.errno not in DISK_FULL:
             raise

@@ -23,6 +23,7 @@ from pipeline.data import (
     MapGrid,
     Observations,
     PafFields,
+    People,
     Poses3D,
     SkeletonMotion,
     Timebase,
@@ -35,7 +36,7 @@ from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
 
 _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
-_POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score")
+_POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score", "approximate")
 _TRACK_ARRAYS = ("xyz_m", "score", "source", "error_px", "views")
 _CONTACT = np.dtype(
     [
@@ -226,22 +227,24 @@ def decode_poses(content: bytes) -> Poses3D:
     return Poses3D(**_decode(content))
 
 
-def encode_tracks(tracks: Sequence[Track3D], observations: Sequence[Observations]) -> bytes:
+def encode_people(people: People) -> bytes:
     """Write tracks with the observations behind them."""
-    arrays = _track_arrays(tracks)
-    for k, seen in enumerate(observations):
+    arrays = _track_arrays(people.tracks)
+    arrays["num_approximate_frames"] = np.array(people.num_approximate_frames)
+    for k, seen in enumerate(people.observations):
         arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
     return _encode(arrays)
 
 
-def decode_tracks(content: bytes) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Read what ``encode_tracks`` wrote."""
+def decode_people(content: bytes) -> People:
+    """Read what ``encode_people`` wrote."""
     arrays = _decode(content)
     tracks = _tracks(arrays)
-    return tracks, tuple(
+    observations = tuple(
         Observations(track.track_id, arrays[f"points_px_{k}"], arrays[f"point_score_{k}"])
         for k, track in enumerate(tracks)
     )
+    return People(tracks, observations, int(arrays["num_approximate_frames"]))
 
 
 def encode_animation(animation: Animation) -> bytes:

@@ -28,14 +28,14 @@ from pipeline.association import (
 )
 from pipeline.child_processes import ProcessPool
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Observations, Reconstruction, Track3D
+from pipeline.data import Detections, People, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.detect.field_files import FieldFiles
 from pipeline.errors import ChildError, InputError, Problem
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
-from pipeline.progress import OnProgress, Progress, Stage, silent
+from pipeline.progress import OnProgress, Progress, Stage, in_units, silent
 from pipeline.records_npz import encode_fields
 from pipeline.session import CaptureSession
 from pipeline.skeleton.animate import animate
@@ -47,7 +47,6 @@ _BY_MEMBERSHIP = (
     "Clustering takes whole bodies for evidence, not part affinity fields: "
     "two joints are connected where they belong to one detection."
 )
-_Tracks = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
 _Chunk = tuple[str, range]  # output frames of a camera
 _Detected = TypeVar("_Detected")
 _Detect = Callable[[CaptureSession, _Chunk, Detector, Callable[[], None]], _Detected]
@@ -90,7 +89,7 @@ def reconstruct(
                     files.write(*chunk, fields)
             first = ranges[0].start
             of_wanted = [range(one.start - first, one.stop - first) for one in ranges]
-            tracks = _cluster(
+            people = _cluster(
                 wanted,
                 of_wanted,
                 lambda frames: files.read(range(frames.start + first, frames.stop + first)),
@@ -98,7 +97,7 @@ def reconstruct(
                 config,
                 on_progress,
             )
-        return _finish(wanted, tracks, detector.joints, config, on_progress)
+        return _finish(wanted, people, detector.joints, config, on_progress)
     with closing(_map(_bodies_of, session, chunks, detector, config, on_progress)) as detected:
         detections = concatenate(detected, cameras, len(detector.joints.names))
     return _reconstruct_people(wanted, detections, detector.joints, config, on_progress)
@@ -145,7 +144,7 @@ def _reconstruct_people(
     on_progress: OnProgress,
 ) -> Reconstruction:
     if config.method == "clustering":
-        tracks = _cluster(
+        people = _cluster(
             session,
             cut_stretches(session.stretches, range(session.timebase.num_frames)),
             lambda _: detections,
@@ -154,10 +153,10 @@ def _reconstruct_people(
             on_progress,
         )
     else:
-        count = _counter("associate", 1, on_progress)
-        tracks = track(session, detections, config)
-        count()
-    return _finish(session, tracks, joints, config, on_progress)
+        num_frames = session.timebase.num_frames
+        count = _counter("associate", num_frames, on_progress)
+        people = track(session, detections, config, in_units(num_frames, count))
+    return _finish(session, people, joints, config, on_progress)
 
 
 def _cluster(
@@ -167,23 +166,23 @@ def _cluster(
     joints: JointSet,
     config: ReconstructionConfig,
     on_progress: OnProgress,
-) -> _Tracks:
+) -> People:
     count = _counter("lengths", num_sampled(session, ranges, config), on_progress)
     lengths = measure_bones(session, ((frames, found_in(frames)) for frames in ranges), joints, config, count)
     count = _counter("poses", sum(map(len, ranges)), on_progress)
     poses = [locate_people(session, frames, found_in(frames), lengths, joints, config, count) for frames in ranges]
     count = _counter("associate", 1, on_progress)
-    tracks = link(session, poses, joints, config)
+    people = link(session, poses, joints, config)
     count()
-    return tracks
+    return people
 
 
 def _finish(
-    session: Views, tracks: _Tracks, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
+    session: Views, people: People, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
 ) -> Reconstruction:
-    located, observations = tracks
+    located, observations, num_approximate_frames = people
     count = _counter("fit", 2 * len(located), on_progress)
-    animation = animate(*tracks, session.cameras, session.timebase, joints, config, count)
+    animation = animate(located, observations, session.cameras, session.timebase, joints, config, count)
     by_membership = config.method == "clustering" and not uses_fields(session, config)
     return Reconstruction(
         cameras=session.cameras,
@@ -193,6 +192,7 @@ def _finish(
         observations=observations,
         animation=animation,
         warnings=(*session.warnings, *([_BY_MEMBERSHIP] if by_membership else [])),
+        num_approximate_frames=num_approximate_frames,
     )
 
 

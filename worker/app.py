@@ -19,6 +19,7 @@ from celery.signals import (
     worker_shutting_down,
 )
 
+from pipeline.memory import limit_memory
 from worker import tasks, tracing
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME
 from worker.logs import configure_logs
@@ -95,6 +96,7 @@ def _tell_loading(**_: object) -> None:
 
 
 def _load(**_: object) -> None:
+    limit_memory(WorkerSettings().memory_bytes)
     presence = tasks.start_presence()
     worker_process_shutdown.connect(lambda exitcode, **_: _unload(presence, exitcode), weak=False)
     threading.Thread(target=_end_while_loading, args=[presence], daemon=True).start()

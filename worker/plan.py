@@ -20,7 +20,7 @@ DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "
 
 # A stage's number goes up with every change of its code that changes what it leaves.
 # `tests/worker/test_code_versions.py` fails when the code changed and the number did not.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 2, POSES: 2, ASSOCIATE: 4, FIT: 4, EXPORT: 4}
+CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 3, POSES: 3, ASSOCIATE: 4, FIT: 4, EXPORT: 5}
 
 DEFAULT_CHUNK_FRAMES = 100
 MAX_CHUNKS = 20_000
@@ -89,7 +89,9 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
         **({} if spec.output_rate_hz is None else {"output_rate_hz": spec.output_rate_hz}),
     }
     export = _key(EXPORT, formats, [associate, fit])
-    stages.extend(StagePlan(name, _reduce(key)) for name, key in ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export)))
+    num_units = 1 if spec.method == "clustering" else len(cut.frames)
+    stages.append(StagePlan(ASSOCIATE, _reduce(associate, num_units)))
+    stages.extend(StagePlan(name, _reduce(key)) for name, key in ((FIT, fit), (EXPORT, export)))
     return tuple(stages)
 
 

@@ -18,6 +18,13 @@ def problem_of(error: Exception, stage: str) -> Problem:
         case InputError() | PipelineError():
             # Models are installed, and memory is freed, while the input stays as it is.
             return Problem(error.code, str(error), stage=stage, retryable=isinstance(error, ModelError | ChildError))
+        case MemoryError():
+            return Problem(
+                "memory_limit",
+                f"The stage {stage} needs more memory than the service allows a worker.",
+                stage=stage,
+                hint="Use fewer frames of the session, or have the operator raise MULTICAP_MEMORY_BYTES.",
+            )
         case _ if is_disk_full(error):
             return Problem(
                 "storage_full",

@@ -123,6 +123,11 @@ class WorkerSettings(BaseSettings):
     nice: int = Field(
         default=10, ge=0, le=19, description="How far workers stand back for all else on their machine, the API first."
     )
+    memory_bytes: int = Field(
+        default=5 * 2**29,
+        ge=2**29,
+        description="Memory of a worker process; a chunk that needs more fails with memory_limit.",
+    )
     claim_for_s: float = Field(default=300.0, gt=0, description="How long one message keeps a worker claiming.")
 
     @property

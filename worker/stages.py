@@ -20,21 +20,22 @@ from pipeline.export.results import METRICS, write_results
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.metrics.quality import all_checks
+from pipeline.progress import in_units
 from pipeline.records_npz import (
     decode_animation,
     decode_detections,
     decode_fields,
     decode_keypoints,
     decode_lengths,
+    decode_people,
     decode_poses,
     decode_session,
-    decode_tracks,
     encode_animation,
     encode_detections,
     encode_fields,
     encode_lengths,
+    encode_people,
     encode_poses,
-    encode_tracks,
 )
 from pipeline.skeleton.animate import animate
 from pipeline.video.timeline import span_s
@@ -208,25 +209,26 @@ def associate_people(work: Work) -> Outcome:
     session, joints = _views_of(work)
     if work.claim.spec.method == "clustering":
         poses = [decode_poses(content) for content in work.outputs(POSES)]
-        return Outcome(encode_tracks(*link(session, poses, joints, _config(work))))
+        return Outcome(encode_people(link(session, poses, joints, _config(work))))
     detections = (
         session.detections if isinstance(session, KeypointSession) else _bodies(session, joints, work.outputs(DETECT))
     )
-    return Outcome(encode_tracks(*track(session, detections, _config(work))))
+    on_share = in_units(work.claim.unit_count, work.on_unit)
+    return Outcome(encode_people(track(session, detections, _config(work), on_share)))
 
 
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
     session, joints = _views_of(work)
-    tracks = decode_tracks(*work.outputs(ASSOCIATE))
-    animation = animate(*tracks, session.cameras, session.timebase, joints, _config(work), work.on_unit)
+    located, observations, _ = decode_people(*work.outputs(ASSOCIATE))
+    animation = animate(located, observations, session.cameras, session.timebase, joints, _config(work), work.on_unit)
     return Outcome(encode_animation(animation))
 
 
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
     session, joints = _views_of(work)
-    located, observations = decode_tracks(*work.outputs(ASSOCIATE))
+    located, observations, num_approximate_frames = decode_people(*work.outputs(ASSOCIATE))
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
@@ -235,6 +237,7 @@ def export(work: Work) -> Outcome:
         observations=observations,
         animation=decode_animation(*work.outputs(FIT)),
         warnings=session.warnings,
+        num_approximate_frames=num_approximate_frames,
     )
     files = []
     spec = work.claim.spec

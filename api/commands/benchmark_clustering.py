@@ -10,6 +10,7 @@ import typer
 from api.console import reporting, show_sizes
 from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
 from pipeline.clustering.candidates import SeenFields
+from pipeline.clustering.effort import Effort
 from pipeline.clustering.parameters import derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.geometry.camera import image_from_world
@@ -39,7 +40,7 @@ def _poses_s(simulation: Simulation) -> float:
     for _ in range(_REPEATS):
         started_s = time.perf_counter()
         for one in instants:
-            find_poses(projections, one, skeleton, lengths, parameters)
+            find_poses(projections, one, skeleton, lengths, parameters, Effort())
         best_s = min(best_s, time.perf_counter() - started_s)
     return best_s
 

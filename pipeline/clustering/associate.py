@@ -12,6 +12,7 @@ from jaxtyping import Float
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths, unlimited_lengths
 from pipeline.clustering.candidates import Instant, Seen, SeenBodies
 from pipeline.clustering.clusters import find_joints
+from pipeline.clustering.effort import Effort
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parsing import Poses, parse
@@ -28,9 +29,10 @@ def find_poses(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
+    effort: Effort,
 ) -> Poses:
     """Find everybody at one instant (sections 3.2 to 3.4)."""
-    found = find_joints(image_from_world, *instant, skeleton, lengths, parameters)
+    found = find_joints(image_from_world, *instant, skeleton, lengths, parameters, effort)
     return parse(found, instant.evidence, skeleton, lengths, parameters)
 
 
@@ -65,17 +67,26 @@ def find_people(
     shape = len(skeleton.names), len(cameras)
     number, xyz_m = [np.empty(0, int)], [np.empty((0, shape[0], 3))]
     points_px, score = [np.empty((0, *shape, 2))], [np.empty((0, *shape))]
+    approximate: list[int] = []
     for frame in frames:
-        instant = seen.at(frame)
+        instant, effort = seen.at(frame), Effort()
         if len(instant.candidates.joint):
-            poses = find_poses(projections, instant, skeleton, lengths, parameters)
+            poses = find_poses(projections, instant, skeleton, lengths, parameters, effort)
+            if not effort.is_exact:
+                approximate.append(frame)
             number.append(np.full(len(poses.xyz_m), frame))
             xyz_m.append(poses.xyz_m)
             # What stands behind the last candidate is taken where there is none.
             points_px.append(np.append(instant.candidates.seen_px, [[np.nan, np.nan]], axis=0)[poses.candidate])
             score.append(np.append(instant.candidates.score, 0.0)[poses.candidate])
         on_frame()
-    return Poses3D(*(np.concatenate(values) for values in (number, xyz_m, points_px, score)))
+    return Poses3D(
+        np.concatenate(number),
+        np.concatenate(xyz_m),
+        np.concatenate(points_px),
+        np.concatenate(score),
+        np.array(approximate, int),
+    )
 
 
 def first_lengths(
@@ -194,6 +205,7 @@ def _join(chunks: Sequence[Poses3D]) -> Poses3D:
         np.concatenate([one.xyz_m for one in chunks]),
         np.concatenate([one.points_px for one in chunks]),
         np.concatenate([one.score for one in chunks]),
+        np.concatenate([one.approximate for one in chunks]),
     )
 
 

@@ -1,5 +1,6 @@
 """Hypotheses to joints: clusters, merged ones split by their parents (section 3.2.2)."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from scipy.spatial.distance import cdist
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.constraints import fits, length_error, nearly_fits
+from pipeline.clustering.effort import MAX_CANDIDATES, MAX_DENSE, MAX_JOINTS, MAX_NEIGHBOURS, Effort
 from pipeline.clustering.evidence import NOWHERE, Evidence, Places
 from pipeline.clustering.hypotheses import Candidates, Hypotheses, meet, reprojection_px
 from pipeline.clustering.joints import refine
@@ -21,6 +23,8 @@ from pipeline.geometry.triangulation import plane_rows
 
 # Of a large cluster so many points are tried for the densest: each is near many others, and eq. 4 does the rest.
 _MAX_SEEDS = 128
+# Pairs of a joint and a candidate whose distances are taken at once.
+_BLOCK = 2**18
 
 
 class _Draft(NamedTuple):
@@ -69,29 +73,56 @@ def find_joints(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
+    effort: Effort,
 ) -> Joints:
     """Find everybody's joints, those together that are as far from the root as each other.
 
     Parameters
     ----------
     candidates
-        Of all joints.
+        Of all joints; of more than ``MAX_CANDIDATES`` of a joint in a view those with the highest scores are taken.
+    effort
+        See ``effort.Effort``.
     """
     found = no_joints(len(image_from_world))
+    certain = _most_certain(candidates, effort)
     for level in skeleton.levels:
-        of_level = np.flatnonzero(np.isin(candidates.joint, level))
+        of_level = certain[np.isin(candidates.joint[certain], level)]
         here = candidates.where(of_level)
-        hypotheses = meet(image_from_world, here, parameters.tau1_px)
-        value = np.empty((0, len(hypotheses.pair)))
-        if level != [0]:
-            value = _agreement(here, hypotheses, found.places, evidence, skeleton, lengths, parameters)
-            chosen = np.any(value > -np.inf, axis=0)
-            hypotheses, value = hypotheses.where(chosen), value[:, chosen]
-        drafts = _draft(image_from_world, here, hypotheses, value, found.places, skeleton, lengths, parameters)
-        located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m)
+        hypotheses = meet(image_from_world, here, parameters.tau1_px, effort)
+        drafts: list[_Draft] = []
+        is_small = len(found.places.joint) * len(hypotheses.pair) <= MAX_DENSE
+        for kinds in [level] if is_small else [[kind] for kind in level]:
+            of_kinds = hypotheses.where(np.isin(here.joint[hypotheses.pair[:, 0]], kinds))
+            is_parent = np.isin(found.places.joint, [skeleton.parents[kind] for kind in kinds])
+            parent = np.flatnonzero(is_small | is_parent)
+            parents = found.where(parent).places
+            value = np.empty((0, len(of_kinds.pair)))
+            if level != [0]:
+                value = _agreement(here, of_kinds, parents, evidence, skeleton, lengths, parameters)
+                chosen = np.any(value > -np.inf, axis=0)
+                of_kinds, value = of_kinds.where(chosen), value[:, chosen]
+            parent = np.append(parent, NOWHERE)
+            drafts += [
+                one._replace(parent=int(parent[one.parent]))
+                for one in _draft(
+                    image_from_world, here, of_kinds, value, parents, skeleton, lengths, parameters, effort
+                )
+            ]
+        located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m, effort)
         candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
         found = found.with_others(located._replace(candidate=candidate))
     return found
+
+
+def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _"]:
+    """Rows of the candidates with the highest scores, at most ``MAX_CANDIDATES`` of a joint in a view."""
+    place = candidates.view * (candidates.joint.max(initial=0) + 1) + candidates.joint
+    if effort.allows(int(np.bincount(place).max(initial=0)), MAX_CANDIDATES):
+        return np.arange(len(place))
+    ranked = np.lexsort((-candidates.score, place))
+    first = np.searchsorted(place[ranked], place[ranked])
+    return np.sort(ranked[np.arange(len(ranked)) - first < MAX_CANDIDATES])
 
 
 def _agreement(
@@ -136,13 +167,14 @@ def _draft(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
+    effort: Effort,
 ) -> list[_Draft]:
     """Cluster hypotheses, split clusters, and match candidates across views in each."""
     nobody = np.full(len(image_from_world), NOWHERE)
     drafts: list[_Draft] = []
     joint = candidates.joint[hypotheses.pair[:, 0]]
     parent_of = value.argmax(0) if value.size else np.full(len(joint), NOWHERE)
-    clusters = list(_clusters(hypotheses.xyz_m, joint, parameters.eps_m))
+    clusters = list(_clusters(hypotheses.xyz_m, joint, parameters.eps_m, effort))
     may_split = parameters.split_clusters and value.size > 0
     outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
     for cluster, members in enumerate(clusters):
@@ -159,22 +191,33 @@ def _draft(
             own = parents.body[parent] if parent >= 0 else nobody
             drafts.extend(
                 _Draft(used, seed_m, parent, cluster)
-                for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters)
+                for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters, effort)
             )
     return drafts
 
 
 def _clusters(
-    xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float
+    xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, effort: Effort
 ) -> Iterator[Int[np.ndarray, " _"]]:
-    """DBSCAN with one sample to a cluster: every point is a core point then, and clusters are connected components."""
+    """DBSCAN with one sample to a cluster: every point is a core point then, and clusters are connected components.
+
+    Of points with more than ``MAX_NEIGHBOURS`` pairs of neighbours those in one cell, half as wide as ``eps_m``, are
+    taken for its centre.
+    """
     if not len(xyz_m):
         return
     # Far apart in a fourth dimension, joints of different kinds have no neighbours in common.
     places = np.column_stack([xyz_m, 10 * eps_m * joint])
-    pairs = cKDTree(places).query_pairs(eps_m, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(places), len(places)))
+    cell_of = np.arange(len(places))
+    tree = cKDTree(places)
+    is_small = len(places) ** 2 <= 2 * MAX_NEIGHBOURS
+    if not is_small and not effort.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
+        cells, cell_of = np.unique(np.floor(places / (eps_m / 2)), axis=0, return_inverse=True)
+        tree = cKDTree((cells + 0.5) * (eps_m / 2))
+    pairs = tree.query_pairs(eps_m, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(tree.n, tree.n))
     _, labels = connected_components(graph, directed=False)
+    labels = labels[cell_of]
     in_order = np.argsort(labels, kind="stable")
     yield from np.split(in_order, np.flatnonzero(np.diff(labels[in_order])) + 1)
 
@@ -234,15 +277,20 @@ def _extract(
     members: Int[np.ndarray, " _"],
     parent_body: Int[np.ndarray, " cameras"],
     parameters: ClusteringParameters,
+    effort: Effort,
 ) -> Iterator[tuple[list[int], Float[np.ndarray, " 3"]]]:
     """Candidates of one joint, a view each, from where hypotheses are densest; what uses none of them goes on.
 
-    Of a view's candidates the one that is connected to the parent is taken, then the nearest.
+    Of a view's candidates the one that is connected to the parent is taken, then the nearest. Once an instant's effort
+    is spent, what is left gives one joint.
     """
     if not parameters.separate_clusters:
         yield _match(candidates, hypotheses, members)
         return
     while len(members):
+        if not effort.allows_round(len(members)):
+            yield _match(candidates, hypotheses, members)
+            return
         xyz_m, pair = hypotheses.xyz_m[members], hypotheses.pair[members]
         seeds_m = xyz_m[:: -(-len(xyz_m) // _MAX_SEEDS)]
         squared_m2 = cdist(seeds_m, xyz_m, "sqeuclidean")
@@ -279,8 +327,11 @@ def _locate(
     drafts: list[_Draft],
     parents: Places,
     eps_m: float,
+    effort: Effort,
 ) -> Joints:
     """Give every candidate to one joint, the best supported first, and locate those that keep two views.
+
+    Of more than ``MAX_JOINTS`` of a kind the best supported are located.
 
     Joints of several people in one place, whom a split cluster told apart, may share what a view shows as one.
     Candidates that are left go to a joint nearby that lacks their view.
@@ -289,9 +340,12 @@ def _locate(
     drafts = sorted(drafts, key=lambda one: (-len(one.candidates), -sum(score[k] for k in one.candidates)))
     owners: dict[int, list[_Draft]] = {}
     kept: list[_Draft] = []
+    num_kept: Counter[int] = Counter()
     for draft in drafts:
         left = [k for k in draft.candidates if k not in owners or _may_share(draft, owners[k])]
-        if len(left) >= 2:
+        kind = int(candidates.joint[draft.candidates[0]])
+        if len(left) >= 2 and effort.allows(num_kept[kind] + 1, MAX_JOINTS):
+            num_kept[kind] += 1
             kept.append(draft._replace(candidates=left))
             for k in left:
                 owners.setdefault(k, []).append(draft)
@@ -335,8 +389,10 @@ def _adopt(
     wanted = (joint[:, None] == candidates.joint[free]) & (chosen[:, view] == NOWHERE)
     number, which = np.nonzero(wanted)
     rows = plane_rows(image_from_world[view], candidates.points_px[free][:, None])[:, 0]
-    planes_m = (rows[which, :, :3] @ xyz_m[number][..., None])[..., 0] + rows[which, :, 3]
-    miss_m = np.linalg.norm(planes_m, axis=-1)
+    miss_m = np.empty(len(number))
+    for block in (slice(start, start + _BLOCK) for start in range(0, len(number), _BLOCK)):
+        joint_m, planes = xyz_m[number[block]], rows[which[block]]
+        miss_m[block] = np.linalg.norm((planes[..., :3] @ joint_m[..., None])[..., 0] + planes[..., 3], axis=-1)
     near = np.flatnonzero(miss_m <= eps_m)
     taken: set[int] = set()
     for k in near[np.argsort(miss_m[near], kind="stable")].tolist():

@@ -57,10 +57,24 @@ def length_error(
     parent, point = np.nonzero(parents.joint[:, None] == np.array(skeleton.parents)[points.joint])
     distance_m = np.linalg.norm(parents.xyz_m[parent] - points.xyz_m[point], axis=-1)
     joint = points.joint[point]
-    of_limb = np.full(len(joint), np.inf)
-    for known_m in lengths.known_m.T[:, joint]:
-        of_limb = np.fmin(of_limb, np.abs(distance_m - known_m) / known_m)
-    of_limb = np.where(lengths.is_measured[joint], of_limb, 0.0)
+    of_limb = np.zeros(len(joint))
+    for kind in np.flatnonzero(lengths.is_measured):
+        of_kind = np.flatnonzero(joint == kind)
+        of_limb[of_kind] = _relative_error(distance_m[of_kind], lengths.known_m[kind])
     possible = (distance_m > _SHORTEST_M) & (distance_m < lengths.longest_m[joint])
     error[parent, point] = np.where(possible, of_limb, np.inf)
+    return error
+
+
+def _relative_error(
+    distance_m: Float[np.ndarray, " n"], known_m: Float[np.ndarray, " people"]
+) -> Float[np.ndarray, " n"]:
+    """Smallest ``|distance - known| / known``: that of the next shorter or the next longer of the known lengths."""
+    ascending_m = np.sort(known_m[~np.isnan(known_m)])
+    longer = np.searchsorted(ascending_m, distance_m, side="right")
+    error = np.full(len(distance_m), np.inf)
+    for neighbour in (longer - 1, longer):
+        is_known = (neighbour >= 0) & (neighbour < len(ascending_m))
+        neighbour_m = ascending_m[np.where(is_known, neighbour, 0)]
+        error = np.where(is_known, np.fmin(error, np.abs(distance_m - neighbour_m) / neighbour_m), error)
     return error

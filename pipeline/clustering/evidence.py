@@ -67,10 +67,12 @@ class Membership:
         self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
         """Mean of s over the views that know both; see ``Evidence``."""
-        known = (parents.body[:, None] >= 0) & (points.body[None] >= 0)
-        same = known & (parents.body[:, None] == points.body[None])
-        num_known = known.sum(-1)
-        return np.where(wanted & (num_known > 0), same.sum(-1) / np.maximum(num_known, 1), np.nan)
+        num_known, num_same = np.zeros(wanted.shape, np.int32), np.zeros(wanted.shape, np.int32)
+        for parent, point in zip(parents.body.T, points.body.T, strict=True):
+            known = (parent[:, None] >= 0) & (point >= 0)
+            num_known += known
+            num_same += known & (parent[:, None] == point)
+        return np.where(wanted & (num_known > 0), num_same / np.maximum(num_known, 1), np.nan)
 
 
 class ViewFields(NamedTuple):

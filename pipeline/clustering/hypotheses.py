@@ -1,11 +1,16 @@
 """Where two views' candidates meet: all hypotheses of where a joint may be (section 3.2.1)."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.clustering.effort import MAX_HYPOTHESES, MAX_PAIRS, Effort
 from pipeline.geometry.triangulation import plane_rows, solve_normal
+
+# Pairs that are triangulated at once: a megabyte a row of their normal equations.
+_BLOCK = 2**15
 
 
 class Candidates(NamedTuple):
@@ -51,7 +56,7 @@ class Hypotheses(NamedTuple):
     xyz_m: np.ndarray
     pair: np.ndarray
 
-    def where(self, chosen: Bool[np.ndarray, " hypotheses"]) -> "Hypotheses":
+    def where(self, chosen: Bool[np.ndarray, " hypotheses"] | Int[np.ndarray, " chosen"]) -> "Hypotheses":
         """Some of them."""
         return Hypotheses(self.xyz_m[chosen], self.pair[chosen])
 
@@ -68,23 +73,71 @@ def reprojection_px(
     return np.where(in_front, np.linalg.norm(projected_px - points_px, axis=-1), np.inf)
 
 
-def meet(image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float) -> Hypotheses:
-    """Triangulate all pairs of a joint's candidates in two views; keep those with a small reprojection error."""
+def meet(
+    image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float, effort: Effort
+) -> Hypotheses:
+    """Triangulate all pairs of a joint's candidates in two views; keep those with a small reprojection error.
+
+    Of a joint with more than ``MAX_PAIRS`` pairs those of some pairs of views are taken, see ``_views_that_meet``; of
+    more than ``MAX_HYPOTHESES`` hypotheses those with the smallest errors.
+    """
     views = image_from_world[candidates.view]
-    pair = _pairs(candidates)
     rows = plane_rows(views, candidates.points_px[:, None])[:, 0]
     normal = rows.swapaxes(-1, -2) @ rows
-    xyz_m = solve_normal(normal[pair[:, 0]] + normal[pair[:, 1]])
-    errors_px = reprojection_px(
-        views[pair], np.broadcast_to(xyz_m[:, None], (*pair.shape, 3)), candidates.points_px[pair]
-    )
-    return Hypotheses(xyz_m, pair).where(np.all(errors_px <= tau1_px, axis=-1))
-
-
-def _pairs(candidates: Candidates) -> Int[np.ndarray, "pairs 2"]:
-    """Any two candidates of a joint in two views, the first in the view that comes first."""
-    found = [np.empty((0, 2), int)]
+    found = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
     for joint in np.unique(candidates.joint):
-        mine = np.flatnonzero(candidates.joint == joint)
-        found.append(mine[np.argwhere(candidates.view[mine][:, None] < candidates.view[mine])])
-    return np.concatenate(found)
+        pairs = _pairs(image_from_world, candidates, np.flatnonzero(candidates.joint == joint), effort)
+        met, errors_px = [], [np.empty(0)]
+        for pair in np.split(pairs, range(_BLOCK, len(pairs), _BLOCK)):
+            xyz_m = solve_normal(normal[pair[:, 0]] + normal[pair[:, 1]])
+            error_px = reprojection_px(
+                views[pair], np.broadcast_to(xyz_m[:, None], (*pair.shape, 3)), candidates.points_px[pair]
+            ).max(-1)
+            near = error_px <= tau1_px
+            met.append(Hypotheses(xyz_m, pair).where(near))
+            errors_px.append(error_px[near])
+        together = _joined(met)
+        if not effort.allows(len(together.pair), MAX_HYPOTHESES):
+            best = np.argsort(np.concatenate(errors_px), kind="stable")[:MAX_HYPOTHESES]
+            together = together.where(np.sort(best))
+        found.append(together)
+    return _joined(found)
+
+
+def _joined(hypotheses: Sequence[Hypotheses]) -> Hypotheses:
+    return Hypotheses(*(np.concatenate(values) for values in zip(*hypotheses, strict=True)))
+
+
+def _pairs(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    of_joint: Int[np.ndarray, " _"],
+    effort: Effort,
+) -> Int[np.ndarray, "pairs 2"]:
+    """Any two candidates of a joint in two views, the first in the view that comes first."""
+    view = candidates.view[of_joint]
+    count = np.bincount(view, minlength=len(image_from_world))
+    num_pairs = np.triu(np.outer(count, count), 1)
+    wanted = view[:, None] < view
+    if not effort.allows(int(num_pairs.sum()), MAX_PAIRS):
+        wanted &= _views_that_meet(image_from_world, num_pairs)[view[:, None], view]
+    return of_joint[np.argwhere(wanted)]
+
+
+def _views_that_meet(
+    image_from_world: Float[np.ndarray, "cameras 3 4"], num_pairs: Int[np.ndarray, "cameras cameras"]
+) -> Bool[np.ndarray, "cameras cameras"]:
+    """Pairs of views with ``MAX_PAIRS`` pairs of candidates together: each view's best partners first.
+
+    The best partner looks at a right angle: where its rays meet is most exact.
+    """
+    axes = image_from_world[:, 2, :3] / np.linalg.norm(image_from_world[:, 2, :3], axis=-1, keepdims=True)
+    along = np.abs(axes @ axes.T)
+    np.fill_diagonal(along, np.inf)
+    rank = along.argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+    one, other = np.nonzero(num_pairs)
+    in_order = np.argsort(np.minimum(rank, rank.T)[one, other], kind="stable")
+    kept = in_order[np.cumsum(num_pairs[one, other][in_order]) <= MAX_PAIRS]
+    meeting = np.zeros(num_pairs.shape, bool)
+    meeting[one[kept], other[kept]] = True
+    return meeting

@@ -9,6 +9,7 @@ from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.clusters import Joints
 from pipeline.clustering.constraints import length_error, nearly_fits
 from pipeline.clustering.distance import mean_distance_m
+from pipeline.clustering.effort import MAX_DENSE
 from pipeline.clustering.evidence import NOWHERE, Evidence
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
@@ -36,7 +37,8 @@ def parse(
     found: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
 ) -> Poses:
     """Assemble people, each from a root joint on; a joint belongs to one person."""
-    value = _limb_values(found, evidence, skeleton, lengths, parameters)
+    is_small = len(found.places.joint) ** 2 <= MAX_DENSE
+    value = _limb_values(found, found, evidence, skeleton, lengths, parameters) if is_small else None
     by_joint = [np.flatnonzero(found.places.joint == j) for j in range(len(skeleton.names))]
     shape = len(by_joint[0]), len(by_joint)
     joint_of = np.full(shape, NOWHERE)
@@ -44,7 +46,12 @@ def parse(
     for j in range(1, len(by_joint)):
         holders = np.flatnonzero(joint_of[:, skeleton.parents[j]] >= 0)
         held = joint_of[holders, skeleton.parents[j]]
-        for holder, joint in _join(value[np.ix_(held, by_joint[j])]):
+        of_limb = (
+            _limb_values(found.where(held), found.where(by_joint[j]), evidence, skeleton, lengths, parameters)
+            if value is None
+            else value[np.ix_(held, by_joint[j])]
+        )
+        for holder, joint in _join(of_limb):
             joint_of[holders[holder], j] = by_joint[j][joint]
     has = joint_of >= 0
     xyz_m = np.full((*shape, 3), np.nan)
@@ -56,15 +63,19 @@ def parse(
 
 
 def _limb_values(
-    found: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
-) -> Float[np.ndarray, "joints joints"]:
+    parents: Joints,
+    found: Joints,
+    evidence: Evidence,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+) -> Float[np.ndarray, "parents joints"]:
     """What each limb from a joint to another is worth; minus infinity where there can be none."""
-    places = found.places
-    error = length_error(places, places, skeleton, lengths)
+    error = length_error(parents.places, found.places, skeleton, lengths)
     possible = error <= parameters.leniency * parameters.tau3
-    score = evidence.connect(places, places, possible)
-    least = evidence.least[places.joint] * parameters.use_connectivity
-    measured = lengths.is_measured[places.joint]
+    score = evidence.connect(parents.places, found.places, possible)
+    least = evidence.least[found.places.joint] * parameters.use_connectivity
+    measured = lengths.is_measured[found.places.joint]
     allowed = possible & nearly_fits(score, least, error, parameters.tau3, measured, parameters.leniency)
     value = np.nan_to_num(score, nan=0.0) + _VIEW_WORTH * (found.candidate >= 0).sum(-1)
     return np.where(allowed, value, -np.inf)
@@ -73,9 +84,13 @@ def _limb_values(
 def _join(value: Float[np.ndarray, "holders joints"]) -> list[tuple[int, int]]:
     """Pairs of a person's parent joint and a joint, the best first, each once."""
     pairs: list[tuple[int, int]] = []
-    for flat in np.argsort(-value, axis=None, kind="stable")[: int((value > -np.inf).sum())]:
-        holder, joint = divmod(int(flat), value.shape[1])
-        if all(holder != one and joint != other for one, other in pairs):
+    holders: set[int] = set()
+    joints: set[int] = set()
+    for flat in np.argsort(-value, axis=None, kind="stable")[: int((value > -np.inf).sum())].tolist():
+        holder, joint = divmod(flat, value.shape[1])
+        if holder not in holders and joint not in joints:
+            holders.add(holder)
+            joints.add(joint)
             pairs.append((holder, joint))
     return pairs
 

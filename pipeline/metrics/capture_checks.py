@@ -27,7 +27,13 @@ def capture_checks(
         By track, whether a camera saw anything of the person in a frame.
     """
     names = [camera.name for camera in reconstruction.cameras]
-    checks = (_check_rig(names), _check_people(seen), _check_cameras(names, seen), _check_views(names, seen))
+    checks = (
+        _check_rig(names),
+        _check_people(seen),
+        _check_cameras(names, seen),
+        _check_views(names, seen),
+        _check_association(reconstruction),
+    )
     return [{"code": code, "message": message} for check in checks for code, message in check]
 
 
@@ -76,6 +82,15 @@ def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[t
         yield (
             "few_views",
             f"{len(people)} people were seen by fewer than {_MIN_VIEWS} cameras in most frames: {first_names(people)}.",
+        )
+
+
+def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
+    if reconstruction.num_approximate_frames:
+        yield (
+            "approximate_association",
+            f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames the cameras "
+            "saw more people than can be told apart exactly: they were matched by a simpler rule there.",
         )
 
 

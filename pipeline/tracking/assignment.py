@@ -42,9 +42,7 @@ def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[in
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if affinities[i, j] > 0]
 
 
-def partition(
-    affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
-) -> Partition:
+def partition(affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]) -> Partition:
     """Partition detections of several cameras into people (Chen et al. 2020, eq. 14-16).
 
     Maximises the sum of affinities within parts; cycle consistency ``y_ij + y_jk <= 1 + y_ik`` for all i, j, k makes
@@ -143,7 +141,7 @@ def _partition_connected(
 def _partition_camera_by_camera(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
 ) -> tuple[tuple[int, ...], ...]:
-    """Match one camera's detections after the other's to the parts so far, for the largest sum (Hungarian algorithm)."""
+    """Match the detections of each camera in turn to the parts so far, for the largest sum (Hungarian algorithm)."""
     gains = np.maximum(affinities, _NEVER)
     labels = np.arange(len(groups))
     part_gains = np.zeros_like(gains)  # of the part of each label with each node

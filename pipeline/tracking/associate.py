@@ -86,6 +86,9 @@ def reconstruct_tracks(
     bodies = gather(cameras, times, detections, parameters.min_score)
     tracker = Tracker(cameras, make_frames([times[camera.name] for camera in cameras], bodies), parameters)
     identity = tracker.run(part_of(on_share, 0.0, 0.5), on_approximate)
+    # Frees the array that the tracker alone needs: a long session is a large part of the memory.
+    del tracker
+    bodies = bodies._replace(used=bodies.score)
     return _locate(cameras, bodies, identity, timebase, parameters, part_of(on_share, 0.5, 1.0))
 
 

@@ -1,6 +1,7 @@
 """What all cameras saw, in arrays; and what they saw of one person, brought to the output instants."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -48,14 +49,15 @@ def gather(
     """Put all cameras' detections into arrays; joints below ``min_score`` are not used."""
     ordered = [detections[camera.name] for camera in cameras]
     seen_px = np.concatenate([one.keypoints_px for one in ordered])
-    score = np.concatenate([one.score for one in ordered])
-    found, used = np.empty_like(score), np.empty_like(score)
-    choose_scores(seen_px, score, min_score, found, used)
+    found = np.concatenate([one.score for one in ordered])
+    used = np.empty_like(found)
+    choose_scores(seen_px, found, min_score, found, used)
     ideal_px = seen_px
     if any(np.any(camera.distortion) for camera in cameras):
-        ideal_px = np.concatenate(
-            [undistort_px(camera, one.keypoints_px) for camera, one in zip(cameras, ordered, strict=True)]
-        )
+        ideal_px = np.empty_like(seen_px)  # filled camera by camera: a long session is a large part of the memory
+        borders = np.cumsum([0, *(len(one.frame) for one in ordered)]).tolist()
+        for camera, one, (first, last) in zip(cameras, ordered, pairwise(borders), strict=True):
+            ideal_px[first:last] = undistort_px(camera, one.keypoints_px)
     return Bodies(
         camera=np.repeat(np.arange(len(cameras)), [len(one.frame) for one in ordered]),
         frame=np.concatenate([one.frame for one in ordered]),

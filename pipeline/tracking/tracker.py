@@ -17,8 +17,7 @@ from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
 
 _FIRST_SLOTS = 16
-# Targets at once, tentative ones and lost ones among them; the simulated scenes have 40 at most. Matching grows with the
-# square of their number, memory with that and the cameras.
+# Targets at once, tentative ones and lost ones among them. Matching grows with the square of their number.
 _MAX_TARGETS = 512
 # Between two reports of progress; a frame of a hundred people and 512 targets takes a twentieth of a second.
 _FRAMES_AT_ONCE = 64

@@ -11,7 +11,7 @@ import pytest
 from pipeline.data import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, COCO_17, COCO_18
-from pipeline.keypoints import KeypointSession, open_keypoints
+from pipeline.keypoints import MAX_PEOPLE, KeypointSession, open_keypoints
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
 
@@ -332,3 +332,48 @@ def test_numbers_of_files_are_times_too(scene: Path, number: int, frame_rate_hz:
         opened(scene, timed=False, frame_rate_hz=frame_rate_hz)
     assert {problem.code for problem in raised.value.problems} == codes
     assert all(problem.camera and problem.file and problem.hint for problem in raised.value.problems)
+
+
+def with_people(path: Path, num_people: int, person: list[float]) -> None:
+    path.write_text(json.dumps({"people": [{"pose_keypoints_2d": person}] * num_people}))
+
+
+def test_people_without_a_joint_are_left_out(scene: Path, simulation: Simulation) -> None:
+    before = opened(scene)
+    for path in (scene / "keypoints").rglob("*.json"):
+        edit(path, lambda people: people.extend([[0.0] * 51] * 200))
+    after = opened(scene)
+    for camera in simulation.cameras:
+        np.testing.assert_array_equal(
+            after.detections[camera.name].keypoints_px, before.detections[camera.name].keypoints_px
+        )
+
+
+def test_a_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
+    for path in (scene / "keypoints").rglob("*.json"):
+        with_people(path, 3, [0.0] * 51)
+    assert [warning for warning in opened(scene).warnings if "saw nobody" in warning]
+
+
+def test_too_many_people_are_named_with_camera_and_frame(scene: Path) -> None:
+    first, other = frames_of(scene)[3], frames_of(scene, 1)[5]
+    with_people(first, MAX_PEOPLE + 1, [100.0, 100.0, 0.5] * 17)
+    with_people(other, 5000, [0.0] * 51)
+    with pytest.raises(InputError) as raised:
+        opened(scene)
+    problems = {problem.camera: problem for problem in raised.value.problems}
+    assert {problem.code for problem in problems.values()} == {"too_many_people"}
+    assert problems[first.parent.name].message == "Frame 3 shows 129 people; at most 128 are taken."
+    assert problems[other.parent.name].message.startswith("Frame 5 shows 5000 people")
+    with_people(first, MAX_PEOPLE, [100.0, 100.0, 0.5] * 17)
+    other.unlink()
+    assert max(np.bincount(opened(scene).detections[first.parent.name].frame)) == MAX_PEOPLE
+
+
+def test_more_joints_than_a_session_may_hold_are_not_read(scene: Path, simulation: Simulation) -> None:
+    files = scene / "keypoints", scene / "calibration.json", scene / "timestamps.csv"
+    num_joints = sum(one.score.size for one in simulation.detections.values())
+    assert open_keypoints(*files, max_joints=num_joints)
+    with pytest.raises(InputError, match="more than") as raised:
+        open_keypoints(*files, max_joints=num_joints - 1)
+    assert "session_too_large" in {problem.code for problem in raised.value.problems}

@@ -30,3 +30,20 @@ def resident_bytes(mode: str) -> int:
 @pytest.mark.skipif(sys.platform != "linux", reason="an allocator of other systems")
 def test_pictures_that_were_freed_take_no_memory() -> None:
     assert resident_bytes("kept") - resident_bytes("given back") > 60_000_000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count other memory")
+def test_allocations_beyond_the_limit_fail() -> None:
+    program = (
+        "import numpy as np, resource\n"
+        "from pipeline.memory import limit_memory\n"
+        "limit_memory(2**30)\n"
+        "limit_memory(2**31)\n"
+        "np.ones(2**25)\n"
+        "try:\n"
+        "    np.ones(2**28)\n"
+        "except MemoryError:\n"
+        "    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert int(ended.stdout) < 2**20

@@ -92,7 +92,11 @@ def test_lengths_and_poses_come_back() -> None:
     for ours, theirs in zip(lengths, decode_lengths(encode_lengths(lengths)), strict=True):
         np.testing.assert_array_equal(theirs, ours)
     poses = Poses3D(
-        np.array([0, 0, 2]), RNG.normal(size=(3, 14, 3)), RNG.normal(size=(3, 14, 4, 2)), RNG.uniform(size=(3, 14, 4))
+        np.array([0, 0, 2]),
+        RNG.normal(size=(3, 14, 3)),
+        RNG.normal(size=(3, 14, 4, 2)),
+        RNG.uniform(size=(3, 14, 4)),
+        np.array([2]),
     )
     back = decode_poses(encode_poses(poses))
     for field in fields(Poses3D):

@@ -462,3 +462,13 @@ def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Be
     assert bench.store.job(job.id).result_warnings == (warning,)
     (delivery,) = bench.store.deliveries()
     assert json.loads(delivery.body)["data"]["warnings"] == ["Nobody was found."]
+
+
+def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: Bench) -> None:
+    bench.stages[DETECT] = fail_with(MemoryError("Unable to allocate 9.74 GiB"))
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    problem = bench.store.job(job.id).problem
+    assert problem is not None
+    assert (problem.code, problem.stage, problem.retryable) == ("memory_limit", DETECT, False)
+    assert "MULTICAP_MEMORY_BYTES" in str(problem.hint)

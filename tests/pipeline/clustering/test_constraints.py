@@ -62,3 +62,17 @@ def test_lengths_are_a_persons_medians() -> None:
     np.testing.assert_allclose(lengths.known_m[elbow], [0.305, np.nan])
     assert np.isnan(np.delete(lengths.known_m, elbow, axis=0)).all()
     assert unknown_lengths(skeleton).known_m.size == 0
+
+
+def test_the_error_is_that_of_the_best_of_many_lengths() -> None:
+    skeleton = skeleton_of(COCO_17)
+    shoulder, elbow = skeleton.names.index("left_shoulder"), skeleton.names.index("left_elbow")
+    rng = np.random.default_rng(0)
+    known_m = np.full((len(skeleton.names), 40), np.nan)
+    known_m[elbow, :30] = rng.uniform(0.15, 0.45, 30)
+    lengths = LimbLengths(known_m, np.array(skeleton.longest_m))
+    distance_m = rng.uniform(0.03, 0.49, 500)
+    parents = Places(np.array([shoulder]), np.zeros((1, 3)), np.zeros((1, 2), int))
+    points = Places(np.full(500, elbow), distance_m[:, None] * [1.0, 0.0, 0.0], np.zeros((500, 2), int))
+    of_each = np.abs(distance_m[:, None] - known_m[elbow, :30]) / known_m[elbow, :30]
+    np.testing.assert_array_equal(length_error(parents, points, skeleton, lengths)[0], of_each.min(1))

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.association import link, locate_people, measure_bones
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, FrameTimes, Observations, Track3D
+from pipeline.data import Detections, FrameTimes, Observations, People, Track3D
 from pipeline.detect.chunk import bodies_in
 from pipeline.keypoints import KeypointSession
 from pipeline.simulation.scenes import find_scene, record
@@ -39,7 +39,7 @@ def of_range(session: KeypointSession, frames: range) -> Mapping[str, Detections
     return {name: bodies_in(one, frames_in(times[name], *span)) for name, one in session.detections.items()}
 
 
-def clustered(session: KeypointSession, chunk_frames: int) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+def clustered(session: KeypointSession, chunk_frames: int) -> People:
     ranges = chunk_ranges(range(session.timebase.num_frames), chunk_frames)
     found = [of_range(session, frames) for frames in ranges]
     lengths = measure_bones(session, zip(ranges, found, strict=True), session.joints, CONFIG)

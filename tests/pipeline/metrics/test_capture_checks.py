@@ -73,3 +73,10 @@ def test_many_cameras_that_were_matched_with_nobody_are_one_check() -> None:
     assert code == "camera_without_people"
     assert message.startswith("60 cameras were matched with nobody: elsewhere-0, ")
     assert "elsewhere-9 and 50 more." in message
+
+
+def test_frames_with_approximate_association_are_counted() -> None:
+    crowded = replace(reconstruction(TRACK, observations=(observe(TRACK),)), num_approximate_frames=7)
+    (check,) = all_checks(quality_report(crowded))
+    assert check["code"] == "approximate_association"
+    assert check["message"].startswith("In 7 of 100 frames ")

@@ -1,3 +1,4 @@
+import time
 from itertools import combinations
 
 import numpy as np
@@ -77,3 +78,38 @@ def test_partition_of_people_who_stand_apart_is_exact(groups: list[int], seed: i
     cameras = np.array(groups)
     gain = sum(affinities[i, j] for part in partition(affinities, cameras).parts for i, j in combinations(part, 2))
     np.testing.assert_allclose(gain, _best_by_enumeration(affinities, cameras), atol=1e-6)
+
+
+def test_partition_of_two_cameras_is_exact_whatever_its_size() -> None:
+    num_people = 150
+    affinities = np.full((2 * num_people, 2 * num_people), -np.inf)
+    gain = np.random.default_rng(0).uniform(0, 1, (num_people, num_people))
+    affinities[:num_people, num_people:], affinities[num_people:, :num_people] = gain, gain.T
+    parts, is_exact = partition(affinities, np.repeat([0, 1], num_people))
+    assert is_exact
+    assert sorted((one, other - num_people) for one, other in parts) == sorted(assign(gain))
+
+
+def test_a_large_ambiguous_partition_is_approximate_and_bounded() -> None:
+    rng = np.random.default_rng(0)
+    cameras = np.arange(512) % 4
+    half = np.triu(rng.uniform(0.1, 1, (512, 512)), 1)
+    affinities = half + half.T
+    started_s = time.monotonic()
+    parts, is_exact = partition(affinities, cameras)
+    assert time.monotonic() - started_s < 20
+    assert not is_exact
+    assert all(len(set(cameras[list(part)])) == len(part) for part in parts)
+    assert sum(map(len, parts)) == 512
+    assert partition(affinities, cameras).parts == parts
+
+
+@given(seed=st.integers(0, 10_000))
+def test_camera_by_camera_finds_people_who_stand_apart(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    person, cameras = np.tile(np.arange(30), 4), np.repeat(np.arange(4), 30)
+    affinities = np.where(person[:, None] == person, rng.uniform(0.5, 1, (120, 120)), rng.uniform(-1, 0.2, (120, 120)))
+    affinities = np.minimum(affinities, affinities.T)
+    order = rng.permutation(120)
+    parts, _ = partition(affinities[np.ix_(order, order)], cameras[order])
+    assert sorted(tuple(sorted(person[order[list(part)]])) for part in parts) == [(k,) * 4 for k in range(30)]

@@ -275,7 +275,8 @@ def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(job
 
 def test_a_second_finder_waits_for_the_first_one(jobs: Bench) -> None:
     detect, export = stages(2)
-    chunks = tuple(replace(export.chunks[0], index=index, output_key=f"export-{index}") for index in range(3))
+    (chunk,) = export.chunks
+    chunks = tuple(replace(chunk, index=index, output_key=f"export-{index}") for index in range(3))
     job_id = jobs.store.create_job(jobs.session_id, JobSpec(), (detect, replace(export, chunks=chunks))).id
     for _ in range(2):
         jobs.finish(jobs.claim())

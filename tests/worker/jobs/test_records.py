@@ -107,7 +107,7 @@ def test_thousands_of_chunks(jobs: Bench) -> None:
     job = jobs.queue(2500)
     detect, export = jobs.store.job(job.id).stages
     assert (detect.total, export.total) == (2500 * UNITS, UNITS)
-    assert jobs.store.outputs(job.id, "detect") == [f"detect-{k}" for k in range(2500)]
+    assert [one.key for one in jobs.store.outputs(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
 
 
 def test_places_in_the_queue(jobs: Bench) -> None:

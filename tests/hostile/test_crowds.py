@@ -1,0 +1,106 @@
+"""Crowds that no camera can tell apart: bounded time and memory, a result or none, and a warning."""
+
+import multiprocessing
+import resource
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+
+from pipeline.association import link, locate_people, measure_bones, track
+from pipeline.clustering.effort import Effort
+from pipeline.config import ReconstructionConfig
+from pipeline.data import People
+from pipeline.keypoints import MAX_PEOPLE, KeypointSession
+from pipeline.simulation.clocks import Clock
+from pipeline.simulation.director import Cast
+from pipeline.simulation.rigs import Layout, Rig
+from pipeline.simulation.scenes import Scene, record
+from tests.hostile.crowds import hostile_crowds
+
+CLUSTERING = ReconstructionConfig(method="clustering")
+NAMES = list(hostile_crowds(1, 2, 1))
+MAX_FRAME_S = 60.0  # a shared machine takes 16 s for the worst one
+MAX_RESIDENT_KIB = 2 * 2**20
+
+
+@pytest.fixture(scope="module")
+def child() -> Iterator[ProcessPoolExecutor]:
+    """A process whose peak of memory is not that of the other tests."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+def cluster(session: KeypointSession) -> People:
+    frames = range(session.timebase.num_frames)
+    lengths = measure_bones(session, [(frames, session.detections)], session.joints, CLUSTERING)
+    poses = locate_people(session, frames, session.detections, lengths, session.joints, CLUSTERING)
+    return link(session, [poses], session.joints, CLUSTERING)
+
+
+def reconstruct(method: str, name: str, num_cameras: int, num_frames: int) -> tuple[float, int, int]:
+    """Seconds, frames that were approximate, and the process's peak of memory in KiB."""
+    session = hostile_crowds(MAX_PEOPLE, num_cameras, num_frames)[name]()
+    started_s = time.monotonic()
+    people = track(session, session.detections) if method == "tracking" else cluster(session)
+    taken_s = time.monotonic() - started_s
+    return taken_s, people.num_approximate_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
+def test_a_frame_of_a_hostile_crowd_is_bounded(child: ProcessPoolExecutor, method: str, name: str) -> None:
+    num_frames = 3 if method == "tracking" else 1
+    taken_s, _, peak_kib = child.submit(reconstruct, method, name, 4, num_frames).result()
+    assert taken_s < 2 * num_frames * MAX_FRAME_S
+    assert peak_kib < MAX_RESIDENT_KIB
+
+
+@pytest.mark.parametrize(("method", "name"), [("tracking", "cameras are the same"), ("clustering", "in one place")])
+def test_frames_that_are_approximate_are_counted(child: ProcessPoolExecutor, method: str, name: str) -> None:
+    _, num_approximate, _ = child.submit(reconstruct, method, name, 4, 2).result()
+    assert num_approximate > 0
+
+
+def test_thirty_one_cameras_in_a_hostile_crowd(child: ProcessPoolExecutor) -> None:
+    taken_s, num_approximate, peak_kib = child.submit(reconstruct, "tracking", "nearly in one place", 31, 1).result()
+    assert num_approximate == 1
+    assert taken_s < MAX_FRAME_S
+    assert peak_kib < MAX_RESIDENT_KIB
+
+
+def people_in_a_hall(num_people: int, num_cameras: int, num_frames: int) -> tuple[KeypointSession, np.ndarray]:
+    """A simulated session of people a good metre apart, and where they are."""
+    rig = Rig(Layout.RING, num_cameras, (14.0, 12.0), 4.0, (1920, 1080), 1100.0)
+    cast = Cast(num_people, (20.0, 16.0), gap_m=0.4, walking=0.25)
+    found = record(Scene(rig, cast, Clock(25.0), duration_s=num_frames / 25.0), seed=1)
+    session = KeypointSession(found.cameras, found.times, found.timebase, found.detections, found.joints, {}, ())
+    return session, found.truth_m
+
+
+@pytest.mark.parametrize("method", ["tracking", "clustering"])
+def test_a_hundred_people_in_a_frame(method: str) -> None:
+    session, truth_m = people_in_a_hall(100, 8, 6 if method == "tracking" else 4)
+    assert max(int(np.bincount(one.frame).max()) for one in session.detections.values()) > 90
+    people = track(session, session.detections) if method == "tracking" else cluster(session)
+    middle_m = np.nanmean(truth_m[:, 2], axis=1)
+    found_m = [np.nanmean(one.xyz_m[2 - one.start_frame], axis=0) for one in people.tracks if one.start_frame <= 2]
+    apart_m = np.linalg.norm(middle_m[:, None] - np.array(found_m), axis=-1)
+    assert np.count_nonzero(apart_m.min(1) < 0.3) > 90
+
+
+def test_progress_comes_from_within_a_pass_over_a_crowd() -> None:
+    session = hostile_crowds(40, 4, 20)["elsewhere in each frame"]()
+    shares: list[float] = []
+    track(session, session.detections, on_share=shares.append)
+    assert len(shares) >= 20
+    assert shares == sorted(shares)
+
+
+def test_effort_is_spent_once() -> None:
+    effort = Effort()
+    while effort.allows_round(10_000):
+        assert effort.is_exact
+    assert not effort.is_exact
