@@ -23,6 +23,11 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
+def no_frames() -> Int[np.ndarray, " 0"]:
+    """Frame numbers of no frame."""
+    return read_only(np.empty(0, np.int64))
+
+
 class Source(IntEnum):
     """How a joint of a frame is known."""
 
@@ -88,6 +93,8 @@ class Detections:
         The detector's confidence in [0, 1], 0 where the joint is NaN.
     box_px
         x0, y0, x1, y1 around each body.
+    damaged
+        Numbers of the frames whose picture is damaged or missing, ascending.
     """
 
     camera: str
@@ -95,6 +102,7 @@ class Detections:
     keypoints_px: Float[np.ndarray, "n joints 2"]
     score: Float[np.ndarray, "n joints"]
     box_px: Float[np.ndarray, "n 4"]
+    damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +149,8 @@ class PafFields:
         Which two joints each field leads from and to, numbers on the joint axis.
     grid
         Where the fields' cells lie on the image.
+    damaged
+        Numbers of the frames whose picture is damaged or missing, ascending; a missing one is not in ``frame``.
     """
 
     camera: str
@@ -152,6 +162,7 @@ class PafFields:
     fields: UInt8[np.ndarray, "frames limbs 2 height width"]
     limbs: Int[np.ndarray, "limbs 2"]
     grid: MapGrid
+    damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -373,6 +384,28 @@ class Animation:
     floor: Floor | None
 
 
+@dataclass(frozen=True, slots=True)
+class DamagedVideo:
+    """A video with damaged or missing pictures among the frames that a reconstruction uses.
+
+    Parameters
+    ----------
+    camera, file
+        Name of the camera, and of the video's file.
+    num_damaged, num_frames
+        How many frames are damaged, of how many that are used.
+    first_s, last_s
+        Times of the first and the last damaged frame since the start of the video.
+    """
+
+    camera: str
+    file: str
+    num_damaged: int
+    num_frames: int
+    first_s: float
+    last_s: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
     """Everything that a reconstruction gives.
@@ -387,6 +420,8 @@ class Reconstruction:
         Made of them, in their order.
     num_approximate_frames
         Output frames in which people were not told apart exactly: there was more to decide than exact methods can.
+    damaged
+        Videos with damaged frames, in the cameras' order.
     """
 
     cameras: tuple[Camera, ...]
@@ -397,6 +432,7 @@ class Reconstruction:
     animation: Animation
     warnings: tuple[str, ...] = field(default=())
     num_approximate_frames: int = 0
+    damaged: tuple[DamagedVideo, ...] = ()
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -103,6 +103,10 @@ class InputError(PipelineError):
         self.problems = tuple(problems)
         super().__init__("\n".join(str(problem) for problem in listed(self.problems)))
 
+    def __reduce__(self) -> tuple[type["InputError"], tuple[Sequence[Problem]]]:
+        """Problems as the argument to make an equal error of: detection processes raise it, too."""
+        return type(self), (self.problems,)
+
 
 class ChildError(PipelineError):
     """A process of Multicap's own failed; the input is not at fault, and a retry may succeed."""

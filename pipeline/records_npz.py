@@ -6,16 +6,18 @@ Only plain arrays are written and read (no pickles): a file that was tampered wi
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, fields
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data import (
     Animation,
     Camera,
+    DamagedVideo,
     Detections,
     Floor,
     FootContact,
@@ -28,6 +30,7 @@ from pipeline.data import (
     SkeletonMotion,
     Timebase,
     Track3D,
+    no_frames,
 )
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
@@ -49,6 +52,7 @@ _CONTACT = np.dtype(
         ("slide_after_m", np.float64),
     ]
 )
+_DAMAGED_VIDEOS = "damaged_videos"
 _DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
 
 
@@ -182,20 +186,30 @@ def decode_keypoints(content: bytes) -> KeypointSession:
 
 def encode_detections(detections: Detections) -> bytes:
     """Write the detections of one camera."""
-    return _encode({field.name: np.asarray(getattr(detections, field.name)) for field in fields(detections)})
+    arrays = {name: np.asarray(getattr(detections, name)) for name in _DETECTION_ARRAYS}
+    return _encode({"camera": np.array(detections.camera), **arrays, **_damaged(detections)})
 
 
 def decode_detections(content: bytes) -> Detections:
     """Read what ``encode_detections`` wrote."""
     arrays = _decode(content)
-    return Detections(str(arrays["camera"]), *(arrays[name] for name in _DETECTION_ARRAYS))
+    return Detections(
+        str(arrays["camera"]),
+        damaged=arrays.get("damaged", no_frames()),
+        **{name: arrays[name] for name in _DETECTION_ARRAYS},
+    )
+
+
+def _damaged(found: Detections | PafFields) -> dict[str, np.ndarray]:
+    """Array of damaged frames; absent where there are none, for archives of undamaged videos keep their bytes."""
+    return {"damaged": found.damaged} if len(found.damaged) else {}
 
 
 def encode_fields(fields: PafFields) -> bytes:
     """Write the peaks and fields of one camera."""
     arrays = {name: np.asarray(getattr(fields, name)) for name in _FIELD_ARRAYS}
     grid = np.array([fields.grid.offset_px, fields.grid.pitch_px])
-    return _encode({"camera": np.array(fields.camera), "grid": grid, **arrays})
+    return _encode({"camera": np.array(fields.camera), "grid": grid, **arrays, **_damaged(fields)})
 
 
 def decode_fields(content: bytes) -> PafFields:
@@ -203,18 +217,40 @@ def decode_fields(content: bytes) -> PafFields:
     arrays = _decode(content)
     offset_px, pitch_px = (tuple(row) for row in arrays["grid"].tolist())
     return PafFields(
-        str(arrays["camera"]), grid=MapGrid(offset_px, pitch_px), **{name: arrays[name] for name in _FIELD_ARRAYS}
+        str(arrays["camera"]),
+        grid=MapGrid(offset_px, pitch_px),
+        damaged=arrays.get("damaged", no_frames()),
+        **{name: arrays[name] for name in _FIELD_ARRAYS},
     )
 
 
-def encode_lengths(lengths: LimbLengths) -> bytes:
-    """Write everybody's bone lengths."""
-    return _encode(lengths._asdict())
+def decode_damaged(content: bytes) -> Int[np.ndarray, " damaged"]:
+    """Read the numbers of damaged frames, and nothing else, from what ``encode_fields`` wrote."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        return archive["damaged"] if "damaged" in archive.files else no_frames()
+
+
+def encode_lengths(lengths: LimbLengths, damaged: Sequence[DamagedVideo] = ()) -> bytes:
+    """Write everybody's bone lengths, with the damaged videos among those that they were measured in."""
+    return _encode({**lengths._asdict(), **_damaged_videos(damaged)})
 
 
 def decode_lengths(content: bytes) -> LimbLengths:
-    """Read what ``encode_lengths`` wrote."""
-    return LimbLengths(**_decode(content))
+    """Read the bone lengths that ``encode_lengths`` wrote."""
+    arrays = _decode(content)
+    return LimbLengths(**{name: arrays[name] for name in LimbLengths._fields})
+
+
+def _damaged_videos(damaged: Sequence[DamagedVideo]) -> dict[str, np.ndarray]:
+    """Array of damaged videos; absent where there are none."""
+    return {_DAMAGED_VIDEOS: np.array(json.dumps([asdict(one) for one in damaged]))} if damaged else {}
+
+
+def decode_damaged_videos(content: bytes) -> tuple[DamagedVideo, ...]:
+    """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``encode_tracks`` wrote."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        written = json.loads(str(archive[_DAMAGED_VIDEOS])) if _DAMAGED_VIDEOS in archive.files else []
+    return tuple(DamagedVideo(**one) for one in written)
 
 
 def encode_poses(poses: Poses3D) -> bytes:
@@ -227,9 +263,9 @@ def decode_poses(content: bytes) -> Poses3D:
     return Poses3D(**_decode(content))
 
 
-def encode_people(people: People) -> bytes:
-    """Write tracks with the observations behind them."""
-    arrays = _track_arrays(people.tracks)
+def encode_people(people: People, damaged: Sequence[DamagedVideo] = ()) -> bytes:
+    """Write tracks with the observations behind them, and the damaged videos among those that they come from."""
+    arrays = _track_arrays(people.tracks) | _damaged_videos(damaged)
     arrays["num_approximate_frames"] = np.array(people.num_approximate_frames)
     for k, seen in enumerate(people.observations):
         arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
@@ -237,7 +273,7 @@ def encode_people(people: People) -> bytes:
 
 
 def decode_people(content: bytes) -> People:
-    """Read what ``encode_people`` wrote."""
+    """Read the tracks and observations that ``encode_people`` wrote."""
     arrays = _decode(content)
     tracks = _tracks(arrays)
     observations = tuple(

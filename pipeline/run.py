@@ -28,15 +28,16 @@ from pipeline.association import (
 )
 from pipeline.child_processes import ProcessPool
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, People, Reconstruction
+from pipeline.data import DamagedVideo, Detections, People, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
+from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.detect.field_files import FieldFiles
 from pipeline.errors import ChildError, InputError, Problem
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
 from pipeline.progress import OnProgress, Progress, Stage, in_units, silent
-from pipeline.records_npz import encode_fields
+from pipeline.records_npz import decode_damaged, encode_fields
 from pipeline.session import CaptureSession
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.smooth import check_smoothing
@@ -69,7 +70,8 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a video can't be decoded, or there are no such frames, or no such parameter.
+        If a video can't be decoded or too many of its frames are damaged, or there are no such frames, or no such
+        parameter.
     ModelError
         If the detector is not installed.
     PipelineError
@@ -84,9 +86,12 @@ def reconstruct(
     if uses_fields(session, config):
         with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
             files = FieldFiles(Path(folder), cameras)
+            damaged_frames: list[DamagedFrames] = []
             with closing(_map(_fields_of, session, chunks, detector, config, on_progress)) as detected_fields:
-                for chunk, fields in zip(chunks, detected_fields, strict=True):
-                    files.write(*chunk, fields)
+                for (camera, frames), fields in zip(chunks, detected_fields, strict=True):
+                    files.write(camera, frames, fields)
+                    damaged_frames.append((camera, decode_damaged(fields)))
+            damaged = damaged_videos(wanted, damaged_frames)
             first = ranges[0].start
             of_wanted = [range(one.start - first, one.stop - first) for one in ranges]
             people = _cluster(
@@ -97,7 +102,7 @@ def reconstruct(
                 config,
                 on_progress,
             )
-        return _finish(wanted, people, detector.joints, config, on_progress)
+        return _finish(wanted, people, detector.joints, config, on_progress, damaged)
     with closing(_map(_bodies_of, session, chunks, detector, config, on_progress)) as detected:
         detections = concatenate(detected, cameras, len(detector.joints.names))
     return _reconstruct_people(wanted, detections, detector.joints, config, on_progress)
@@ -143,6 +148,7 @@ def _reconstruct_people(
     config: ReconstructionConfig,
     on_progress: OnProgress,
 ) -> Reconstruction:
+    damaged = damaged_videos(session, [(camera, one.damaged) for camera, one in detections.items()])
     if config.method == "clustering":
         people = _cluster(
             session,
@@ -156,7 +162,7 @@ def _reconstruct_people(
         num_frames = session.timebase.num_frames
         count = _counter("associate", num_frames, on_progress)
         people = track(session, detections, config, in_units(num_frames, count))
-    return _finish(session, people, joints, config, on_progress)
+    return _finish(session, people, joints, config, on_progress, damaged)
 
 
 def _cluster(
@@ -178,7 +184,12 @@ def _cluster(
 
 
 def _finish(
-    session: Views, people: People, joints: JointSet, config: ReconstructionConfig, on_progress: OnProgress
+    session: Views,
+    people: People,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_progress: OnProgress,
+    damaged: tuple[DamagedVideo, ...],
 ) -> Reconstruction:
     located, observations, num_approximate_frames = people
     count = _counter("fit", 2 * len(located), on_progress)
@@ -193,6 +204,7 @@ def _finish(
         animation=animation,
         warnings=(*session.warnings, *([_BY_MEMBERSHIP] if by_membership else [])),
         num_approximate_frames=num_approximate_frames,
+        damaged=damaged,
     )
 
 

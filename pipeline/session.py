@@ -14,7 +14,8 @@ from pipeline.errors import InputError, Problem
 from pipeline.pairing import pair_by_name
 from pipeline.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import mean_rate_hz, probe_in_children
+from pipeline.video.probe import mean_rate_hz
+from pipeline.video.probe_process import probe_in_children
 from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
 
 MIN_CAMERAS = 2
@@ -139,6 +140,7 @@ def open_session(
     times = {name: _times(video, known.get(name)) for name, video in paired.items()}
     if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
         raise InputError(problems)
+    warnings += [_repeated_times(video) for video in paired.values() if video.num_repeated]
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
 
 
@@ -249,6 +251,11 @@ def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], 
                 Problem("duplicate_video", f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
             )
     return paths, warnings, problems
+
+
+def _repeated_times(video: VideoInfo) -> str:
+    frames = "A frame of" if video.num_repeated == 1 else f"{video.num_repeated} frames of"
+    return f"{frames} {video.path.name} left out: another frame has the same time."
 
 
 def _size_problem(camera: Camera, video: VideoInfo) -> Problem:

@@ -14,6 +14,7 @@ from pipeline.association import Found, Views, link, locate_people, measure_bone
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
+from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.detector import open_detector
 from pipeline.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.export.results import METRICS, write_results
@@ -23,6 +24,7 @@ from pipeline.metrics.quality import all_checks
 from pipeline.progress import in_units
 from pipeline.records_npz import (
     decode_animation,
+    decode_damaged_videos,
     decode_detections,
     decode_fields,
     decode_keypoints,
@@ -187,11 +189,16 @@ def measure_lengths(work: Work) -> Outcome:
     session, joints = _views_of(work)
     cut = FrameCut.of(work.session, work.claim.spec, work.claim.payload["chunk_frames"])
     first = cut.frames.start
-    chunks = (
-        (range(frames.start - first, frames.stop - first), _found(work, session, joints, number))
-        for number, frames in enumerate(cut)
-    )
-    return Outcome(encode_lengths(measure_bones(session, chunks, joints, _config(work), work.on_unit)))
+    damaged: list[DamagedFrames] = []
+
+    def chunks() -> Iterator[tuple[range, Found]]:
+        for number, frames in enumerate(cut):
+            found = _found(work, session, joints, number)
+            damaged.extend((camera, one.damaged) for camera, one in found.items())
+            yield range(frames.start - first, frames.stop - first), found
+
+    lengths = measure_bones(session, chunks(), joints, _config(work), work.on_unit)
+    return Outcome(encode_lengths(lengths, damaged_videos(session, damaged)))
 
 
 def find_poses(work: Work) -> Outcome:
@@ -209,12 +216,14 @@ def associate_people(work: Work) -> Outcome:
     session, joints = _views_of(work)
     if work.claim.spec.method == "clustering":
         poses = [decode_poses(content) for content in work.outputs(POSES)]
-        return Outcome(encode_people(link(session, poses, joints, _config(work))))
+        damaged = decode_damaged_videos(*work.outputs(LENGTHS))
+        return Outcome(encode_people(link(session, poses, joints, _config(work)), damaged))
     detections = (
         session.detections if isinstance(session, KeypointSession) else _bodies(session, joints, work.outputs(DETECT))
     )
+    damaged = damaged_videos(session, [(camera, one.damaged) for camera, one in detections.items()])
     on_share = in_units(work.claim.unit_count, work.on_unit)
-    return Outcome(encode_people(track(session, detections, _config(work), on_share)))
+    return Outcome(encode_people(track(session, detections, _config(work), on_share), damaged))
 
 
 def fit_skeletons(work: Work) -> Outcome:
@@ -228,7 +237,8 @@ def fit_skeletons(work: Work) -> Outcome:
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
     session, joints = _views_of(work)
-    located, observations, num_approximate_frames = decode_people(*work.outputs(ASSOCIATE))
+    (associated,) = work.outputs(ASSOCIATE)
+    located, observations, num_approximate_frames = decode_people(associated)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
@@ -238,6 +248,7 @@ def export(work: Work) -> Outcome:
         animation=decode_animation(*work.outputs(FIT)),
         warnings=session.warnings,
         num_approximate_frames=num_approximate_frames,
+        damaged=decode_damaged_videos(associated),
     )
     files = []
     spec = work.claim.spec

@@ -1,14 +1,17 @@
 """Decode and detect one range of one camera's frames: the map of a reconstruction."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Int, UInt8
 
-from pipeline.data import Detections, MapGrid, PafFields, read_only
+from pipeline.data import Detections, MapGrid, PafFields, no_frames, read_only
 from pipeline.detect.detector import Bodies, Detector
 from pipeline.detect.fields import ImageFields
 from pipeline.detect.openpose import LIMBS
+from pipeline.errors import InputError
 from pipeline.memory import give_pictures_back
 from pipeline.session import CaptureSession
 from pipeline.video.decode import decode
@@ -37,12 +40,14 @@ def detect_chunk(
 
     Raises
     ------
-    InputError
-        If a frame can't be decoded.
+    InputError, ChildError
+        As of ``decode``.
     """
-    frames = _images(session, camera, span_s, on_frame)
-    bodies = [(frame, detector.detect(image_rgb)) for frame, image_rgb in frames]
-    return _as_detections(camera, bodies, len(detector.joints.names))
+    damaged: list[int] = []
+    with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
+        bodies = [(frame, detector.detect(image_rgb)) for frame, image_rgb in frames]
+    found = _as_detections(camera, bodies, len(detector.joints.names))
+    return replace(found, damaged=_frame_numbers(damaged))
 
 
 def detect_fields_chunk(
@@ -59,20 +64,34 @@ def detect_fields_chunk(
     detector
         Of a network with part affinity fields.
     """
-    frames = _images(session, camera, span_s, on_frame)
-    return stack_fields(camera, [(frame, detector.detect_fields(image_rgb)) for frame, image_rgb in frames])
+    damaged: list[int] = []
+    with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
+        found = [(frame, detector.detect_fields(image_rgb)) for frame, image_rgb in frames]
+    return replace(stack_fields(camera, found), damaged=_frame_numbers(damaged))
 
 
 def _images(
-    session: CaptureSession, camera: str, span_s: tuple[float, float], on_frame: Callable[[], None]
-) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
+    session: CaptureSession,
+    camera: str,
+    span_s: tuple[float, float],
+    on_frame: Callable[[], None],
+    on_damaged: Callable[[int], None],
+) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Frames of a range and their numbers; each counts as done when the next one is asked for."""
     give_pictures_back()
     video = session.videos[[one.name for one in session.cameras].index(camera)]
     frames = frames_in(session.times[camera], *span_s)
-    for frame, image_rgb in decode(video, frames.start, frames.stop):
-        yield frame, image_rgb
-        on_frame()
+    try:
+        with closing(decode(video, frames.start, frames.stop, on_damaged)) as images:
+            for frame, image_rgb in images:
+                yield frame, image_rgb
+                on_frame()
+    except InputError as error:
+        raise InputError([replace(problem, camera=camera) for problem in error.problems]) from error
+
+
+def _frame_numbers(frames: Sequence[int]) -> Int[np.ndarray, " frames"]:
+    return read_only(np.array(frames, np.int64))
 
 
 def stack_fields(camera: str, found: Sequence[tuple[int, ImageFields]]) -> PafFields:
@@ -116,6 +135,7 @@ def bodies_in(detections: Detections, frames: range) -> Detections:
         keypoints_px=detections.keypoints_px[rows],
         score=detections.score[rows],
         box_px=detections.box_px[rows],
+        damaged=detections.damaged[slice(*np.searchsorted(detections.damaged, [frames.start, frames.stop]))],
     )
 
 
@@ -131,6 +151,7 @@ def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints
             keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for one in found)]),
             score=np.concatenate([np.empty((0, num_joints)), *(one.score for one in found)]),
             box_px=np.concatenate([np.empty((0, 4)), *(one.box_px for one in found)]),
+            damaged=np.concatenate([no_frames(), *(one.damaged for one in found)]),
         )
         for camera, found in of_camera.items()
     }

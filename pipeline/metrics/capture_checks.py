@@ -4,12 +4,12 @@ What fails here is mostly the capture itself: too few cameras, cameras that poin
 belongs to another set-up, so that no two cameras agree on a person.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool
 
-from pipeline.data import Reconstruction
+from pipeline.data import DamagedVideo, Reconstruction
 from pipeline.metrics.names import first_names
 
 # With fewer views than this a mistake in one of them can't be told from the truth.
@@ -29,6 +29,7 @@ def capture_checks(
     names = [camera.name for camera in reconstruction.cameras]
     checks = (
         _check_rig(names),
+        _check_videos(reconstruction.damaged),
         _check_people(seen),
         _check_cameras(names, seen),
         _check_views(names, seen),
@@ -43,6 +44,21 @@ def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
             "too_few_cameras",
             f"The session has {len(names)} cameras: with fewer than {_MIN_VIEWS}, mistakes of a camera stay unnoticed.",
         )
+
+
+def _check_videos(damaged: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+    if not damaged:
+        return
+    described = [
+        f"{one.file} ({one.num_damaged} of {one.num_frames} frames, from {one.first_s:.1f} to {one.last_s:.1f} s)"
+        for one in damaged
+    ]
+    videos = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
+    yield (
+        "damaged_video",
+        f"{videos} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's next "
+        "keyframe.",
+    )
 
 
 def _check_people(seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:

@@ -1,18 +1,27 @@
-"""Open a stranger's video: container formats only, this one file only, one thread."""
+"""Open a stranger's video: container formats only, this one file only, one thread; and decode it from a keyframe on.
 
-from collections.abc import Iterator
+Of Multicap's own modules this one imports none, and NumPy neither: decoder processes start with it.
+"""
+
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import av
 from av.container import InputContainer
 from av.error import FFmpegError
+from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 # A playlist or a concat script would make FFmpeg open whatever it names.
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,mpegts,mpeg", "protocol_whitelist": "file"}
 
+# After a seek in an MPEG program stream FFmpeg guesses the times of frames, wrongly.
+_NEVER_SEEK = frozenset({"mpeg"})
+
 CODECS = frozenset({"h264", "hevc", "av1", "vp8", "vp9", "mpeg4", "mpeg2video", "mjpeg", "prores", "dnxhd", "ffv1"})
+MAX_PIXELS = 8192 * 4320
+"""Limit on the pixels of a picture; decoders refuse larger ones before they allocate memory for them."""
 
 # All that a broken file makes PyAV raise.
 DECODE_ERRORS = (FFmpegError, OSError, ValueError, EOFError)
@@ -31,5 +40,70 @@ def first_video(container: InputContainer) -> VideoStream | None:
     for stream in container.streams.video:
         if stream.codec_context is not None:
             stream.codec_context.thread_count = 1
+            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
             return stream
     return None
+
+
+def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterator[VideoFrame]:
+    """Decode frames in the order in which they are shown, from a keyframe that is not after ``target_pts``.
+
+    Packets that can't be decoded are skipped: their frames are missing.
+
+    Parameters
+    ----------
+    seek_pts
+        Timestamps of keyframes to start at, the best one first. A seek may lead past the keyframe (damaged index,
+        MPEG-TS), and a container may call a frame a keyframe that is none: then the next timestamp is tried, and at
+        last the start of the file. An MPEG program stream is always decoded from its start.
+
+    Raises
+    ------
+    DECODE_ERRORS
+        If the file can't be opened or read.
+    """
+    for keyframe_pts in seek_pts:
+        with open_container(path) as container:
+            frames = _decode_after_seek(container, keyframe_pts)
+            first = next(frames, None)
+            if first is not None and first.key_frame and _is_shown_by(first, target_pts):
+                yield first
+                yield from frames
+                return
+    with open_container(path) as container:
+        yield from _decode(container, first_video(container))
+
+
+def shown_at(frame: VideoFrame) -> int | None:
+    """Timestamp at which a frame is shown, in units of the stream's time base; ``None`` if it has none."""
+    return frame.dts if frame.pts is None else frame.pts
+
+
+def _is_shown_by(frame: VideoFrame, pts: int) -> bool:
+    """Whether a frame is shown at a timestamp or before it; not if it has no timestamp."""
+    shown_pts = shown_at(frame)
+    return shown_pts is not None and shown_pts <= pts
+
+
+def _decode_after_seek(container: InputContainer, pts: int) -> Iterator[VideoFrame]:
+    if container.format.name in _NEVER_SEEK:
+        return
+    stream = first_video(container)
+    try:
+        container.seek(pts, stream=stream)
+    except DECODE_ERRORS:  # the file has no index that can be used
+        return
+    yield from _decode(container, stream)
+
+
+def _decode(container: InputContainer, stream: VideoStream | None) -> Iterator[VideoFrame]:
+    if stream is None:
+        return
+    for packet in container.demux(stream):
+        try:
+            frames = packet.decode()
+        except MemoryError:
+            raise
+        except DECODE_ERRORS:
+            continue
+        yield from frames

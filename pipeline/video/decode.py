@@ -1,144 +1,127 @@
-"""Decode ranges of frames: exactly the frames asked for, whatever the cut."""
+"""Decode ranges of frames: exactly the frames asked for, whatever the cut.
 
-import gc
-from collections.abc import Iterator
-from fractions import Fraction
+Each range is decoded in a process of its own with limits on memory and time, which works ahead by a frame or two.
+"""
+
+from collections.abc import Callable, Generator
+from contextlib import closing
 
 import numpy as np
-from av.container import InputContainer
-from av.filter import Graph
-from av.video.frame import VideoFrame
-from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from pipeline.errors import InputError, Problem
-from pipeline.video.container import DECODE_ERRORS, first_video, open_container
-from pipeline.video.info import VideoInfo
+from pipeline.video.decoder import Request
+from pipeline.video.decoder_process import LimitError, UnreadableError, decoded_frames
+from pipeline.video.info import VideoInfo, seek_points
+
+# As for the check of a video, and for each frame from the start of the file on, where decoding may have to begin.
+_MAX_CPU_S = 110
+_MAX_CPU_S_PER_FRAME = 1
 
 
 def decode(
-    video: VideoInfo, start_frame: int, stop_frame: int
-) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
-    """Decode the frames ``start_frame <= k < stop_frame``, in order, one in memory at a time.
+    video: VideoInfo, start_frame: int, stop_frame: int, on_damaged: Callable[[int], object] = lambda _: None
+) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
+    """Decode the frames ``start_frame <= k < stop_frame``, in order.
+
+    An iterator that is not read to its end is to be closed: a process belongs to it.
+
+    Parameters
+    ----------
+    on_damaged
+        Called with the number of each frame that the decoder marks as damaged, and of each frame without a picture:
+        the decoder could not make one.
 
     Yields
     ------
-        Number and RGB picture of each frame, turned as the video says.
+        Number and RGB picture of each frame, turned as the video says. A picture is valid until the next one is asked
+        for: all have the same memory.
 
     Raises
     ------
     InputError
-        If a frame can't be decoded.
+        If the file can't be read, if its decoder crashes or takes more time or memory than it may, if the size of the
+        pictures changes, or if the times of the frames go back.
+    ChildError
+        If the decoder's process fails for a reason that is not the file.
     """
-    try:
-        yield from _decode(video, start_frame, stop_frame)
-    finally:
-        # A container and its streams refer to each other: uncollected, decoders with all their pictures pile up.
-        # Only out here does nothing else hold them.
-        gc.collect()
-
-
-def _decode(
-    video: VideoInfo, start_frame: int, stop_frame: int
-) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
-    stop_frame = min(stop_frame, video.num_frames)
-    wanted = max(start_frame, 0)
-    if wanted >= stop_frame:
+    wanted = range(max(start_frame, 0), min(stop_frame, video.num_frames))
+    if not wanted:
         return
+    following = wanted.start
     try:
-        with open_container(video.path) as container:
-            stream = first_video(container)
-            if stream is None:
-                raise _undecodable(video, wanted)
-            to_rgb: Graph | None = None
-            for frame in _frames_from(container, stream, video, wanted):
-                number = _number(video, frame)
-                if number is None or number < wanted:
+        with closing(decoded_frames(_request(video, wanted))) as frames:
+            previous_pts = None
+            for frame in frames:
+                if frame.size_px != video.stored_size_px:
+                    raise _changed_size(video, following, frame.size_px)
+                if previous_pts is not None and frame.pts < previous_pts:
+                    raise _times_go_back(video, following)
+                previous_pts = frame.pts
+                number = _number(video, frame.pts)
+                if frame.image_rgb is None or number is None or number < following:
                     continue
-                if number > wanted:
-                    raise _undecodable(video, wanted)
-                to_rgb = to_rgb or _rgb_converter(frame)
-                to_rgb.vpush(frame)
-                yield number, _upright(to_rgb.vpull(), video, number)
-                wanted += 1
-                if wanted == stop_frame:
-                    return
-    except DECODE_ERRORS as error:
-        raise _undecodable(video, wanted) from error
-    raise _undecodable(video, wanted)
+                for missing in range(following, number):
+                    on_damaged(missing)
+                if frame.is_damaged:
+                    on_damaged(number)
+                following = number + 1
+                yield number, np.rot90(frame.image_rgb, k=video.rotation_deg // 90)
+    except UnreadableError:
+        raise _undecodable(video, following) from None
+    except LimitError:
+        raise _beyond_limits(video, following) from None
+    for missing in range(following, wanted.stop):
+        on_damaged(missing)
 
 
-def _frames_from(container: InputContainer, stream: VideoStream, video: VideoInfo, wanted: int) -> Iterator[VideoFrame]:
-    """Frames from the last keyframe that is not after the wanted one.
-
-    Frames shown before a keyframe but stored after it need the keyframe before (open GOP); all that is shown after it
-    can be decoded from it.
-    """
-    target = int(video.pts[wanted])
-    position = int(np.searchsorted(video.keyframe_pts, target, side="right")) - 1
-    keyframe = int(video.keyframe_pts[max(0, position)])
-    if wanted > 0 and keyframe > video.pts[0]:
-        container.seek(keyframe, stream=stream)
-        frames = container.decode(video=0)
-        first = next(frames, None)
-        if first is not None and first.pts is not None and first.pts <= target:
-            yield first
-            yield from frames
-            return
-        # The container's index led past it.
-        container.seek(int(video.pts[0]), stream=stream)
-    yield from container.decode(video=0)
-
-
-def _number(video: VideoInfo, frame: VideoFrame) -> int | None:
-    """Frame number by timestamp; ``None`` for a picture that is not meant to be shown."""
-    stamp = frame.dts if frame.pts is None else frame.pts
-    if stamp is None:
-        return None
-    number = int(np.searchsorted(video.pts, stamp))
-    return number if number < video.num_frames and video.pts[number] == stamp else None
-
-
-def _rgb_converter(frame: VideoFrame) -> Graph:
-    """A converter for frames like this one; a filter graph, for it reuses the memory of pictures that were let go."""
-    graph = Graph()
-    graph.threads = 1
-    source = graph.add_buffer(
-        width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base or Fraction(1, 1)
+def _request(video: VideoInfo, wanted: range) -> Request:
+    width, height = video.stored_size_px
+    first_pts = int(video.pts[wanted.start])
+    return Request(
+        path=str(video.path.absolute()),
+        codec=video.codec,
+        width=width,
+        height=height,
+        seek_pts=seek_points(video.keyframe_pts, first_pts),
+        first_pts=first_pts,
+        last_pts=int(video.pts[wanted.stop - 1]),
+        to_the_end=wanted.stop == video.num_frames,
+        max_cpu_s=_MAX_CPU_S + _MAX_CPU_S_PER_FRAME * wanted.stop,
     )
-    scale = graph.add("scale", "flags=bilinear")
-    rgb = graph.add("format", "pix_fmts=rgb24")
-    return graph.link_nodes(source, scale, rgb, graph.add("buffersink"))
 
 
-def _upright(frame_rgb: VideoFrame, video: VideoInfo, number: int) -> UInt8[np.ndarray, "height width 3"]:
-    plane = frame_rgb.planes[0]
-    # No copy of the frame: a view of its rows, which may be padded.
-    rows = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)  # type: ignore[call-overload]
-    image_rgb = rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3)
-    turned = np.rot90(image_rgb, k=video.rotation_deg // 90) if video.rotation_deg else image_rgb
-    if (turned.shape[1], turned.shape[0]) != video.size_px:
-        raise InputError(
-            [
-                Problem(
-                    "video_changes_size",
-                    f"Frame {number} has another size than the first.",
-                    file=video.path.name,
-                    hint="Cut the video there.",
-                )
-            ]
-        )
-    return turned
+def _number(video: VideoInfo, pts: int) -> int | None:
+    """Frame number by timestamp; ``None`` for a picture that is not meant to be shown."""
+    number = int(np.searchsorted(video.pts, pts))
+    return number if number < video.num_frames and video.pts[number] == pts else None
+
+
+def _changed_size(video: VideoInfo, number: int, size_px: tuple[int, int]) -> InputError:
+    (width, height), (new_width, new_height) = video.stored_size_px, size_px
+    return _bad_video(
+        video,
+        "video_changes_size",
+        f"The pictures change their size from {width} x {height} to {new_width} x {new_height} pixels, at or before "
+        f"frame {number}.",
+        "Cut the video there.",
+    )
+
+
+def _times_go_back(video: VideoInfo, number: int) -> InputError:
+    message = f"The times of the frames go back, at or before frame {number}."
+    return _bad_video(video, "video_times", message, "Export it again.")
 
 
 def _undecodable(video: VideoInfo, number: int) -> InputError:
-    return InputError(
-        [
-            Problem(
-                "video_damaged",
-                f"Frame {number} of {video.num_frames} can't be decoded.",
-                file=video.path.name,
-                hint="Copy the file again, or cut it before that frame.",
-            )
-        ]
-    )
+    message = f"Frame {number} of {video.num_frames} can't be decoded."
+    return _bad_video(video, "video_damaged", message, "Copy the file again, or cut it before that frame.")
+
+
+def _beyond_limits(video: VideoInfo, number: int) -> InputError:
+    message = f"Frame {number} of {video.num_frames} could not be decoded within the limits on time and memory."
+    return _bad_video(video, "video_unreadable", message, "Convert it to H.264 in MP4.")
+
+
+def _bad_video(video: VideoInfo, code: str, message: str, hint: str) -> InputError:
+    return InputError([Problem(code, message, file=video.path.name, hint=hint)])

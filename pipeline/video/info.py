@@ -29,6 +29,8 @@ class VideoInfo:
         Times of the frames since the first.
     frame_rate_hz
         Mean rate over the intervals that are not gaps.
+    num_repeated
+        How many frames have the time of another frame and are left out.
     """
 
     path: Path
@@ -39,8 +41,26 @@ class VideoInfo:
     keyframe_pts: Int[np.ndarray, " keyframes"]
     time_s: Float[np.ndarray, " frames"]
     frame_rate_hz: float
+    num_repeated: int = 0
+
+    @property
+    def stored_size_px(self) -> tuple[int, int]:
+        """Width and height of the picture before rotation."""
+        width, height = self.size_px
+        return (width, height) if self.rotation_deg % 180 == 0 else (height, width)
 
     @property
     def num_frames(self) -> int:
         """Number of frames."""
         return len(self.pts)
+
+
+def seek_points(keyframe_pts: Int[np.ndarray, " keyframes"], target_pts: int) -> list[int]:
+    """Keyframes at which decoding up to ``target_pts`` may begin, the nearest one first.
+
+    The distance to the next one doubles: a few suffice where a container's index leads past some keyframes, or calls
+    frames keyframes that are none. Empty if decoding begins at the start of the file.
+    """
+    last = int(np.searchsorted(keyframe_pts, target_pts, side="right")) - 1
+    steps_back = [2**k - 1 for k in range(max(last, 0).bit_length() + 1)]
+    return [int(keyframe_pts[last - steps]) for steps in steps_back if last - steps > 0]

@@ -12,7 +12,7 @@ import pytest
 from api.commands.serve import READY
 from api.settings import Settings
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import probe_in_children
+from pipeline.video.probe_process import probe_in_children
 from tests.api.conftest import NO_BROKER, running
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import Served

@@ -1,6 +1,6 @@
 """Small videos for tests, made with the encoders that PyAV brings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -42,6 +42,42 @@ def write_video(
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     return path
+
+
+def write_sizes(
+    path: Path, sizes_px: Sequence[tuple[int, int]], frames_each: int, codec: str, options: dict[str, str] | None = None
+) -> Path:
+    """One stream of pictures whose size changes, as of a camera that was restarted or of streams that were joined."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options=options or {})
+        assert isinstance(stream, av.VideoStream)
+        (stream.width, stream.height), stream.pix_fmt = sizes_px[0], "yuv420p"
+        for part, size_px in enumerate(sizes_px):
+            encoder = av.CodecContext.create(codec, "w")
+            assert isinstance(encoder, av.VideoCodecContext)
+            (encoder.width, encoder.height), encoder.pix_fmt = size_px, "yuv420p"
+            encoder.time_base, encoder.framerate, encoder.options = Fraction(1, 25), Fraction(25), options or {}
+            packets = []
+            for number in range(part * frames_each, (part + 1) * frames_each):
+                frame = av.VideoFrame.from_ndarray(picture(number, size_px), format="rgb24")
+                frame.pts, frame.time_base = number, Fraction(1, 25)
+                packets += encoder.encode(frame)
+            for packet in [*packets, *encoder.encode(None)]:
+                packet.stream, packet.time_base = stream, Fraction(1, 25)
+                container.mux(packet)
+    return path
+
+
+def rewrite_packets(source: Path, target: Path, change: Callable[[int, av.Packet], Iterable[av.Packet]]) -> Path:
+    """Copy a video packet by packet; ``change`` gives the packets that stand for the k-th one."""
+    with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
+        stream = writer.add_stream_from_template(reader.streams.video[0])
+        packets = [packet for packet in reader.demux(video=0) if packet.size]
+        for number, packet in enumerate(packets):
+            for changed in change(number, packet):
+                changed.stream = stream
+                writer.mux(changed)
+    return target
 
 
 def write_audio(path: Path) -> Path:

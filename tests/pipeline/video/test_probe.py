@@ -9,7 +9,8 @@ import pytest
 from pipeline.errors import Problem
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import probe, probe_in_children
+from pipeline.video.probe import probe
+from pipeline.video.probe_process import probe_in_children
 from tests.pipeline.media import write_audio, write_video
 
 

@@ -12,21 +12,11 @@ import psutil
 import pytest
 
 from pipeline.errors import ChildError, Problem
-from pipeline.video import probe as probing
+from pipeline.video import probe_process as probing
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import probe_in_children
+from pipeline.video.probe_process import probe_in_children
 from tests.pipeline.media import write_video
-
-
-def in_children(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """Run some code in every Python that is started, before its own."""
-    (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=":")
-
-
-def when_opened(act: str) -> str:
-    """Code that does something as soon as a video is opened, as a decoder might."""
-    return f"import os, signal, time, av\ndef act(*a, **k):\n    {act}\nav.open = act\n"
+from tests.pipeline.video.children import in_children, when_opened
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGXCPU, signal.SIGFPE])
@@ -60,7 +50,7 @@ def test_the_limit_on_computing_is_the_file_s(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("import sys\nsys.modules['av'] = None\n", "import of av halted"),
+        ("import sys\nsys.modules['av'] = None\n", "'av' is not a package"),
         (when_opened("os.kill(os.getpid(), signal.SIGKILL)"), "SIGKILL"),
         (when_opened("os.kill(os.getpid(), signal.SIGTERM)"), "SIGTERM"),
         ("import os, sys\nif 'pipeline.video.probe' in sys.orig_argv: os.kill(os.getpid(), 11)\n", "SIGSEGV"),

@@ -1,0 +1,59 @@
+"""Limits of the child processes that open strangers' videos, and what their ends mean. Standard library only.
+
+A file may make FFmpeg crash, hang or eat memory; each video is opened in a process of its own, which ends for it. A
+process that somebody else ended says nothing about its file.
+"""
+
+import resource
+import signal
+import sys
+
+from pipeline.errors import ChildError
+
+MAX_MEMORY_BYTES = 4 * 2**30
+
+READY = b"ready\n"
+"""First line of a child's output, before it opens the file: whatever ends it earlier is not the file's doing."""
+
+# Signals by which a decoder or a limit ends a process. Any other signal comes from outside.
+_BY_THE_FILE = {-signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL, -signal.SIGSEGV, -signal.SIGXCPU}
+_LOGGED_CHARACTERS = 2000
+
+
+def start_child(max_cpu_s: int) -> None:
+    """Limit this process's memory and computing time, and print the line ``READY``."""
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    # SIGXCPU at the first limit, which tells of the file; SIGKILL, which tells nothing, at the second.
+    resource.setrlimit(resource.RLIMIT_CPU, (max_cpu_s, max_cpu_s + 5))
+    sys.stdout.buffer.write(READY)
+    sys.stdout.flush()
+
+
+def is_by_the_file(exit_code: int) -> bool:
+    """Whether a child ended by a signal for which its file is to blame."""
+    return exit_code in _BY_THE_FILE
+
+
+def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str) -> ChildError:
+    """Error of a child that failed for a reason that is not its file; the end of its stderr is a note of it.
+
+    Parameters
+    ----------
+    task
+        What the child did, such as "check of the videos".
+    exit_code
+        ``None`` if the child did not start within ``timeout_s``.
+    errors
+        The child's stderr.
+    """
+    if exit_code is None:
+        ending, hint = f"did not start within {timeout_s:g} s", "See that the machine is not overloaded, and try again."
+    elif exit_code < 0:
+        ending = f"was ended by {signal.Signals(-exit_code).name}"
+        hint = "See that there is memory enough (the system's log says), and try again."
+    else:
+        last = errors.strip().rpartition("\n")[2]
+        ending, hint = f"ended with exit code {exit_code} ({last})", "If it happens again, install Multicap anew."
+    error = ChildError(f"Multicap's own {task} failed, the videos are not at fault: it {ending}. {hint}")
+    error.add_note(f"stderr of the {task}:\n{errors[-_LOGGED_CHARACTERS:]}")
+    return error

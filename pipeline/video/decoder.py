@@ -1,0 +1,146 @@
+"""Decode a range of a video's frames for another process: ``python -m pipeline.video.decoder REQUEST FILE_DESCRIPTOR``.
+
+The process writes a record (``FRAME``) to stdout for each decoded frame, in the order in which frames are shown, from
+the keyframe before the range on. The picture of a frame of the range is in a file that both processes share; a byte on
+stdin says that it was read, and that the next picture may take its place. The process ends when stdin is closed.
+"""
+
+import json
+import mmap
+import os
+import struct
+import sys
+import threading
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import NamedTuple
+
+import av
+import av.logging
+from av.filter import Graph
+from av.video.frame import VideoFrame
+
+from pipeline.video.children import start_child
+from pipeline.video.container import DECODE_ERRORS, decode_from, shown_at
+
+FRAME = struct.Struct("<qII??")
+"""Timestamp, width, height, whether the decoder marks the frame as damaged, and whether its picture is there."""
+
+EXIT_UNREADABLE = 3
+EXIT_OUT_OF_MEMORY = 4
+
+# Its decoder replaces what fails its checksum by the frame before, and tells only the log.
+_LOGS_DAMAGE = frozenset({"ffv1"})
+
+
+class Request(NamedTuple):
+    """A range of frames to decode.
+
+    Parameters
+    ----------
+    path, codec
+        The file, and FFmpeg's name of its codec.
+    width, height
+        Size of the pictures as they are stored, before rotation; frames of another size come without a picture.
+    seek_pts
+        As of ``decode_from``.
+    first_pts, last_pts
+        Timestamps of the first and the last frame of the range.
+    to_the_end
+        Whether to decode what follows the range, too, without its pictures.
+    max_cpu_s
+        Limit on the process's computing time.
+    """
+
+    path: str
+    codec: str
+    width: int
+    height: int
+    seek_pts: Sequence[int]
+    first_pts: int
+    last_pts: int
+    to_the_end: bool
+    max_cpu_s: int
+
+    @property
+    def picture_bytes(self) -> int:
+        """Bytes of a picture, three a pixel, and so of the shared file."""
+        return 3 * self.width * self.height
+
+
+def _write_frames(request: Request, shared_file: int) -> None:
+    picture = mmap.mmap(shared_file, request.picture_bytes)
+    is_free = threading.Semaphore(1)
+    threading.Thread(target=_read_stdin, args=[is_free], daemon=True).start()
+    av.logging.set_level(av.logging.ERROR)
+    to_rgb: Graph | None = None
+    with av.logging.Capture() as logged:
+        for frame in decode_from(Path(request.path), request.seek_pts, request.first_pts):
+            is_damaged = frame.is_corrupt or (request.codec in _LOGS_DAMAGE and bool(logged))
+            logged.clear()
+            pts = shown_at(frame)
+            if pts is None:
+                continue
+            is_wanted = request.first_pts <= pts <= request.last_pts
+            if is_wanted and (frame.width, frame.height) == (request.width, request.height):
+                to_rgb = to_rgb or _rgb_converter(frame)
+                to_rgb.vpush(frame)
+                rgb = to_rgb.vpull()
+                is_free.acquire()
+                _write_rows(rgb, picture)
+            else:
+                is_wanted = False
+            sys.stdout.buffer.write(FRAME.pack(pts, frame.width, frame.height, is_damaged, is_wanted))
+            sys.stdout.buffer.flush()
+            if pts >= request.last_pts and not request.to_the_end:
+                return
+
+
+def _read_stdin(is_free: threading.Semaphore) -> None:
+    while os.read(0, 1):
+        is_free.release()
+    os._exit(1)
+
+
+def _rgb_converter(frame: VideoFrame) -> Graph:
+    """A converter for frames like this one; a filter graph, for it reuses the memory of pictures that were let go."""
+    graph = Graph()
+    graph.threads = 1
+    source = graph.add_buffer(
+        width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base or Fraction(1, 1)
+    )
+    scale = graph.add("scale", "flags=bilinear")
+    rgb = graph.add("format", "pix_fmts=rgb24")
+    return graph.link_nodes(source, scale, rgb, graph.add("buffersink"))
+
+
+def _write_rows(frame_rgb: VideoFrame, picture: mmap.mmap) -> None:
+    """Copy a picture without the padding of its rows."""
+    plane = frame_rgb.planes[0]
+    rows, row_bytes = memoryview(plane), 3 * frame_rgb.width
+    if plane.line_size == row_bytes:
+        picture[:] = rows[: len(picture)]
+        return
+    for row in range(frame_rgb.height):
+        start = row * plane.line_size
+        picture[row * row_bytes : (row + 1) * row_bytes] = rows[start : start + row_bytes]
+
+
+def main() -> int:
+    """Write the frames of the request and return the exit code."""
+    request, shared_file = Request(**json.loads(sys.argv[1])), int(sys.argv[2])
+    start_child(request.max_cpu_s)
+    try:
+        _write_frames(request, shared_file)
+    except MemoryError:
+        return EXIT_OUT_OF_MEMORY
+    except BrokenPipeError:  # nobody wants more frames
+        return 1
+    except DECODE_ERRORS:
+        return EXIT_UNREADABLE
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""Run ``pipeline.video.decoder``: frames of a file whose decoder may crash, hang or eat memory."""
+
+import json
+import mmap
+import os
+import select
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator, Iterator
+from contextlib import suppress
+from typing import IO, NamedTuple, cast
+
+import numpy as np
+from jaxtyping import UInt8
+
+from pipeline.child_processes import module_command, uninterrupted
+from pipeline.video.children import READY, child_error, is_by_the_file
+from pipeline.video.decoder import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, FRAME, Request
+
+# For one frame, pictures before the range included; less than a minute, so that no job seems to stand still.
+_TIMEOUT_S = 45.0
+
+
+class UnreadableError(Exception):
+    """The file can't be opened or read."""
+
+
+class LimitError(Exception):
+    """The decoder crashed, or took more time or memory than it may."""
+
+
+class DecodedFrame(NamedTuple):
+    """A frame as the decoder gives it.
+
+    Parameters
+    ----------
+    pts
+        Timestamp at which it is shown.
+    size_px
+        Width and height, before rotation.
+    is_damaged
+        Whether the decoder marks it as damaged.
+    image_rgb
+        Read-only, and valid until the next frame is asked for; ``None`` outside the range, and for a picture of
+        another size than the request's.
+    """
+
+    pts: int
+    size_px: tuple[int, int]
+    is_damaged: bool
+    image_rgb: UInt8[np.ndarray, "height width 3"] | None
+
+
+def decoded_frames(request: Request) -> Generator[DecodedFrame, None, None]:
+    """Decode frames in a process of their own; to be closed if it is not read to its end, which ends the process.
+
+    Raises
+    ------
+    UnreadableError
+        If the file can't be opened or read.
+    LimitError
+        If the decoder crashes, or exceeds the limits on time and memory.
+    ChildError
+        If the process fails for a reason that is not its file.
+    """
+    child: subprocess.Popen[bytes] | None = None
+    with _shared_file() as shared, tempfile.TemporaryFile() as errors:
+        shared.truncate(request.picture_bytes)
+        picture = mmap.mmap(shared.fileno(), request.picture_bytes, access=mmap.ACCESS_READ)
+        command = module_command("pipeline.video.decoder", json.dumps(request._asdict()), str(shared.fileno()))
+        try:
+            with uninterrupted():
+                child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=errors,
+                    bufsize=0,
+                    pass_fds=[shared.fileno()],
+                )
+            yield from _read_frames(child, request, picture, errors)
+        finally:
+            if child is not None:
+                child.kill()
+                with child:  # closes the pipes, and waits
+                    pass
+
+
+def _shared_file() -> IO[bytes]:
+    """A file that lies in memory where the system can do that."""
+    if sys.platform == "linux":
+        return os.fdopen(os.memfd_create("multicap-picture"), "w+b")
+    return tempfile.TemporaryFile()
+
+
+def _read_frames(
+    child: "subprocess.Popen[bytes]", request: Request, picture: mmap.mmap, errors: IO[bytes]
+) -> Iterator[DecodedFrame]:
+    stdin, stdout = (cast(IO[bytes], pipe).fileno() for pipe in (child.stdin, child.stdout))
+    image_rgb = np.frombuffer(picture, np.uint8).reshape(request.height, request.width, 3)
+    is_started = False
+    exit_code: int | None = None
+    with suppress(TimeoutError, subprocess.TimeoutExpired):
+        is_started = _read(stdout, len(READY)) == READY
+        while is_started and len(record := _read(stdout, FRAME.size)) == FRAME.size:
+            pts, width, height, is_damaged, has_picture = FRAME.unpack(record)
+            yield DecodedFrame(pts, (width, height), is_damaged, image_rgb if has_picture else None)
+            if has_picture:
+                with suppress(BrokenPipeError):  # it was the last picture
+                    os.write(stdin, b"\n")
+        exit_code = child.wait(_TIMEOUT_S)
+    if exit_code == 0 and is_started:
+        return
+    if exit_code == EXIT_UNREADABLE:
+        raise UnreadableError
+    if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_by_the_file(exit_code)):
+        raise LimitError
+    errors.seek(0)
+    raise child_error("decoder", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace"))
+
+
+def _read(pipe: int, num_bytes: int) -> bytes:
+    """Bytes from a pipe, fewer at its end; ``TimeoutError`` if they don't come in time."""
+    poll = select.poll()
+    poll.register(pipe, select.POLLIN)
+    content = b""
+    while len(content) < num_bytes:
+        if not poll.poll(1000 * _TIMEOUT_S):
+            raise TimeoutError
+        if not (more := os.read(pipe, num_bytes - len(content))):
+            break
+        content += more
+    return content

@@ -1,0 +1,86 @@
+"""Look into several video files, each in a process of its own (``pipeline.video.probe``) with limits."""
+
+import json
+import subprocess
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.child_processes import module_command, uninterrupted
+from pipeline.errors import Problem
+from pipeline.video.children import READY, child_error, is_by_the_file
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe import beyond_limits, problem_at_once, reading_s
+
+_TIMEOUT_S = 120.0
+_CHILDREN_AT_ONCE = 2
+
+
+def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
+    """Look into files, each in a process of its own with limits on time and memory.
+
+    A file that makes FFmpeg crash, hang or eat memory costs its own child only. No child is left when this returns or
+    raises, an interruption included.
+
+    Raises
+    ------
+    ChildError
+        If a child can't do its work, for a reason that is not its file.
+    """
+    running: set[subprocess.Popen[bytes]] = set()
+    with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:
+        waiting: list[Future[VideoInfo | Problem]] = []
+        try:
+            with uninterrupted():
+                waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
+            return [one.result() for one in waiting]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            while not all(one.done() for one in waiting):
+                for child in list(running):
+                    child.kill()
+                time.sleep(0.01)
+            raise
+
+
+def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:
+    if problem := problem_at_once(path):
+        return problem
+    child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
+        module_command("pipeline.video.probe", str(path.absolute())),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    running.add(child)
+    timeout_s = _TIMEOUT_S + 2 * reading_s(path)
+    try:
+        said, errors = child.communicate(timeout=timeout_s)
+        exit_code: int | None = child.returncode
+    except subprocess.TimeoutExpired:
+        child.kill()
+        said, errors = child.communicate()
+        exit_code = None
+    finally:
+        running.remove(child)
+    if not said.startswith(READY) or (exit_code and not is_by_the_file(exit_code)):
+        raise child_error("check of the videos", exit_code, timeout_s, errors.decode(errors="replace"))
+    if exit_code != 0:
+        return beyond_limits(path.name)
+    found = json.loads(said.removeprefix(READY))
+    if "problem" in found:
+        return Problem(**found["problem"])
+    return VideoInfo(
+        path=path,
+        codec=found["codec"],
+        size_px=(found["size_px"][0], found["size_px"][1]),
+        rotation_deg=found["rotation_deg"],
+        pts=np.array(found["pts"], np.int64),
+        keyframe_pts=np.array(found["keyframe_pts"], np.int64),
+        time_s=np.array(found["time_s"], np.float64),
+        frame_rate_hz=found["frame_rate_hz"],
+        num_repeated=found["num_repeated"],
+    )

@@ -1,0 +1,170 @@
+"""Ends of a process that decodes a range of frames: the file's fault, or ours; and that none is left."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline.errors import ChildError, InputError, Problem
+from pipeline.video import decoder_process
+from pipeline.video.decode import decode
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe import probe
+from tests.pipeline.media import write_video
+from tests.pipeline.video.children import children_of, in_children, wait_for_child, when_opened
+
+DECODER = "pipeline.video.decoder"
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> VideoInfo:
+    found = probe(write_video(tmp_path / "a.mp4", 30))
+    assert isinstance(found, VideoInfo)
+    return found
+
+
+def when_decoded(act: str, packet: int = 8) -> str:
+    """Code that does something at a packet in the middle, as a decoder might."""
+    return f"""
+import os, signal, sys, time
+if {DECODER!r} in sys.orig_argv:
+    import av.container
+    from pipeline.video import container
+    def demux(opened, stream):
+        for number, packet in enumerate(av.container.InputContainer.demux(opened, stream)):
+            if number == {packet}:
+                {act}
+            yield packet
+    class Opened:
+        def __init__(self, opened): self._opened = opened
+        def demux(self, stream): return demux(self._opened, stream)
+        def __getattr__(self, name): return getattr(self._opened, name)
+    decode = container._decode
+    container._decode = lambda opened, stream: decode(Opened(opened), stream)
+"""
+
+
+def problem_of(video: VideoInfo) -> Problem:
+    with pytest.raises(InputError) as raised:
+        list(decode(video, 0, 30))
+    (problem,) = raised.value.problems
+    assert problem.file == "a.mp4"
+    assert children_of(DECODER) == []
+    return problem
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGXCPU, signal.SIGFPE, signal.SIGBUS])
+def test_a_file_that_kills_its_decoder_is_a_bad_file(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    in_children(tmp_path, monkeypatch, when_decoded(f"os.kill(os.getpid(), {int(number)})"))
+    problem = problem_of(video)
+    assert problem.code == "video_unreadable"
+    assert "limits" in problem.message
+
+
+@pytest.mark.parametrize("act", ["raise MemoryError", "bytearray(8 << 30)", "time.sleep(60)", "while True: pass"])
+def test_a_file_beyond_the_limits_is_a_bad_file(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str
+) -> None:
+    monkeypatch.setattr(decoder_process, "_TIMEOUT_S", 6.0)
+    in_children(tmp_path, monkeypatch, when_decoded(act))
+    problem = problem_of(video)
+    assert problem.code == "video_unreadable"
+    assert "of 30 could not be decoded within the limits on time and memory" in problem.message
+
+
+def test_the_limit_on_computing_is_the_file_s(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel ends it by SIGXCPU, though each frame comes in time."""
+    limit = "import resource\nset_limit = resource.setrlimit\n"
+    short = "resource.setrlimit = lambda kind, to: set_limit(kind, (2, 4) if kind == resource.RLIMIT_CPU else to)\n"
+    in_children(tmp_path, monkeypatch, limit + short + when_decoded("while True: pass"))
+    assert problem_of(video).code == "video_unreadable"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("import sys\nsys.modules['av'] = None\n", "import of av halted"),
+        (when_decoded("os.kill(os.getpid(), signal.SIGKILL)"), "SIGKILL"),
+        (when_decoded("os.kill(os.getpid(), signal.SIGTERM)"), "SIGTERM"),
+        (f"import os, sys\nif {DECODER!r} in sys.orig_argv: os.kill(os.getpid(), 11)\n", "SIGSEGV"),
+        (when_decoded("raise AttributeError('a mistake of ours')"), "a mistake of ours"),
+    ],
+)
+def test_a_process_that_fails_by_itself_is_not_the_file_s_fault(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
+) -> None:
+    in_children(tmp_path, monkeypatch, text)
+    with pytest.raises(ChildError, match="not at fault") as raised:
+        list(decode(video, 0, 30))
+    assert words in str(raised.value)
+    assert "Traceback" not in str(raised.value)
+    assert "stderr" in raised.value.__notes__[0]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_process_that_somebody_ends_is_not_the_file_s_fault(video: VideoInfo, number: signal.Signals) -> None:
+    frames = decode(video, 0, 30)
+    next(frames)
+    wait_for_child(DECODER).send_signal(number)
+    with pytest.raises(ChildError, match=number.name):
+        list(frames)
+
+
+def test_an_iterator_that_is_closed_leaves_no_process(video: VideoInfo) -> None:
+    frames = decode(video, 0, 30)
+    next(frames)
+    assert len(children_of(DECODER)) == 1
+    frames.close()
+    assert children_of(DECODER) == []
+
+
+def test_an_interruption_leaves_no_process(video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_children(tmp_path, monkeypatch, when_opened("time.sleep(60)"))
+
+    def interrupt() -> None:
+        wait_for_child(DECODER)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    started_s = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        list(decode(video, 0, 30))
+    assert time.monotonic() - started_s < 30
+    assert children_of(DECODER) == []
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from pipeline.video.decode import decode
+from pipeline.video.probe import probe
+frames = decode(probe(Path(sys.argv[1])), 0, 30)
+next(frames)
+print("decoding", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("text", ["", when_decoded("time.sleep(600)", packet=16)])
+def test_the_process_ends_with_a_parent_that_was_killed(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    in_children(tmp_path, monkeypatch, text)
+    command = [sys.executable, "-c", KILLED, str(video.path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "decoding\n"
+        (child,) = psutil.Process(parent.pid).children()
+        parent.kill()
+    _, alive = psutil.wait_procs([child], timeout=20)
+    assert alive == []
