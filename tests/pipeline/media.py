@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -68,7 +69,11 @@ def write_sizes(
     return path
 
 
-def rewrite_packets(source: Path, target: Path, change: Callable[[int, av.Packet], Iterable[av.Packet]]) -> Path:
+def rewrite_packets(
+    source: Path,
+    target: Path,
+    change: Callable[[int, "av.Packet[Any]"], "Iterable[av.Packet[Any]]"],
+) -> Path:
     """Copy a video packet by packet; ``change`` gives the packets that stand for the k-th one."""
     with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
         stream = writer.add_stream_from_template(reader.streams.video[0])

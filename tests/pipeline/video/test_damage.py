@@ -124,7 +124,7 @@ def test_damage_is_told_by_the_range_that_it_lies_in(tmp_path: Path) -> None:
 def lose(*lost: int) -> Any:
     """Spoil some packets so that they can't be decoded."""
 
-    def change(number: int, packet: av.Packet) -> Iterable[av.Packet]:
+    def change(number: int, packet: "av.Packet[Any]") -> "Iterable[av.Packet[Any]]":
         if number not in lost:
             return [packet]
         spoilt = av.Packet(b"\xff" * packet.size)
@@ -194,7 +194,7 @@ def test_pictures_beyond_the_limit_are_never_decoded(tmp_path: Path) -> None:
 def at_times(pts: Any) -> Any:
     """Give the k-th packet the time ``pts(k)``; FFmpeg writes what its decoding times allow."""
 
-    def change(number: int, packet: av.Packet) -> Iterable[av.Packet]:
+    def change(number: int, packet: "av.Packet[Any]") -> "Iterable[av.Packet[Any]]":
         packet.pts, packet.dts = pts(number), number - 100_000
         return [packet]
 
@@ -245,7 +245,7 @@ def test_frames_after_the_last_time_that_go_back_are_seen(tmp_path: Path) -> Non
 def test_hidden_frames_of_vp8_are_no_frames(tmp_path: Path) -> None:
     """Reference frames that are not shown, in packets with times of their own."""
 
-    def hide(number: int, packet: av.Packet) -> Iterable[av.Packet]:
+    def hide(number: int, packet: "av.Packet[Any]") -> "Iterable[av.Packet[Any]]":
         if number % 10 != 5:
             return [packet]
         content = bytearray(bytes(packet))
