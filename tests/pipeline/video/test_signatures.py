@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import Problem
-from pipeline.video import probe as probing
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import probe, probe_in_children
+from pipeline.video.probe import probe, reading_s
+from pipeline.video.probe_process import probe_in_children
 from pipeline.video.signatures import is_container
 from tests.pipeline.media import write_video
 
@@ -47,7 +47,7 @@ def test_noise_is_told_without_a_child(tmp_path: Path, monkeypatch: pytest.Monke
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("pipeline.video.probe.subprocess.Popen", forbidden)
+    monkeypatch.setattr("pipeline.video.probe_process.subprocess.Popen", forbidden)
     paths = [tmp_path / f"{k}.mp4" for k in range(20)]
     for k, path in enumerate(paths):
         path.write_bytes(random.Random(k).randbytes(5000))  # noqa: S311 - the same each time
@@ -62,4 +62,4 @@ def test_large_videos_have_more_time(tmp_path: Path) -> None:
     for path, num_bytes in ((small, 1000), (large, 16 * 2**30)):
         with path.open("wb") as file:
             file.truncate(num_bytes)
-    assert (probing._more_s(small), probing._more_s(large)) == (1, 960)
+    assert (reading_s(small), reading_s(large)) == (1, 960)
