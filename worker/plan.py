@@ -23,6 +23,8 @@ DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "
 CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 3, POSES: 3, ASSOCIATE: 4, FIT: 4, EXPORT: 5}
 
 DEFAULT_CHUNK_FRAMES = 100
+# Tracking a frame takes about a tenth of the time of detecting people in it.
+_FRAMES_A_UNIT = 10
 MAX_CHUNKS = 20_000
 """Most chunks of a stage. Each is a row of the database, and a job is read from all of its rows."""
 
@@ -89,7 +91,7 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
         **({} if spec.output_rate_hz is None else {"output_rate_hz": spec.output_rate_hz}),
     }
     export = _key(EXPORT, formats, [associate, fit])
-    num_units = 1 if spec.method == "clustering" else len(cut.frames)
+    num_units = 1 if spec.method == "clustering" else -(-cut.num_frames // _FRAMES_A_UNIT)
     stages.append(StagePlan(ASSOCIATE, _reduce(associate, num_units)))
     stages.extend(StagePlan(name, _reduce(key)) for name, key in ((FIT, fit), (EXPORT, export)))
     return tuple(stages)
@@ -133,6 +135,11 @@ class FrameCut:
             for number in range(first, stop):
                 start = number * self.chunk_frames
                 yield range(max(start, self.frames.start), min(start + self.chunk_frames, self.frames.stop))
+
+    @property
+    def num_frames(self) -> int:
+        """Frames of all parts."""
+        return sum(map(len, self.parts))
 
     @property
     def parts(self) -> list[range]:
@@ -206,8 +213,7 @@ def _frames_per_output_frame(session: SessionFacts) -> dict[str, float]:
 
 def _num_measured(session: SessionFacts, cut: FrameCut) -> int:
     """About as many frames as bones are measured in: five a second."""
-    num_frames = sum(map(len, cut.parts))
-    return max(1, min(num_frames, round(5 * num_frames / session.preflight["timebase"]["frame_rate_hz"])))
+    return max(1, min(cut.num_frames, round(5 * cut.num_frames / session.preflight["timebase"]["frame_rate_hz"])))
 
 
 def _reduce(
