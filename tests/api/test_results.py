@@ -20,6 +20,8 @@ from worker.jobs.artifacts import result_key
 from worker.jobs.model import Problem
 from worker.reaper import reap
 
+# More than the buffers of a connection take.
+LARGE = os.urandom(2**20) * 64
 ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
 
 
@@ -287,8 +289,7 @@ def test_a_file_that_is_damaged_while_it_is_sent_is_not_sent_to_its_end(
     live: Live, name: str, damage: Callable[[Path], None]
 ) -> None:
     job_id = live.job_id()
-    content = os.urandom(16 * 2**20)
-    live.finish(job_id, content)
+    live.finish(job_id, LARGE)
     stored = live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
     with live.client.stream("GET", f"/v1/jobs/{job_id}/{name}") as answer:
         blocks = answer.iter_raw()
@@ -297,14 +298,13 @@ def test_a_file_that_is_damaged_while_it_is_sent_is_not_sent_to_its_end(
         damage(stored)
         with pytest.raises(httpx2.RemoteProtocolError):
             received += b"".join(blocks)
-    assert len(received) < len(content)
+    assert len(received) < len(LARGE)
 
 
 @pytest.mark.parametrize("name", ["results/person-1.bvh", "results.zip"])
 def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: str, tmp_path: Path) -> None:
     job_id = live.job_id()
-    content = os.urandom(16 * 2**20)
-    live.finish(job_id, content)
+    live.finish(job_id, LARGE)
     stored = live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
     with live.client.stream("GET", f"/v1/jobs/{job_id}/{name}") as answer:
         blocks = answer.iter_raw()
@@ -315,7 +315,7 @@ def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: st
     if name == "results.zip":
         with zipfile.ZipFile(io.BytesIO(received)) as archive:
             received = archive.read("person-1.bvh")
-    assert received == content
+    assert received == LARGE
 
 
 def test_results_of_a_damaged_bucket(
@@ -351,7 +351,7 @@ def test_our_own_client_says_that_a_download_broke_off(
     live: Live, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
     job_id = live.job_id()
-    live.finish(job_id, os.urandom(16 * 2**20))
+    live.finish(job_id, LARGE)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     stored = live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
     damaged = threading.Event()
