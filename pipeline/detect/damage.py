@@ -15,7 +15,7 @@ MAX_DAMAGED_SHARE = 0.1
 """Limit on the damaged share of a camera's frames, among the frames that a reconstruction uses."""
 
 
-DamagedFrames = tuple[str, Int[np.ndarray, " damaged"]]
+DamagedFrames = tuple[str, Int[np.ndarray, " _"]]
 """Name of a camera, and numbers of its frames whose picture is damaged or missing, ascending."""
 
 
