@@ -143,9 +143,11 @@ def open_keypoints(
     for name, path in folders.items():
         frames[name], num_joints = _read_folder(path, camera_of.get(name, name), left_joints, warnings, problems)
         left_joints -= num_joints
-    if left_joints < 0:
-        message = f"The files hold more than {max_joints:,} joints."
-        problems.append(Problem("session_too_large", message, file=folder.name, hint="Cut it into several sessions."))
+        if left_joints < 0:
+            message = f"With this camera's files the session has more than {max_joints:,} joints."
+            hint = "Cut it into several sessions."
+            problems.append(Problem("session_too_large", message, camera=camera_of.get(name, name), hint=hint))
+            break
     joints = _joint_set(frames, problems)
     found = {camera: frames[name] for camera, name in pairs.items()}
     if timestamps is not None and frame_rate_hz is not None:
@@ -268,11 +270,13 @@ class _LateError(_UnreadableError):
 def _parse(path: Path) -> People:
     if path.stat().st_size > _MAX_FILE_BYTES:
         raise _UnreadableError(f"The file is larger than {_MAX_FILE_BYTES // 2**20} MiB.")
-    people = [person["pose_keypoints_2d"] for person in read_json(path.read_bytes())["people"]]
+    listed = [person["pose_keypoints_2d"] for person in read_json(path.read_bytes())["people"]]
+    if len(listed) > _MAX_LISTED_PEOPLE:
+        raise _CrowdError(len(listed))
+    # Hundreds of people of zeros take milliseconds a frame as numbers.
+    people = [one for one in listed if len(one) not in _FORMATS or any(one)]
     if not people:
-        return np.empty((0, 0, 3))
-    if len(people) > _MAX_LISTED_PEOPLE:
-        raise _CrowdError(len(people))
+        return np.empty((0, len(listed[0]) // 3 if listed else 0, 3))
     values = read_numbers(people)
     if values.ndim != 2 or values.shape[1] not in _FORMATS:
         count = values[0].size

@@ -1,6 +1,7 @@
 """Parse untrusted text and numbers: any content gives a value or ``UnreadableError``."""
 
 import json
+import re
 from collections.abc import Callable
 from types import NoneType
 from typing import Any, TypeVar
@@ -9,6 +10,7 @@ import numpy as np
 
 # Python refuses to read integers of more than 4300 digits; floats end at 309.
 _MAX_DIGITS = 300
+_LONG_INTEGER = re.compile(r"[0-9]{301}")
 
 _Content = TypeVar("_Content")
 _Parsed = TypeVar("_Parsed")
@@ -38,7 +40,9 @@ def read_json(content: bytes) -> Any:
 
 
 def _loads(content: bytes) -> Any:
-    return json.loads(content, parse_int=_integer)
+    text = content.decode(json.detect_encoding(content), "surrogatepass")
+    # A call for each integer takes most of the time of a file of many.
+    return json.loads(text, parse_int=_integer if _LONG_INTEGER.search(text) else None)
 
 
 def _integer(digits: str) -> int | float:
