@@ -1,6 +1,8 @@
 """Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
 
-from collections.abc import Collection, Sequence
+import random
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -32,10 +34,13 @@ class Leases:
         self._database = database
 
     def claim(self, worker: str, lease_s: float) -> Claim | None:
-        """Take the next ready chunk of the oldest job that has one; ``None`` if no job has."""
+        """Take the next ready chunk; ``None`` if no job has one.
+
+        Tenants have equal shares of the workers; a tenant's jobs are worked on in the order of their creation.
+        """
         while True:
             with self._database.reading() as connection:
-                job_id = _oldest_with_work(connection)
+                job_id = _next_job(connection)
             if job_id is None:
                 return None
             if (claim := self._claim_of(job_id, worker, lease_s)) is not None:
@@ -246,16 +251,41 @@ class Leases:
                     count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
         with self._database.reading() as connection:
-            return _oldest_with_work(connection) is not None
+            return _next_job(connection) is not None
 
 
-def _oldest_with_work(connection: Connection) -> str | None:
-    """The oldest job that has a ready chunk: all running ones are older than any that is still queued."""
+def _next_job(connection: Connection) -> str | None:
+    """Job whose chunk is next: of the tenant with the fewest running chunks, its oldest job with a ready chunk.
+
+    Tenants with equally few take turns at random, so that one tenant's long queue delays nobody else's jobs.
+    """
+    tenants = sorted({tenant for state in _AT_WORK for tenant in _tenants_in(connection, state)})
+    if len(tenants) > 1:
+        busy = select(jobs.c.tenant).join(chunks).where(chunks.c.state == ChunkState.RUNNING)
+        num_running = Counter(connection.scalars(busy))
+        random.shuffle(tenants)
+        tenants.sort(key=lambda tenant: num_running[tenant])
+    oldest = (_oldest_with_work(connection, tenant) for tenant in tenants)
+    return next((job_id for job_id in oldest if job_id is not None), None)
+
+
+def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
+    """Tenants that have jobs in a state: a step in the index for each, however long the queue is."""
+    tenant: str | None = ""
+    while tenant is not None:
+        behind = select(func.min(jobs.c.tenant)).where(jobs.c.state == state, jobs.c.tenant > tenant)
+        tenant = connection.scalar(behind)
+        if tenant is not None:
+            yield tenant
+
+
+def _oldest_with_work(connection: Connection, tenant: str) -> str | None:
+    """Oldest job of a tenant that has a ready chunk: all running ones are older than any that is still queued."""
     ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY)
     for state in (JobState.RUNNING, JobState.QUEUED):
         # A state at a time: the index has the jobs of one in their order, so that a long queue is not sorted.
-        oldest = select(jobs.c.id).where(jobs.c.state == state, ready.exists()).order_by(jobs.c.queued_at, jobs.c.id)
-        job_id: str | None = connection.scalar(oldest.limit(1))
+        oldest = select(jobs.c.id).where(jobs.c.state == state, jobs.c.tenant == tenant, ready.exists())
+        job_id: str | None = connection.scalar(oldest.order_by(jobs.c.queued_at, jobs.c.id).limit(1))
         if job_id is not None:
             return job_id
     return None

@@ -97,6 +97,7 @@ jobs = Table(
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
+    Index(None, "state", "tenant", "queued_at"),
     Index(None, "expires_at"),
 )
 

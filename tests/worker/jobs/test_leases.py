@@ -1,11 +1,13 @@
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
-from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, UNITS, Bench, result, stages
-from worker.jobs.model import ChunkOutput, ChunkState, Claim, JobState, Problem
+from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
+from worker.jobs.model import Actor, ChunkOutput, ChunkState, Claim, JobState, Problem
+from worker.jobs.quotas import NO_QUOTAS
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
 
@@ -38,6 +40,39 @@ def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: Bench) -> 
     assert [(claim.job_id, claim.index) for claim in claims] == [(old, 0), (old, 1), (new, 0), (new, 1)]
     assert len({claim.lease_token for claim in claims}) == 4
     assert jobs.store.claim("worker", LEASE_S) is None
+
+
+def queue_of_other(jobs: Bench, num_chunks: int) -> str:
+    """Queue a job of another tenant; returns its id."""
+    other = jobs.store.of("other", NO_QUOTAS, Actor())
+    session_id = other.create_session("take", [], PREFLIGHT, jobs.store.announce_session()).id
+    return other.create_job(session_id, JobSpec(), stages(num_chunks)).id
+
+
+def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: Bench) -> None:
+    """Tenants have equal shares of the chunks at work, however many jobs each has and whoever was first."""
+    first = [jobs.queue(4).id for _ in range(3)]
+    held = [jobs.claim() for _ in range(2)]
+    assert {claim.job_id for claim in held} == {first[0]}
+    late = queue_of_other(jobs, 6)
+    claims = [jobs.claim() for _ in range(2)]
+    assert [claim.job_id for claim in claims] == [late, late]
+    shares = Counter(jobs.claim().job_id == late for _ in range(6))
+    assert shares == {True: 3, False: 3}
+    assert sum(1 for _ in iter(lambda: jobs.store.claim("worker", LEASE_S), None)) == 12 + 6 - 10
+
+
+def test_tenants_take_turns_on_one_worker(jobs: Bench) -> None:
+    for _ in range(20):
+        jobs.queue(4)
+    late = queue_of_other(jobs, 1)
+
+    def finish_one() -> str:
+        claim = jobs.claim()
+        jobs.finish(claim)
+        return claim.job_id
+
+    assert late in [finish_one() for _ in range(40)]  # by chance not, once in a million millions
 
 
 def test_without_jobs_there_is_nothing_to_claim(jobs: Bench) -> None:
