@@ -254,8 +254,8 @@ def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], 
 
 
 def _repeated_times(video: VideoInfo) -> str:
-    frames = "A frame of" if video.num_repeated == 1 else f"{video.num_repeated} frames of"
-    return f"{frames} {video.path.name} left out: another frame has the same time."
+    frames = "1 frame is" if video.num_repeated == 1 else f"{video.num_repeated} frames are"
+    return f"{video.path.name}: {frames} left out, for another frame has the same time."
 
 
 def _size_problem(camera: Camera, video: VideoInfo) -> Problem:

@@ -1,22 +1,27 @@
-from dataclasses import fields
+import io
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.data import Camera, Detections, FrameTimes, MapGrid, PafFields, Poses3D
+from pipeline.data import Camera, DamagedVideo, Detections, FrameTimes, MapGrid, PafFields, Poses3D
 from pipeline.geometry.rigid import Rigid3
 from pipeline.records_npz import (
+    decode_damaged,
+    decode_damaged_videos,
     decode_detections,
     decode_fields,
     decode_lengths,
     decode_poses,
     decode_session,
+    decode_tracks,
     encode_detections,
     encode_fields,
     encode_lengths,
     encode_poses,
     encode_session,
+    encode_tracks,
 )
 from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
@@ -68,8 +73,31 @@ def test_detections_come_back() -> None:
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
 
 
-def test_fields_come_back() -> None:
-    found = PafFields(
+def test_damage_comes_back_and_costs_no_byte_where_there_is_none() -> None:
+    found = Detections("left", np.array([4]), RNG.normal(size=(1, 17, 2)), np.ones((1, 17)), np.ones((1, 4)))
+    assert "damaged" not in np.load(io.BytesIO(encode_detections(found))).files
+    assert decode_detections(encode_detections(found)).damaged.tolist() == []
+    damaged = replace(found, damaged=np.array([5, 6]))
+    assert decode_detections(encode_detections(damaged)).damaged.tolist() == [5, 6]
+
+    fields_found = fields_of_two_frames()
+    assert decode_damaged(encode_fields(fields_found)).tolist() == []
+    content = encode_fields(replace(fields_found, damaged=np.array([5])))
+    assert decode_damaged(content).tolist() == decode_fields(content).damaged.tolist() == [5]
+
+    lengths = LimbLengths(np.array([[0.3]]), np.array([0.5]))
+    videos = (DamagedVideo("left", "a.mp4", 2, 60, 0.5, 1.0), DamagedVideo("right", "b.mp4", 1, 60, 0.1, 0.1))
+    assert encode_lengths(lengths) == encode_lengths(lengths, ())
+    assert encode_tracks([], []) == encode_tracks([], [], ())
+    assert decode_damaged_videos(encode_lengths(lengths)) == ()
+    for content in (encode_lengths(lengths, videos), encode_tracks([], [], videos)):
+        assert decode_damaged_videos(content) == videos
+    np.testing.assert_array_equal(decode_lengths(encode_lengths(lengths, videos))[0], lengths[0])
+    assert decode_tracks(encode_tracks([], [], videos)) == ((), ())
+
+
+def fields_of_two_frames() -> PafFields:
+    return PafFields(
         camera="left",
         frame=np.array([3, 4]),
         peak_row=np.array([0, 1, 1]),
@@ -80,6 +108,10 @@ def test_fields_come_back() -> None:
         limbs=np.arange(38).reshape(19, 2),
         grid=MapGrid((3.5, 3.4), (8.0, 8.1)),
     )
+
+
+def test_fields_come_back() -> None:
+    found = fields_of_two_frames()
     content = encode_fields(found)
     assert encode_fields(found) == content
     back = decode_fields(content)

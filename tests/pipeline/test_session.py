@@ -5,12 +5,14 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
 from pipeline.errors import InputError
 from pipeline.session import CaptureSession, Recording, open_session
-from tests.pipeline.media import write_audio, write_video
+from pipeline.video.decode import decode
+from tests.pipeline.media import rewrite_packets, write_audio, write_video
 
 
 def calibration(path: Path, names: list[str], size_px: tuple[int, int] = (64, 48), **changes: Any) -> Path:
@@ -51,6 +53,30 @@ def problems_of(videos: Any, cameras: Path) -> set[tuple[str, str | None]]:
     for problem in error.value.problems:
         assert str(cameras.parent) not in str(problem)
     return {(problem.code, problem.camera or problem.file) for problem in error.value.problems}
+
+
+def test_frames_that_repeat_a_time_are_said(folder: Path, tmp_path: Path) -> None:
+    def repeat(number: int, packet: "av.Packet[Any]") -> "list[av.Packet[Any]]":
+        packet.pts, packet.dts = 40 * (number - (number == 7)), number - 1000
+        return [packet]
+
+    for name in ("a", "b"):
+        (folder / f"{name}.mp4").unlink()
+    good = write_video(tmp_path / "good.mkv", 30, options={"bf": "0"})
+    rewrite_packets(good, folder / "a.mkv", repeat)
+    shutil.copy(good, folder / "b.mkv")
+    session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
+    assert session.warnings == ("a.mkv: 1 frame is left out, for another frame has the same time.",)
+
+
+def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
+    clip = write_video(tmp_path / "clip.mp4", 3, rate_hz=30)
+    names = [f"cam{k:02}" for k in range(31)]
+    videos = [Path(shutil.copy(clip, tmp_path / f"{name}.mp4")) for name in names]
+    session = open_session(videos, calibration(tmp_path / "c.json", names))
+    assert session.timebase.num_frames == 3
+    for video in session.videos:
+        assert [number for number, _ in decode(video, 0, 3)] == [0, 1, 2]
 
 
 def test_videos_match_cameras_by_name_in_the_calibrations_order(folder: Path, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data import Camera, Observations
+from pipeline.data import Camera, DamagedVideo, Observations
 from pipeline.metrics.capture_checks import capture_checks
 from pipeline.metrics.quality import all_checks, quality_report
 from tests.pipeline.metrics.test_quality import CAMERAS, camera, observe, reconstruction
@@ -80,3 +80,13 @@ def test_frames_with_approximate_association_are_counted() -> None:
     (check,) = all_checks(quality_report(crowded))
     assert check["code"] == "approximate_association"
     assert check["message"].startswith("In 7 of 100 frames ")
+
+
+def test_damaged_videos_are_named_with_what_is_damaged() -> None:
+    one = DamagedVideo("left", "left.mp4", 3, 60, 0.8, 0.88)
+    take = reconstruction(TRACK, observations=(observe(TRACK),), cameras=CAMERAS)
+    (check,) = quality_report(replace(take, damaged=(one,)))["capture_checks"]
+    assert check["code"] == "damaged_video"
+    assert check["message"].startswith("A video is damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s).")
+    (check,) = quality_report(replace(take, damaged=(one, replace(one, file="right.mp4"))))["capture_checks"]
+    assert check["message"].startswith("2 videos are damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s), right.mp4 ")
