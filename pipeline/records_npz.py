@@ -247,7 +247,7 @@ def _damaged_videos(damaged: Sequence[DamagedVideo]) -> dict[str, np.ndarray]:
 
 
 def decode_damaged_videos(content: bytes) -> tuple[DamagedVideo, ...]:
-    """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``encode_tracks`` wrote."""
+    """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``encode_people`` wrote."""
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         written = json.loads(str(archive[_DAMAGED_VIDEOS])) if _DAMAGED_VIDEOS in archive.files else []
     return tuple(DamagedVideo(**one) for one in written)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.data import Camera, DamagedVideo, Detections, FrameTimes, MapGrid, PafFields, Poses3D
+from pipeline.data import Camera, DamagedVideo, Detections, FrameTimes, MapGrid, PafFields, People, Poses3D
 from pipeline.geometry.rigid import Rigid3
 from pipeline.records_npz import (
     decode_damaged,
@@ -13,20 +13,21 @@ from pipeline.records_npz import (
     decode_detections,
     decode_fields,
     decode_lengths,
+    decode_people,
     decode_poses,
     decode_session,
-    decode_tracks,
     encode_detections,
     encode_fields,
     encode_lengths,
+    encode_people,
     encode_poses,
     encode_session,
-    encode_tracks,
 )
 from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
 
 RNG = np.random.default_rng(3)
+NOBODY = People((), (), 0)
 
 
 def video(name: str, num_frames: int) -> VideoInfo:
@@ -88,12 +89,12 @@ def test_damage_comes_back_and_costs_no_byte_where_there_is_none() -> None:
     lengths = LimbLengths(np.array([[0.3]]), np.array([0.5]))
     videos = (DamagedVideo("left", "a.mp4", 2, 60, 0.5, 1.0), DamagedVideo("right", "b.mp4", 1, 60, 0.1, 0.1))
     assert encode_lengths(lengths) == encode_lengths(lengths, ())
-    assert encode_tracks([], []) == encode_tracks([], [], ())
+    assert encode_people(NOBODY) == encode_people(NOBODY, ())
     assert decode_damaged_videos(encode_lengths(lengths)) == ()
-    for content in (encode_lengths(lengths, videos), encode_tracks([], [], videos)):
+    for content in (encode_lengths(lengths, videos), encode_people(NOBODY, videos)):
         assert decode_damaged_videos(content) == videos
     np.testing.assert_array_equal(decode_lengths(encode_lengths(lengths, videos))[0], lengths[0])
-    assert decode_tracks(encode_tracks([], [], videos)) == ((), ())
+    assert decode_people(encode_people(NOBODY, videos)) == NOBODY
 
 
 def fields_of_two_frames() -> PafFields:
