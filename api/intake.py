@@ -159,7 +159,7 @@ async def _check_and_keep(
                 preflight = await services.checks.run(
                     owner,
                     services.preflight.check,
-                    _arguments(form, arrival.manifest or Manifest()),
+                    _arguments(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
                     record_path,
                     allowance_s(form),
                 )
@@ -318,8 +318,8 @@ def _files(form: Form) -> dict[str, ReceivedFile]:
     return files
 
 
-def _arguments(form: Form, manifest: Manifest) -> list[str]:
-    """What the check is told."""
+def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
+    """Arguments of the check of a session's files."""
     paths: dict[str, list[str]] = {}
     for pointer, file in _files(form).items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
@@ -332,7 +332,11 @@ def _arguments(form: Form, manifest: Manifest) -> list[str]:
             for one in manifest.cameras
         ]
         arguments.append(f"--recordings={json.dumps(said, ensure_ascii=False)}")
-    return arguments if manifest.frame_rate_hz is None else [*arguments, f"--frame-rate={manifest.frame_rate_hz!r}"]
+    if manifest.frame_rate_hz is not None:
+        arguments.append(f"--frame-rate={manifest.frame_rate_hz!r}")
+    if form.keypoints:
+        arguments.append(f"--max-joints={max_joints}")
+    return arguments
 
 
 def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:

@@ -100,6 +100,11 @@ class Settings(BaseSettings):
     max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Of all files of a session.")
     max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Of a calibration file.")
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
+    max_session_joints: int = Field(
+        default=25_000_000,
+        gt=0,
+        description="Joints of all keypoint files of a session, found or not; a worker needs some 115 bytes for each.",
+    )
     max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
 
     max_duration_s: float | None = Field(

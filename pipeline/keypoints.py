@@ -36,8 +36,8 @@ _FORMATS: Mapping[int, JointSet] = {3 * len(joints.names): joints for joints in 
 _MAX_FILE_BYTES = 4 * 2**20
 MAX_PEOPLE = 128
 """People that a camera may show in a frame; association takes some seconds for each frame of so many."""
-MAX_JOINTS = 18_000_000
-"""Joints of a session, found or not: two hours of one person in four cameras, with BODY_25 at 25 Hz.
+MAX_JOINTS = 25_000_000
+"""Joints of a session, found or not: two hours of two people in four cameras, with 17 joints at 25 Hz.
 
 Tracking takes some 105 bytes of memory for each.
 """

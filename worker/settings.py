@@ -124,7 +124,7 @@ class WorkerSettings(BaseSettings):
         default=10, ge=0, le=19, description="How far workers stand back for all else on their machine, the API first."
     )
     memory_bytes: int = Field(
-        default=5 * 2**29,
+        default=7 * 2**29,
         ge=2**29,
         description="Memory of a worker process; a chunk that needs more fails with memory_limit.",
     )

@@ -16,7 +16,7 @@ from api.errors import ApiError
 from api.form import Form, ReceivedFile
 from api.preflight import InvalidFilesError, Preflight, allowance_s
 from api.settings import GIB, Settings
-from tests.api.conftest import Live, form, problem_of, running
+from tests.api.conftest import NO_BROKER, Live, form, problem_of, running
 from tests.hostile.keypoints import keypoint_files, simulate
 from worker.jobs.model import Scope
 
@@ -158,6 +158,16 @@ def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
     assert error.code == "session_too_large"
     assert error.message == "The session's keypoints take more room than the service keeps."
     assert error.hint == "Cut it into several sessions."
+
+
+def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
+    files = keypoint_files(simulate())
+    kinds = {".zip": "keypoints", ".csv": "timestamps", ".json": "calibration"}
+    parts = [(kinds[Path(name).suffix], (name, content)) for name, content in files.items()]
+    with running(Settings(data_dir=tmp_path / "data", broker_url=NO_BROKER, max_session_joints=100)) as live:
+        answer = live.client.post("/v1/sessions", files=parts)
+    assert answer.status_code == 422
+    assert {error["code"] for error in answer.json()["errors"]} == {"session_too_large"}
 
 
 def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_settings: Callable[..., Settings]) -> None:
