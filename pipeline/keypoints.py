@@ -147,7 +147,7 @@ def open_keypoints(
             message = f"With this camera's files the session has more than {max_joints:,} joints."
             hint = "Cut it into several sessions."
             problems.append(Problem("session_too_large", message, camera=camera_of.get(name, name), hint=hint))
-            break
+            raise InputError(problems)
     joints = _joint_set(frames, problems)
     found = {camera: frames[name] for camera, name in pairs.items()}
     if timestamps is not None and frame_rate_hz is not None:
