@@ -1,7 +1,7 @@
 """Hostile media, calibrations, keypoints and timestamps through the real service, whole jobs where they are accepted.
 
 A short campaign is part of the suite; ``make hostile`` sends 5,000 videos, 500 calibrations and 500 sessions of
-keypoints. ``MULTICAP_HOSTILE_SEED`` is the seed.
+keypoints. ``MULTICAP_HOSTILE_SEED`` is the seed, ``MULTICAP_HOSTILE_SHARE`` the share of these counts.
 """
 
 import json
@@ -29,6 +29,7 @@ from worker.jobs.store import JobStore
 pytestmark = pytest.mark.xdist_group("faults")
 
 SEED = int(os.environ.get("MULTICAP_HOSTILE_SEED", "18"))
+SHARE = float(os.environ.get("MULTICAP_HOSTILE_SHARE", "1"))
 SENDERS = 3
 VIDEOS_A_SESSION = 8
 METHODS = ("tracking", "clustering")
@@ -143,4 +144,4 @@ def test_a_short_campaign(campaign: Campaign, tmp_path: Path) -> None:
 
 @pytest.mark.hostile
 def test_the_whole_campaign(campaign: Campaign, tmp_path: Path) -> None:
-    run(campaign, tmp_path / "videos", 5000, 500, 500).check_times()
+    run(campaign, tmp_path / "videos", *(round(SHARE * count) for count in (5000, 500, 500))).check_times()
