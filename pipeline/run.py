@@ -159,9 +159,9 @@ def _reconstruct_people(
             on_progress,
         )
     else:
-        num_frames = session.timebase.num_frames
-        count = _counter("associate", num_frames, on_progress)
-        people = track(session, detections, config, in_units(num_frames, count))
+        num_units = sum(map(len, cut_stretches(session.stretches, range(session.timebase.num_frames))))
+        count = _counter("associate", num_units, on_progress)
+        people = track(session, detections, config, in_units(num_units, count))
     return _finish(session, people, joints, config, on_progress, damaged)
 
 

@@ -183,6 +183,9 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
         raise _UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
+    times = [pts for frame in frames if (pts := shown_at(frame)) is not None]
+    if times != sorted(times):
+        raise _UnusableError("video_times", "The times of the first frames go back.", _REPAIR_TIMES)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
@@ -190,9 +193,6 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
         if last is None:
             raise _UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
         frames.append(last)
-    times = [pts for frame in frames if (pts := shown_at(frame)) is not None]
-    if times != sorted(times):
-        raise _UnusableError("video_times", "The times of the first frames go back.", _REPAIR_TIMES)
     first = frames[0]
     for frame in frames:
         if (frame.width, frame.height) != (first.width, first.height):

@@ -114,8 +114,9 @@ def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str])
     class Workflow(followed.as_state_machine()):  # type: ignore[misc]
         def setup(self) -> None:
             # The same state for each example, as Hypothesis expects where it repeats the beginning of one.
-            for session in service.client.get("/v1/sessions").json()["sessions"]:
-                service.client.delete(f"/v1/sessions/{session['id']}")
+            while sessions := service.client.get("/v1/sessions").json()["sessions"]:
+                for session in sessions:
+                    service.client.delete(f"/v1/sessions/{session['id']}")
             service.job_id()
 
         def before_call(self, case: schemathesis.Case[Any]) -> None:
