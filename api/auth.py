@@ -27,7 +27,7 @@ _cookie = APIKeyCookie(
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who calls, from where, and what they may do. ``key`` is ``None`` as long as there are no keys at all."""
+    """Caller of a request: address, tenant and scopes. ``key`` is ``None`` as long as the service has no keys."""
 
     tenant: str
     scopes: frozenset[Scope]

@@ -116,7 +116,7 @@ class RevokedKeyGuard:
 
 
 async def _first(receive: Receive, ended: asyncio.Event) -> Message:
-    """What comes of the client; that it is gone, if the event is set first."""
+    """Next message of the client; its disconnection if the event is set first."""
     coming, ending = asyncio.ensure_future(receive()), asyncio.ensure_future(ended.wait())
     try:
         await asyncio.wait([coming, ending], return_when=asyncio.FIRST_COMPLETED)

@@ -76,7 +76,7 @@ def find_people(
                 approximate.append(frame)
             number.append(np.full(len(poses.xyz_m), frame))
             xyz_m.append(poses.xyz_m)
-            # What stands behind the last candidate is taken where there is none.
+            # The entry behind the last candidate stands for no candidate.
             points_px.append(np.append(instant.candidates.seen_px, [[np.nan, np.nan]], axis=0)[poses.candidate])
             score.append(np.append(instant.candidates.score, 0.0)[poses.candidate])
         on_frame()
