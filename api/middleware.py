@@ -245,7 +245,7 @@ class HeadByGet:
 
 
 def _is_routed(scope: Scope) -> bool:
-    """Whether a route takes the very method of a request."""
+    """Return whether a route accepts the method of a request."""
     return any(route.matches(scope)[0] is Match.FULL for route in scope["app"].routes)
 
 

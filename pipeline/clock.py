@@ -15,7 +15,7 @@ from pipeline.video.probe import mean_rate_hz
 
 @dataclass(frozen=True, slots=True)
 class TimeSource:
-    """Where the frame times of a session come from; problems point there.
+    """Source of a session's frame times, which problems name.
 
     Parameters
     ----------

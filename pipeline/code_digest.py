@@ -163,5 +163,5 @@ def _canonical(value: object) -> Any:
 
 
 def _is_docstring(node: object) -> bool:
-    """Whether a statement is a string and nothing else; such do nothing, wherever they stand."""
+    """Return whether a statement is a bare string, which does nothing."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

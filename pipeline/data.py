@@ -317,7 +317,7 @@ class FootContact:
 
 
 class People(NamedTuple):
-    """What association finds.
+    """Result of association.
 
     Parameters
     ----------

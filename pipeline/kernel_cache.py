@@ -33,7 +33,7 @@ def cache_folder() -> Path | None:
 
 
 def is_complete() -> bool:
-    """Whether a warm-up has compiled all kernels of this installation for this processor."""
+    """Return whether a warm-up has compiled all kernels of this installation for this processor."""
     folder = cache_folder()
     return folder is not None and _stamp(folder).is_file()
 

@@ -95,7 +95,7 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
 
 
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
-    """Whether a worker is ready, and has the detector that jobs use by default; empty without a database."""
+    """Check that a worker is ready and has the default detector; empty without a database."""
     try:
         found = store.workers()
     except SQLAlchemyError:

@@ -42,11 +42,11 @@ class Effort:
     _left: int = _MAX_STEPS
 
     def allows(self, size: int, most: int) -> bool:
-        """Whether a size is within a limit; if not, the instant is approximate."""
+        """Return whether a size is within a limit; beyond it the instant is approximate."""
         self.is_exact &= size <= most
         return size <= most
 
     def allows_round(self, num_hypotheses: int) -> bool:
-        """Whether a search for the densest of some hypotheses is within what is left; if so, it is taken from that."""
+        """Return whether the remaining effort allows a search for the densest hypotheses, and spend it if so."""
         self._left -= num_hypotheses + _STEPS_A_ROUND
         return self.allows(-self._left, 0)
