@@ -19,8 +19,8 @@ from worker.jobs.errors import DamagedArtifact, NotFound
 
 _BLOCK_BYTES = 2**20
 _MAX_REMEMBERED = 10_000
-# Two changes within one tick of the file system's clock leave the same times: a version is remembered once its last
-# change is older than that.
+# Two changes within one tick of the file system's clock leave the same times, and a file system sets the times of a
+# write before it stores the bytes: a version is relied on once its last change is older than that.
 _SETTLED_NS = 100_000_000
 
 
@@ -42,7 +42,7 @@ class FileVersion(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether another change would have other times."""
+        """Whether its last change is complete, and another one would have other times."""
         return time.time_ns() - max(self.modified_ns, self.changed_ns) > _SETTLED_NS
 
 
@@ -110,7 +110,7 @@ def sha256_of(file: Readable, check: Callable[[], None] = no_check) -> str:
     return digest.hexdigest()
 
 
-def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], None] = no_check) -> FileVersion:
+def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], None] = no_check) -> FileVersion | None:
     """Compare an open file with its digest, unless its version was compared before.
 
     Parameters
@@ -126,7 +126,8 @@ def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], N
 
     Returns
     -------
-        Version of the file that has the digest.
+        Version of the file that has the digest. None if the file changed so shortly before that it may have other bytes
+        without having another version: compare again after reading.
 
     Raises
     ------
@@ -136,6 +137,7 @@ def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], N
     version = version_of(descriptor)
     if _verified.holds(version, sha256):
         return version
+    settled = version.is_settled
     try:
         found = _sha256_of_descriptor(descriptor, check)
     except OSError as error:
@@ -144,8 +146,9 @@ def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], N
         raise DamagedArtifact(key) from error
     if found != sha256:
         raise DamagedArtifact(key)
-    if version.is_settled and version_of(descriptor) == version:
-        _verified.add(version, sha256)
+    if not settled or version_of(descriptor) != version:
+        return None
+    _verified.add(version, sha256)
     return version
 
 

@@ -1,6 +1,7 @@
 """Stored files are compared with their digests, on every artifact store, whatever happens to them on the way."""
 
 import hashlib
+import mmap
 import os
 import sys
 import time
@@ -178,6 +179,21 @@ def test_no_block_is_read_of_a_file_that_is_damaged_meanwhile(folder: LocalArtif
         overwrite(tmp_path / KEY, flipped(CONTENT))
         with pytest.raises(DamagedArtifact):
             file.read(2**20)
+
+
+def test_bytes_that_are_stored_after_the_times_of_their_write_are_seen(folder: LocalArtifacts, tmp_path: Path) -> None:
+    path = tmp_path / KEY
+    with path.open("r+b") as writer, mmap.mmap(writer.fileno(), 0) as memory:
+        memory[-1] = memory[-1]  # the page may be written now: further bytes leave its times
+        settle()
+        with folder.open(KEY, SHA256) as file:
+            os.utime(path)
+            assert file.read(2**20) == CONTENT[: 2**20]
+            before = version_of(file.fileno())
+            memory[-1] ^= 255
+            assert version_of(file.fileno()) == before
+            with pytest.raises(DamagedArtifact):
+                file.read(2**20)
 
 
 def test_a_hard_link_is_no_damage(folder: LocalArtifacts, tmp_path: Path) -> None:
