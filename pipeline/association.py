@@ -178,10 +178,16 @@ def locate_people(
     return find_people(session.cameras, seen, frames, skeleton_of(joints), lengths, parameters, on_frame)
 
 
-def link(session: Views, chunks: Sequence[Poses3D], joints: JointSet, config: ReconstructionConfig) -> People:
-    """Link the poses of all ranges to tracks."""
+def link(
+    session: Views,
+    chunks: Sequence[Poses3D],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_share: OnShare = ignore,
+) -> People:
+    """Link the poses of all ranges to tracks; ``on_share`` is called as often as the work is far enough to say so."""
     parameters = clustering_parameters(session, config)
-    people = link_people(session.cameras, chunks, session.timebase, joints, parameters)
+    people = link_people(session.cameras, chunks, session.timebase, joints, parameters, on_share)
     return People(*keep_most_seen(*people, config.people), sum(len(one.approximate) for one in chunks))
 
 

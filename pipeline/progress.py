@@ -1,7 +1,8 @@
 """How far a reconstruction is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Literal
 
 Stage = Literal["detect", "lengths", "poses", "associate", "fit"]
@@ -33,7 +34,20 @@ def ignore(_: float) -> None:
 
 def part_of(on_share: OnShare, start: float, stop: float) -> OnShare:
     """Report the shares of a part of the work, which goes from one share of the whole to another."""
-    return lambda share: on_share(start + (stop - start) * share)
+    return lambda share: on_share(start * (1.0 - share) + stop * share)
+
+
+def split(on_share: OnShare, weights: Sequence[int]) -> list[OnShare]:
+    """Split work into parts that follow each other, and return how each part reports its own share.
+
+    Parameters
+    ----------
+    weights
+        Amount of work in each part.
+    """
+    total = sum(weights) or 1
+    borders = [border / total for border in accumulate(weights, initial=0)]
+    return [part_of(on_share, *ends) for ends in pairwise(borders)]
 
 
 def in_units(total: int, on_unit: Callable[[], None]) -> OnShare:

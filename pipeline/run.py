@@ -36,7 +36,7 @@ from pipeline.detect.field_files import FieldFiles
 from pipeline.errors import ChildError, InputError, Problem
 from pipeline.joints import JointSet
 from pipeline.keypoints import KeypointSession
-from pipeline.progress import OnProgress, Progress, Stage, in_units, silent
+from pipeline.progress import OnProgress, OnShare, Progress, Stage, in_units, silent
 from pipeline.records_npz import decode_damaged, encode_fields
 from pipeline.session import CaptureSession
 from pipeline.skeleton.animate import animate
@@ -159,9 +159,7 @@ def _reconstruct_people(
             on_progress,
         )
     else:
-        num_units = sum(map(len, cut_stretches(session.stretches, range(session.timebase.num_frames))))
-        count = _counter("associate", num_units, on_progress)
-        people = track(session, detections, config, in_units(num_units, count))
+        people = track(session, detections, config, _shares("associate", session, on_progress))
     return _finish(session, people, joints, config, on_progress, damaged)
 
 
@@ -177,10 +175,7 @@ def _cluster(
     lengths = measure_bones(session, ((frames, found_in(frames)) for frames in ranges), joints, config, count)
     count = _counter("poses", sum(map(len, ranges)), on_progress)
     poses = [locate_people(session, frames, found_in(frames), lengths, joints, config, count) for frames in ranges]
-    count = _counter("associate", 1, on_progress)
-    people = link(session, poses, joints, config)
-    count()
-    return people
+    return link(session, poses, joints, config, _shares("associate", session, on_progress))
 
 
 def _finish(
@@ -192,8 +187,8 @@ def _finish(
     damaged: tuple[DamagedVideo, ...],
 ) -> Reconstruction:
     located, observations, num_approximate_frames = people
-    count = _counter("fit", 2 * len(located), on_progress)
-    animation = animate(located, observations, session.cameras, session.timebase, joints, config, count)
+    on_share = _shares("fit", session, on_progress)
+    animation = animate(located, observations, session.cameras, session.timebase, joints, config, on_share)
     by_membership = config.method == "clustering" and not uses_fields(session, config)
     return Reconstruction(
         cameras=session.cameras,
@@ -206,6 +201,12 @@ def _finish(
         num_approximate_frames=num_approximate_frames,
         damaged=damaged,
     )
+
+
+def _shares(stage: Stage, session: Views, on_progress: OnProgress) -> OnShare:
+    """Report the shares of a stage over all output frames as so many frames."""
+    num_frames = sum(map(len, cut_stretches(session.stretches, range(session.timebase.num_frames))))
+    return in_units(num_frames, _counter(stage, num_frames, on_progress))
 
 
 def _counter(stage: Stage, total: int, on_progress: OnProgress) -> Callable[[], None]:

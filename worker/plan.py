@@ -23,7 +23,7 @@ DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "
 CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 3, POSES: 3, ASSOCIATE: 4, FIT: 4, EXPORT: 5}
 
 DEFAULT_CHUNK_FRAMES = 100
-# Tracking a frame takes about a tenth of the time of detecting people in it.
+# A frame of a reduce takes about a tenth of the time of detecting people in it.
 _FRAMES_A_UNIT = 10
 MAX_CHUNKS = 20_000
 """Most chunks of a stage. Each is a row of the database, and a job is read from all of its rows."""
@@ -91,9 +91,9 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
         **({} if spec.output_rate_hz is None else {"output_rate_hz": spec.output_rate_hz}),
     }
     export = _key(EXPORT, formats, [associate, fit])
-    num_units = 1 if spec.method == "clustering" else -(-cut.num_frames // _FRAMES_A_UNIT)
-    stages.append(StagePlan(ASSOCIATE, _reduce(associate, num_units)))
-    stages.extend(StagePlan(name, _reduce(key)) for name, key in ((FIT, fit), (EXPORT, export)))
+    num_units = -(-cut.num_frames // _FRAMES_A_UNIT)
+    reduces = ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export))
+    stages.extend(StagePlan(name, _reduce(key, num_units)) for name, key in reduces)
     return tuple(stages)
 
 
@@ -217,7 +217,7 @@ def _num_measured(session: SessionFacts, cut: FrameCut) -> int:
 
 
 def _reduce(
-    stage_key: str, unit_count: int = 1, payload: Mapping[str, Any] = MappingProxyType({})
+    stage_key: str, unit_count: int, payload: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[ChunkPlan, ...]:
     return (ChunkPlan(index=0, payload=dict(payload), unit_count=unit_count, output_key=stage_key),)
 

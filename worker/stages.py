@@ -214,15 +214,15 @@ def find_poses(work: Work) -> Outcome:
 def associate_people(work: Work) -> Outcome:
     """Turn what was found in all chunks into tracks: one pass in time order."""
     session, joints = _views_of(work)
+    on_share = in_units(work.claim.unit_count, work.on_unit)
     if work.claim.spec.method == "clustering":
         poses = [decode_poses(content) for content in work.outputs(POSES)]
         damaged = decode_damaged_videos(*work.outputs(LENGTHS))
-        return Outcome(encode_people(link(session, poses, joints, _config(work)), damaged))
+        return Outcome(encode_people(link(session, poses, joints, _config(work), on_share), damaged))
     detections = (
         session.detections if isinstance(session, KeypointSession) else _bodies(session, joints, work.outputs(DETECT))
     )
     damaged = damaged_videos(session, [(camera, one.damaged) for camera, one in detections.items()])
-    on_share = in_units(work.claim.unit_count, work.on_unit)
     return Outcome(encode_people(track(session, detections, _config(work), on_share), damaged))
 
 
@@ -230,7 +230,8 @@ def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
     session, joints = _views_of(work)
     located, observations, _ = decode_people(*work.outputs(ASSOCIATE))
-    animation = animate(located, observations, session.cameras, session.timebase, joints, _config(work), work.on_unit)
+    on_share = in_units(work.claim.unit_count, work.on_unit)
+    animation = animate(located, observations, session.cameras, session.timebase, joints, _config(work), on_share)
     return Outcome(encode_animation(animation))
 
 
@@ -250,11 +251,10 @@ def export(work: Work) -> Outcome:
         num_approximate_frames=num_approximate_frames,
         damaged=decode_damaged_videos(associated),
     )
-    files = []
     spec = work.claim.spec
-    for path in write_results(reconstruction, work.scratch, spec.exports, spec.bvh, spec.output_rate_hz):
-        files.append(_result_file(path))
-        work.on_unit()
+    on_share = in_units(work.claim.unit_count, work.on_unit)
+    paths = write_results(reconstruction, work.scratch, spec.exports, spec.bvh, spec.output_rate_hz, on_share)
+    files = [_result_file(path) for path in paths]
     index = json.dumps({"files": [file.name for file in files]}).encode()
     report = json.loads((work.scratch / METRICS).read_bytes())
     return Outcome(index, tuple(files), tuple(ResultWarning(**check) for check in all_checks(report)))

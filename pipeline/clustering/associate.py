@@ -21,6 +21,7 @@ from pipeline.data import Camera, Detections, FrameTimes, Observations, Poses3D,
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.life import Person, number_people, record_life
 from pipeline.joints import JointSet
+from pipeline.progress import OnShare, ignore, split
 
 
 def find_poses(
@@ -118,6 +119,7 @@ def link_people(
     timebase: Timebase,
     joints: JointSet,
     parameters: ClusteringParameters,
+    on_share: OnShare = ignore,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Link everybody's poses in time (section 3.5).
 
@@ -127,6 +129,8 @@ def link_people(
         Of consecutive ranges.
     joints
         What the joint axis of the tracks shall hold: the detector's.
+    on_share
+        Called after every instant, and after every track.
 
     Returns
     -------
@@ -134,8 +138,14 @@ def link_people(
     """
     skeleton = skeleton_of(joints)
     poses = _join(chunks)
-    lives = _lives(poses, timebase, skeleton, parameters)
-    people = (_person(cameras, timebase, skeleton, joints, poses, life) for life in lives)
+    on_lives, on_people = split(on_share, (1, 1))
+    lives = _lives(poses, timebase, skeleton, parameters, on_lives)
+    parts = split(on_people, [len(life) for life in lives])
+    people = []
+    for life, on_person in zip(lives, parts, strict=True):
+        people.append(_person(cameras, timebase, skeleton, joints, poses, life))
+        on_person(1.0)
+    on_share(1.0)
     return number_people([person for person in people if person is not None])
 
 
@@ -210,14 +220,18 @@ def _join(chunks: Sequence[Poses3D]) -> Poses3D:
 
 
 def _lives(
-    poses: Poses3D, timebase: Timebase, skeleton: Skeleton, parameters: ClusteringParameters
+    poses: Poses3D,
+    timebase: Timebase,
+    skeleton: Skeleton,
+    parameters: ClusteringParameters,
+    on_share: OnShare = ignore,
 ) -> list[np.ndarray]:
     """Each person's poses, as rows in order of time."""
     frames = np.unique(poses.frame)
     rows = np.split(np.arange(len(poses.frame)), np.searchsorted(poses.frame, frames[1:]))
     torso_m = poses.xyz_m[:, skeleton.indices(TORSO)]
     instants_s = timebase.start_time_s + frames / timebase.frame_rate_hz
-    linked = link([torso_m[mine] for mine in rows[: len(frames)]], instants_s, parameters)
+    linked = link([torso_m[mine] for mine in rows[: len(frames)]], instants_s, parameters, on_share)
     return [np.array([rows[instant][number] for instant, number in track.members]) for track in linked]
 
 

@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pipeline.clustering.distance import mean_distance_m
 from pipeline.clustering.parameters import ClusteringParameters
+from pipeline.progress import OnShare, ignore
 
 # A pose's own noise, beside what its body may move.
 _NOISE_M = 0.15
@@ -38,6 +39,7 @@ def link(
     torsos_m: Sequence[Float[np.ndarray, "_ torso 3"]],
     instants_s: Float[np.ndarray, " instants"],
     parameters: ClusteringParameters,
+    on_share: OnShare = ignore,
 ) -> list[Track]:
     """Link poses by the mean distance of their torso joints, in order of time; what is left starts a track.
 
@@ -45,19 +47,24 @@ def link(
     ----------
     torsos_m
         The torso joints of everybody at each instant, NaN where one was not found.
+    on_share
+        Called after every instant.
     """
     tracks: list[Track] = []
+    alive: list[Track] = []
     for instant, (torso_m, time_s) in enumerate(zip(torsos_m, instants_s.tolist(), strict=True)):
-        alive = [track for track in tracks if time_s - track.last_s <= parameters.max_unseen_s + 1e-9]
+        alive = [track for track in alive if time_s - track.last_s <= parameters.max_unseen_s + 1e-9]
         partner = _match(alive, torso_m, time_s, parameters)
         for number, pose_m in enumerate(torso_m):
             track = partner.get(number)
             if track is None:
                 track = Track(last_m=pose_m)
                 tracks.append(track)
+                alive.append(track)
             track.members.append((instant, number))
             track.last_m = np.where(np.isnan(pose_m), track.last_m, pose_m)
             track.last_s = time_s
+        on_share((instant + 1) / len(torsos_m))
     return tracks
 
 

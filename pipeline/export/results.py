@@ -16,6 +16,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.resample import resample, resampled_timebase
 from pipeline.metrics.quality import encode as encode_metrics
 from pipeline.metrics.quality import quality_report
+from pipeline.progress import OnShare, ignore, part_of, split
 from pipeline.quantities import MAX_OUTPUT_FRAMES
 from pipeline.skeleton.model import forward_kinematics
 
@@ -61,6 +62,7 @@ def write_results(
     exports: Collection[Export] = DEFAULT_EXPORTS,
     preset: Preset = "default",
     frame_rate_hz: float | None = None,
+    on_share: OnShare = ignore,
 ) -> Iterator[Path]:
     """Write all result files into a folder, which is made if it is missing; yields each as soon as it is there.
 
@@ -75,6 +77,8 @@ def write_results(
         How BVH files name, turn and scale the skeleton.
     frame_rate_hz
         Of the motion in all files; ``None``: the session's. What ``metrics.json`` measures is at the session's.
+    on_share
+        Called while files are read back, and after each file.
 
     Raises
     ------
@@ -86,25 +90,36 @@ def write_results(
     check_exports(reconstruction.timebase, exports, frame_rate_hz)
     shown = reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
-    far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in exports}}
+    formats = tuple(dict.fromkeys(exports))
+    far_mm: dict[str, list[float | None]] = {"skeletons": [], **{export: [] for export in formats}}
+    num_frames = [track.num_frames for track in shown.tracks]
+    parts = iter(split(on_share, [sum(num_frames), *(num for num in num_frames for _ in formats), 1 + sum(num_frames)]))
     path = folder / "skeletons.json"
+    on_people = iter(split(_of_reading(next(parts)), num_frames))
     with _replacing(path, skeletons_json.encode(shown)) as part:
         for track, read_m in zip(shown.tracks, skeletons_json.read_xyz_m(part), strict=True):
-            far_mm["skeletons"].append(_furthest_mm(path, track.xyz_m, [read_m]))
+            far_mm["skeletons"].append(_furthest_mm(path, track.xyz_m, [read_m], next(on_people)))
     yield path
     for track, motion in zip(shown.tracks, shown.motions, strict=True):
         skeleton_m = forward_kinematics(motion)
-        for export in dict.fromkeys(exports):
+        for export in formats:
             path = folder / f"{motion.name}.{export}"
             expected_m = skeleton_m if export in _OF_MOTIONS else track.xyz_m
             with _replacing(path, _encode(export, shown, track, motion, path.name, preset)) as part:
-                far_mm[export].append(_furthest_mm(path, expected_m, _read(export, part, preset)))
+                on_read = _of_reading(next(parts))
+                far_mm[export].append(_furthest_mm(path, expected_m, _read(export, part, preset), on_read))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
     path = folder / METRICS
     with _replacing(path, [encode_metrics(quality_report(reconstruction) | {"exports": check})]):
         pass
+    on_share(1.0)
     yield path
+
+
+def _of_reading(on_share: OnShare) -> OnShare:
+    """Report how far a file is read back: writing it takes about as long."""
+    return part_of(on_share, 0.5, 1.0)
 
 
 @contextlib.contextmanager
@@ -145,7 +160,10 @@ def _read(export: Export, path: Path, preset: Preset) -> Iterator[Float[np.ndarr
 
 
 def _furthest_mm(
-    path: Path, expected_m: Float[np.ndarray, "frames joints 3"], read_m: Iterable[Float[np.ndarray, "_ joints 3"]]
+    path: Path,
+    expected_m: Float[np.ndarray, "frames joints 3"],
+    read_m: Iterable[Float[np.ndarray, "_ joints 3"]],
+    on_share: OnShare,
 ) -> float | None:
     """Largest distance of what was read of a person's file, some frames at a time, from what should be there.
 
@@ -165,6 +183,7 @@ def _furthest_mm(
             raise spoilt
         if known.any():
             far_m.append(np.linalg.norm((block_m - expected_block_m)[known], axis=-1).max())
+        on_share(num_read / len(expected_m))
     if num_read != len(expected_m):
         raise spoilt
     return float(max(far_m)) * _MM_PER_M if far_m else None

@@ -1,6 +1,6 @@
 """Everybody's motion: smoothed or fit, with feet that stand still where they stand."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Animation, Camera, FootContact, Observations, Side, SkeletonMotion, Timebase, Track3D
 from pipeline.joints import JointSet
+from pipeline.progress import OnShare, ignore, split
 from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, places_of_feet, slide_of, standing_share
 from pipeline.skeleton.fit import SkeletonFit, fit_to_rays, follow
 from pipeline.skeleton.model import placed
@@ -19,6 +20,8 @@ from pipeline.skeleton.smooth import check_smoothing, smooth_track
 _LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
 # An ankle bends no further than this from the shin's right angle.
 _MAX_BEND_RAD = np.radians(45.0)
+# Shares of a track's time: positions, the skeleton's motion, feet that are held, positions from the motion.
+_WORK = (6, 6, 3, 1)
 
 
 def animate(
@@ -28,7 +31,7 @@ def animate(
     timebase: Timebase,
     joints: JointSet,
     config: ReconstructionConfig,
-    on_step: Callable[[], None] = lambda: None,
+    on_share: OnShare = ignore,
 ) -> Animation:
     """Give everybody a skeleton that moves as they did.
 
@@ -43,8 +46,8 @@ def animate(
     config
         How to smooth, and what to do with feet. With ``fit`` a track's joints are where the skeleton has them; else
         they are smoothed by themselves and the skeleton follows them.
-    on_step
-        Called twice a person.
+    on_share
+        Called after every window of a track's frames.
 
     Raises
     ------
@@ -52,12 +55,13 @@ def animate(
         As ``check_smoothing``.
     """
     check_smoothing(timebase, config)
+    work = [share * track.num_frames for shares in (_WORK[:2], _WORK[2:]) for track in tracks for share in shares]
+    parts = iter(split(on_share, work))
     fits: list[SkeletonFit] = []
     motions: list[SkeletonMotion] = []
     for track, seen in zip(tracks, observations, strict=True):
-        fits.append(_prepare(track, seen, cameras, timebase, joints, config))
-        motions.append(fits[-1].motion())
-        on_step()
+        fits.append(_prepare(track, seen, cameras, timebase, joints, config, next(parts)))
+        motions.append(fits[-1].motion(next(parts)))
     rate_hz = timebase.frame_rate_hz
     ankles_m = [_ankles_m(motion) for motion in motions]
     known = [_ankles_known(fitted.track, joints) for fitted in fits]
@@ -65,9 +69,12 @@ def animate(
     finals: list[Track3D] = []
     for number, seen in enumerate(observations):
         contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
-        motions[number] = _stand(fits[number], motions[number], ankles_m[number], contacts)
-        finals.append(follow(fits[number], seen, cameras) if config.smoothing == "fit" else fits[number].track)
-        on_step()
+        motions[number] = _stand(fits[number], motions[number], ankles_m[number], contacts, next(parts))
+        on_followed = next(parts)
+        finals.append(
+            follow(fits[number], seen, cameras, on_followed) if config.smoothing == "fit" else fits[number].track
+        )
+    on_share(1.0)
     return Animation(tuple(finals), tuple(motions), floor)
 
 
@@ -78,10 +85,11 @@ def _prepare(
     timebase: Timebase,
     joints: JointSet,
     config: ReconstructionConfig,
+    on_share: OnShare,
 ) -> SkeletonFit:
     name = f"person-{track.track_id}"
     if config.smoothing == "fit":
-        return fit_to_rays(track, seen, cameras, timebase, joints, name)
+        return fit_to_rays(track, seen, cameras, timebase, joints, name, on_share)
     return SkeletonFit(smooth_track(track, seen, cameras, timebase, config), joints, timebase, name)
 
 
@@ -101,11 +109,12 @@ def _stand(
     motion: SkeletonMotion,
     ankles_m: Float[np.ndarray, "frames 2 3"],
     contacts: tuple[FootContact, ...],
+    on_share: OnShare,
 ) -> SkeletonMotion:
     """Hold feet that stand, and level them where nothing says how they are turned."""
     places_m = places_of_feet(ankles_m, contacts, motion.frame_rate_hz)
     if np.isfinite(places_m).any():
-        fitted.pin({f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)})
+        fitted.pin({f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)}, on_share)
         ankles_m = _ankles_m(motion)
     after = [slide_of(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
     slid = (replace(contact, slide_after_m=slide_m) for contact, slide_m in zip(contacts, after, strict=True))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.data import Camera, Observations, SkeletonMotion, Source, Timebase, Track3D, read_only
 from pipeline.geometry.tracks import reproject
 from pipeline.joints import JointSet
+from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.articulated import Bodies, landmarks_of, refine, start_from
 from pipeline.skeleton.articulation import FREEDOMS, articulate
 from pipeline.skeleton.gaps import gaps_up_to
@@ -97,7 +98,7 @@ class SkeletonFit:
         girdles = [index for index, name in enumerate(self._joints.names) if name.endswith(("_hip", "_shoulder"))]
         return bool(np.isfinite(self._track.xyz_m[:, girdles]).any())
 
-    def motion(self) -> SkeletonMotion:
+    def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:
         """Fit the skeleton, from the rotations that the positions suggest."""
         num_frames = self._track.num_frames
         self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
@@ -106,7 +107,7 @@ class SkeletonFit:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
             return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
-        self._fit(start, {}, _NUM_STEPS)
+        self._fit(start, {}, _NUM_STEPS, on_share)
         return SkeletonMotion(
             track_id=self._track.track_id,
             name=self._name,
@@ -118,7 +119,7 @@ class SkeletonFit:
             contacts=(),
         )
 
-    def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> None:
+    def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
         """Fit the motion on, with landmarks that are drawn to places; NaN where and along which axes they are not.
 
         The motion changes in place: two of a long take would be large.
@@ -127,7 +128,7 @@ class SkeletonFit:
         def start(rows: slice) -> Bodies:
             return start_from(self._root_m[rows], self._quat[rows], self._skeleton)
 
-        self._fit(start, places_m, _NUM_STEPS_PINNED)
+        self._fit(start, places_m, _NUM_STEPS_PINNED, on_share)
 
     def turn(self, name: str, rotation: Rotation) -> None:
         """Turn a joint of the skeleton to its parent, in all frames of the motion, in place."""
@@ -145,6 +146,7 @@ class SkeletonFit:
         start: Callable[[slice], Bodies],
         places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
         num_steps: int,
+        on_share: OnShare,
     ) -> None:
         root_m, quat = Blend(self._root_m), Blend(self._quat)
         all_rows = list(windows(self._track.num_frames))
@@ -160,6 +162,7 @@ class SkeletonFit:
             quat.add(rows, _same_signs(bodies.quat_xyzw(), self._quat[rows.start] if rows.start else None))
             # Blended quaternions are not of length 1.
             self._quat[rows] /= np.linalg.norm(self._quat[rows], axis=-1, keepdims=True)
+            on_share((number + 1) / len(all_rows))
 
     def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
         """What the fit of a window follows. In gaps it stays near the way that it starts with."""
@@ -185,7 +188,13 @@ class SkeletonFit:
 
 
 def fit_to_rays(
-    track: Track3D, seen: Observations, cameras: Sequence[Camera], timebase: Timebase, joints: JointSet, name: str
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    name: str,
+    on_share: OnShare = ignore,
 ) -> SkeletonFit:
     """Prepare the fit of one person to all that the views saw.
 
@@ -196,7 +205,7 @@ def fit_to_rays(
     seen
         The observations behind it.
     """
-    xyz_m = fit_positions(track, seen, cameras, timebase, joints)
+    xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
     measured = track.source == Source.MEASURED
     known = measured | gaps_up_to(measured, round(MAX_GAP_S * timebase.frame_rate_hz))
     xyz_m[~known] = np.nan
@@ -209,13 +218,13 @@ def fit_to_rays(
     return SkeletonFit(positions, joints, timebase, name, rays_of)
 
 
-def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera]) -> Track3D:
+def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera], on_share: OnShare = ignore) -> Track3D:
     """The track whose joints are where the fit's motion has them, as far as they are known.
 
     Without hips and shoulders nothing says where the motion is: positions stay as they are then.
     """
     xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
-    for rows in windows(len(xyz_m), overlap=0):
+    for rows in windows(len(xyz_m), overlap=0, on_share=on_share):
         if fitted.has_torso:
             fitted.place(rows, xyz_m[rows])
         error_px[rows], _, _ = reproject(cameras, xyz_m[rows], seen.points_px[rows], seen.score[rows])

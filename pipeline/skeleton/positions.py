@@ -20,6 +20,7 @@ from scipy.linalg import solveh_banded
 
 from pipeline.data import Camera, Observations, Source, Timebase, Track3D
 from pipeline.joints import LIMBS, JointSet
+from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.gaps import filled_linearly
 from pipeline.skeleton.rays import Rays
 from pipeline.skeleton.windows import Blend, windows
@@ -63,7 +64,12 @@ def tie_weight(
 
 
 def fit_positions(
-    track: Track3D, seen: Observations, cameras: Sequence[Camera], timebase: Timebase, joints: JointSet
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    on_share: OnShare = ignore,
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Fit the positions of one person's joints.
 
@@ -81,7 +87,7 @@ def fit_positions(
     usual_m = usual_step_m(joints, timebase)
     fitted_m = np.empty(track.xyz_m.shape)
     fitted = Blend(fitted_m)
-    for rows in windows(track.num_frames):
+    for rows in windows(track.num_frames, on_share=on_share):
         rays = Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
         fitted.add(rows, _fit_window(track.xyz_m[rows], rays, limbs, usual_m))
     return fitted_m

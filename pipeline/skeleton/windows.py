@@ -5,14 +5,18 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.progress import OnShare, ignore
+
 _WINDOW_FRAMES, _OVERLAP_FRAMES = 600, 60
 
 
-def windows(num_frames: int, overlap: int = _OVERLAP_FRAMES) -> Iterator[slice]:
-    """Frames to work on at once."""
+def windows(num_frames: int, overlap: int = _OVERLAP_FRAMES, on_share: OnShare = ignore) -> Iterator[slice]:
+    """Frames to work on at once; ``on_share`` is called after each window."""
     step = _WINDOW_FRAMES - overlap
     for start in range(0, max(num_frames - overlap, 1), step):
-        yield slice(start, min(start + _WINDOW_FRAMES, num_frames))
+        stop = min(start + _WINDOW_FRAMES, num_frames)
+        yield slice(start, stop)
+        on_share(stop / max(num_frames, 1))
 
 
 class Blend:

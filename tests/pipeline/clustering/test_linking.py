@@ -1,5 +1,8 @@
 import numpy as np
+import pytest
 
+from pipeline.clustering import linking
+from pipeline.clustering.distance import mean_distance_m
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 
@@ -46,3 +49,19 @@ def test_joints_that_are_missing_now_and_then_do_not_break_a_track() -> None:
         pose[k] = np.nan
         poses.append(pose[None])
     assert len(link(poses, np.arange(6) / 25.0, PARAMETERS)) == 1
+
+
+def test_ended_tracks_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    num_compared = []
+
+    def counted(last_m: np.ndarray, torso_m: np.ndarray) -> np.ndarray:
+        num_compared.append(last_m.shape[0])
+        return mean_distance_m(last_m, torso_m)
+
+    monkeypatch.setattr(linking, "mean_distance_m", counted)
+    strangers = [np.array([torso(100.0 * instant)]) for instant in range(300)]
+    shares: list[float] = []
+    tracks = link(strangers, np.arange(300) / 25, PARAMETERS, shares.append)
+    assert len(tracks) == 300
+    assert max(num_compared) <= 25 * PARAMETERS.max_unseen_s + 1
+    assert shares == [(instant + 1) / 300 for instant in range(300)]

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -36,6 +37,16 @@ def without(joints: list[int], num_frames: int = 30) -> np.ndarray:
     xyz_m = walker(num_frames)
     xyz_m[:, joints] = np.nan
     return xyz_m
+
+
+def test_every_file_reports_progress(tmp_path: Path) -> None:
+    shares: list[float] = []
+    people = (track_of(walker(30)), replace(track_of(walker(30)), track_id=2))
+    paths = write_results(take(*people), tmp_path, EXPORTS, on_share=shares.append)
+    done = [(shares or [0.0])[-1] for _ in paths]
+    assert shares == sorted(shares)
+    assert len(set(done)) == len(done) == 2 + 2 * len(EXPORTS)
+    assert done[-1] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -211,3 +211,14 @@ def test_short_tracks(num_frames: int) -> None:
 def test_nobody() -> None:
     animation = animate([], [], [], Timebase(0.0, 25.0, 10), COCO_17, ReconstructionConfig())
     assert (animation.tracks, animation.motions, animation.floor) == ((), (), None)
+
+
+def test_every_window_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 120)
+    simulation, found = recorded("walk", 10.0)
+    shares: list[float] = []
+    cameras, timebase = simulation.cameras, simulation.timebase
+    animate(*found, cameras, timebase, simulation.joints, ReconstructionConfig(), shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert np.diff([0.0, *shares]).max() < 0.2
