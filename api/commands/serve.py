@@ -19,6 +19,7 @@ from pipeline.child_processes import module_command
 from pipeline.detect import models
 from worker import embedded
 from worker.descriptors import raise_descriptor_limit
+from worker.jobs.keys import Keys
 from worker.jobs.private_files import keep_files_private
 from worker.jobs.spec import JobSpec
 from worker.presence import forget_lost
@@ -88,7 +89,15 @@ def command(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 for a free one.")] = 8000,
     host: Annotated[str, typer.Option(help="Address to listen on; beyond this machine only with keys.")] = "127.0.0.1",
     data: Annotated[Path | None, typer.Option(help="Folder of everything it keeps; made if it is missing.")] = None,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Chunks worked on at once.")] = os.cpu_count() or 1,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=256,
+            help="Chunks worked on at once. Default: as many as this machine has processors, and one more if several "
+            "tenants have keys.",
+        ),
+    ] = None,
 ) -> None:
     """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
     settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
@@ -101,10 +110,16 @@ def command(
             with opened_store(settings) as store:
                 refuse_strangers(settings, store)
                 forget_lost(store)
-            _serve(settings, place, port, workers)
+                default_workers = _default_workers(store)
+            _serve(settings, place, port, workers or default_workers)
     except (embedded.DataFolderError, ExposedError) as error:
         raise refusal(str(error)) from error
     console.print("Stopped.")
+
+
+def _default_workers(store: Keys) -> int:
+    # One worker stays free for the other tenants, see `worker.jobs.turns`.
+    return (os.cpu_count() or 1) + (store.count_tenants() > 1)
 
 
 def _serve(settings: Settings, place: embedded.Place, port: int, workers: int) -> None:

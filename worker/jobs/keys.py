@@ -5,7 +5,7 @@ import secrets
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import Row, delete, insert, select, update
+from sqlalchemy import Connection, Row, delete, insert, or_, select, update
 from uuid_utils import uuid7
 
 from worker.jobs.audit import Act, note_deed
@@ -56,6 +56,11 @@ class Keys:
         """All keys, also those that are no longer valid, the oldest first."""
         with self._database.reading() as connection:
             return [_key(row) for row in connection.execute(select(keys).order_by(keys.c.id))]
+
+    def count_tenants(self) -> int:
+        """Number of tenants that have a valid key to make jobs with."""
+        with self._database.reading() as connection:
+            return count_tenants(connection)
 
     def has_keys(self) -> bool:
         """Whether there ever was a key: from then on nobody comes in without one."""
@@ -120,6 +125,13 @@ class Keys:
         """Forget a browser."""
         with self._database.writing() as connection:
             connection.execute(delete(browser_sessions).where(browser_sessions.c.sha256 == _digest(secret)))
+
+
+def count_tenants(connection: Connection) -> int:
+    """Number of tenants that have a valid key to make jobs with."""
+    valid = keys.c.revoked_at.is_(None) & or_(keys.c.expires_at.is_(None), keys.c.expires_at > now())
+    rows = connection.execute(select(keys.c.tenant, keys.c.scopes).where(valid))
+    return len({row.tenant for row in rows if Scope.WRITE in row.scopes})
 
 
 def _digest(secret: str) -> str:

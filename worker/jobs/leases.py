@@ -1,8 +1,6 @@
 """Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
 
-import random
-from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -16,11 +14,10 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, jobs, results
 from worker.jobs.totals import Total, count
 from worker.jobs.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
+from worker.jobs.turns import AT_WORK, has_share, next_job
 
 # Tries that a chunk has: lost leases, failures worth another try and damaged outputs count alike.
 MAX_ATTEMPTS = 5
-
-_AT_WORK = (JobState.QUEUED, JobState.RUNNING)
 
 
 class Leases:
@@ -36,18 +33,19 @@ class Leases:
     def claim(self, worker: str, lease_s: float) -> Claim | None:
         """Take the next ready chunk; ``None`` if no job has one.
 
-        Tenants have equal shares of the workers; a tenant's jobs are worked on in the order of their creation.
+        Tenants have equal shares of the workers, and one worker stays free where there are several, see
+        ``worker.jobs.turns``; a tenant's jobs are worked on in the order of their creation.
         """
         while True:
             with self._database.reading() as connection:
-                job_id = _next_job(connection)
+                job_id = next_job(connection)
             if job_id is None:
                 return None
             if (claim := self._claim_of(job_id, worker, lease_s)) is not None:
                 return claim
 
     def _claim_of(self, job_id: str, worker: str, lease_s: float) -> Claim | None:
-        """Take a job's next ready chunk, unless others took its last one in the meantime."""
+        """Take a job's next ready chunk, unless others took its last one or its tenant's share in the meantime."""
         first = (
             select(chunks.c.id)
             .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY)
@@ -68,7 +66,7 @@ class Leases:
         )
         with self._database.writing() as connection:
             job = lock_job(connection, job_id)
-            if job is None or job.state not in _AT_WORK:
+            if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
                 return None
             chunk = connection.execute(take).one_or_none()
             if chunk is None:
@@ -251,44 +249,7 @@ class Leases:
                     count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
         with self._database.reading() as connection:
-            return _next_job(connection) is not None
-
-
-def _next_job(connection: Connection) -> str | None:
-    """Job whose chunk is next: of the tenant with the fewest running chunks, its oldest job with a ready chunk.
-
-    Tenants with equally few take turns at random, so that one tenant's long queue delays nobody else's jobs.
-    """
-    tenants = sorted({tenant for state in _AT_WORK for tenant in _tenants_in(connection, state)})
-    if len(tenants) > 1:
-        busy = select(jobs.c.tenant).join(chunks).where(chunks.c.state == ChunkState.RUNNING)
-        num_running = Counter(connection.scalars(busy))
-        random.shuffle(tenants)
-        tenants.sort(key=lambda tenant: num_running[tenant])
-    oldest = (_oldest_with_work(connection, tenant) for tenant in tenants)
-    return next((job_id for job_id in oldest if job_id is not None), None)
-
-
-def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
-    """Tenants that have jobs in a state: a step in the index for each, however long the queue is."""
-    tenant: str | None = ""
-    while tenant is not None:
-        behind = select(func.min(jobs.c.tenant)).where(jobs.c.state == state, jobs.c.tenant > tenant)
-        tenant = connection.scalar(behind)
-        if tenant is not None:
-            yield tenant
-
-
-def _oldest_with_work(connection: Connection, tenant: str) -> str | None:
-    """Oldest job of a tenant that has a ready chunk: all running ones are older than any that is still queued."""
-    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY)
-    for state in (JobState.RUNNING, JobState.QUEUED):
-        # A state at a time: the index has the jobs of one in their order, so that a long queue is not sorted.
-        oldest = select(jobs.c.id).where(jobs.c.state == state, jobs.c.tenant == tenant, ready.exists())
-        job_id: str | None = connection.scalar(oldest.order_by(jobs.c.queued_at, jobs.c.id).limit(1))
-        if job_id is not None:
-            return job_id
-    return None
+            return next_job(connection) is not None
 
 
 def _is_held(lease_token: str) -> Any:

@@ -6,7 +6,7 @@ Each process keeps a row of its own fresh. A row that nobody has renewed for a w
 from collections.abc import Collection, Iterable
 from dataclasses import asdict
 
-from sqlalchemy import Connection, delete, or_, select
+from sqlalchemy import ColumnElement, Connection, delete, func, or_, select
 
 from worker.jobs.database import Database, now, upsert
 from worker.jobs.model import WorkerState, WorkerStatus
@@ -40,20 +40,29 @@ class Workers:
 
     def workers(self) -> list[WorkerStatus]:
         """All worker processes that are there."""
-        # Also not from the future: where the clock was put back, those would be there for ever.
-        alive = workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
         with self._database.reading() as connection:
-            rows = connection.execute(select(workers).where(alive).order_by(workers.c.id))
+            rows = connection.execute(select(workers).where(_is_alive()).order_by(workers.c.id))
             return [
                 WorkerStatus(row.id, WorkerState(row.state), row.activity, row.done, row.total, tuple(row.detectors))
                 for row in rows
             ]
 
 
+def count_ready(connection: Connection) -> int:
+    """Number of worker processes that could start a chunk now, or are at work on one."""
+    ready = select(func.count()).select_from(workers).where(_is_alive(), workers.c.state == WorkerState.READY)
+    return connection.scalar(ready) or 0
+
+
 def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
     """Detectors that every ready worker has, for any of them may take a chunk; ``None`` if no worker is ready."""
     ready = [frozenset(worker.detectors) for worker in found if worker.state is WorkerState.READY]
     return frozenset.intersection(*ready) if ready else None
+
+
+def _is_alive() -> ColumnElement[bool]:
+    # Also not from the future: where the clock was put back, those would be there for ever.
+    return workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
 
 
 def _forget_silent(connection: Connection) -> None:

@@ -1,12 +1,22 @@
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import pytest
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
-from worker.jobs.model import Actor, ChunkOutput, ChunkState, Claim, JobState, Problem
+from worker.jobs.model import (
+    Actor,
+    ChunkOutput,
+    ChunkState,
+    Claim,
+    JobState,
+    Problem,
+    Scope,
+    WorkerState,
+    WorkerStatus,
+)
 from worker.jobs.quotas import NO_QUOTAS
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
@@ -73,6 +83,64 @@ def test_tenants_take_turns_on_one_worker(jobs: Bench) -> None:
         return claim.job_id
 
     assert late in [finish_one() for _ in range(40)]  # by chance not, once in a million millions
+
+
+def list_workers(jobs: Bench, num_workers: int) -> None:
+    for number in range(num_workers):
+        jobs.store.report_worker(WorkerStatus(f"host:{number}", WorkerState.READY, "works"))
+
+
+def test_one_worker_stays_free_for_the_other_tenants(jobs: Bench) -> None:
+    """However long a tenant's chunks take, and although the others have nothing to do when they begin."""
+    for tenant in ("default", "other"):
+        jobs.store.create_key(tenant, "portal", {Scope.READ, Scope.WRITE})
+    list_workers(jobs, 3)
+    jobs.queue(4)
+    held = [jobs.claim() for _ in range(2)]
+    assert jobs.store.claim("worker", LEASE_S) is None
+    late = queue_of_other(jobs, 1)
+    assert jobs.claim().job_id == late
+    jobs.finish(held[0])
+    assert jobs.claim().job_id == held[0].job_id
+
+
+@pytest.mark.parametrize(
+    ("keys", "num_workers"),
+    [
+        pytest.param({}, 2, id="no keys"),
+        pytest.param({"default": Scope.WRITE, "operator": Scope.ADMIN}, 2, id="nobody else makes jobs"),
+        pytest.param({"default": Scope.WRITE, "other": Scope.WRITE}, 0, id="workers are not listed"),
+    ],
+)
+def test_all_workers_are_one_tenants_where_no_other_could_use_them(
+    jobs: Bench, keys: Mapping[str, Scope], num_workers: int
+) -> None:
+    for tenant, scope in keys.items():
+        jobs.store.create_key(tenant, "key", {scope})
+    list_workers(jobs, num_workers)
+    jobs.queue(4)
+    for _ in range(2):
+        jobs.claim()
+
+
+def test_a_revoked_key_reserves_no_worker(jobs: Bench) -> None:
+    jobs.store.create_key("default", "portal", {Scope.WRITE})
+    revoked, _ = jobs.store.create_key("other", "portal", {Scope.WRITE})
+    jobs.store.create_key("expired", "portal", {Scope.WRITE}, lifetime_s=-1.0)
+    list_workers(jobs, 2)
+    jobs.queue(4)
+    jobs.claim()
+    assert jobs.store.claim("worker", LEASE_S) is None
+    jobs.store.revoke_key(revoked.id)
+    jobs.claim()
+
+
+def test_the_only_worker_serves_everybody(jobs: Bench) -> None:
+    for tenant in ("default", "other"):
+        jobs.store.create_key(tenant, "portal", {Scope.WRITE})
+    list_workers(jobs, 1)
+    jobs.queue(1)
+    jobs.finish_all()
 
 
 def test_without_jobs_there_is_nothing_to_claim(jobs: Bench) -> None:
