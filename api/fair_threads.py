@@ -46,27 +46,34 @@ class FairThreads:
         if len(self._waiting.get(owner, ())) >= _MAX_WAITING:
             raise _too_many_checks()
 
-    async def run(self, owner: str, function: Callable[..., _Result], *arguments: object) -> _Result:
+    async def run(
+        self, owner: str, function: Callable[..., _Result], *arguments: object, further_wait_s: float = 0.0
+    ) -> _Result:
         """Run a function in a thread, when it is its owner's turn.
+
+        Parameters
+        ----------
+        further_wait_s
+            How long this call waits beyond ``max_wait_s``.
 
         Raises
         ------
         ApiError
             429 if the owner's own calls keep the call waiting for too long, 503 if those of others do.
         """
-        await self._take_turn(owner)
+        await self._take_turn(owner, self._max_wait_s + further_wait_s)
         try:
             return await anyio.to_thread.run_sync(partial(function, *arguments), limiter=self._threads)
         finally:
             self._end_turn(owner)
 
-    async def _take_turn(self, owner: str) -> None:
+    async def _take_turn(self, owner: str, max_wait_s: float) -> None:
         self.require_room(owner)
         turn = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(owner, deque()).append(turn)
         self._give_turns()
         try:
-            async with asyncio.timeout(self._max_wait_s):
+            async with asyncio.timeout(max_wait_s):
                 await turn
         except TimeoutError:
             self._leave(owner, turn)

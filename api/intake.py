@@ -23,7 +23,7 @@ from api.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
 from api.idempotency import Once, respond
 from api.multipart import receive_form
-from api.preflight import InvalidFilesError, allowance_s
+from api.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.schemas import Manifest, UploadedCapture, UploadedSession
 from api.validation import model_items
 from worker.addresses import may_be_public, url_fault
@@ -162,6 +162,7 @@ async def _check_and_keep(
                     _arguments(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
                     record_path,
                     allowance_s(form),
+                    further_wait_s=further_wait_s(form),
                 )
         except InvalidFilesError as invalid:
             errors.extend(_located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)

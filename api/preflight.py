@@ -35,6 +35,8 @@ _NICE = 5
 _S_PER_FILE = 0.2
 _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
+# Over a line of some 140 Mbit/s.
+_S_PER_SENT_BYTE = 60 / 2**30
 
 
 def allowance_s(form: Form) -> float:
@@ -43,6 +45,11 @@ def allowance_s(form: Form) -> float:
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
     of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
     return len(views) * _S_PER_FILE + of_videos + of_keypoints
+
+
+def further_wait_s(form: Form) -> float:
+    """How much longer a form's files wait for their check: about as long as it would take to send them again."""
+    return sum(file.num_bytes for file in (*form.videos, *form.keypoints)) * _S_PER_SENT_BYTE
 
 
 @dataclass(frozen=True, slots=True)

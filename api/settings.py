@@ -171,7 +171,9 @@ class Settings(BaseSettings):
         "keypoints.",
     )
     preflight_wait_s: float = Field(
-        default=30.0, gt=0, description="How long a session waits for its check before it is refused."
+        default=10.0,
+        gt=0,
+        description="How long a session waits for its check before it is refused, beside 60 s a GiB of its files.",
     )
     max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="How much the check may say.")
     max_record_bytes: int = Field(

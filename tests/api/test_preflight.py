@@ -208,6 +208,16 @@ def test_who_waits_too_long_is_refused_and_told_when_to_come_back(make_settings:
         assert live.kept() == []
 
 
+def test_large_files_wait_longer_for_their_check(make_settings: Callable[..., Settings]) -> None:
+    settings = make_settings(preflight_timeout_s=3.0, preflight_wait_s=0.1, max_parallel_preflights=1)
+    with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:
+        hanging = pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"))
+        time.sleep(0.5)
+        large = form(2, bytes(32 * 2**20))  # 64 MiB are worth 3.75 s
+        assert live.client.post("/v1/sessions", files=large).status_code != 429
+        assert hanging.result().status_code == 422
+
+
 @pytest.mark.parametrize(
     ("num_views", "num_bytes", "seconds"),
     [(2, 1000, 0.4), (31, 2 * GIB, 31 * 0.2 + 31 * 120), (64, 1000, 12.8)],
