@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import shlex
 import shutil
+import threading
 from collections.abc import AsyncIterator
 
 from fastapi import FastAPI
@@ -29,6 +30,7 @@ from worker.jobs.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.jobs.stores import default_data_dir, open_artifacts
+from worker.stage_code import stage_codes
 
 _EXPOSED_HEADERS = [
     *("Content-Disposition", "Content-Range", "ETag", "Idempotent-Replayed", "Location", "Retry-After", "X-Request-ID"),
@@ -117,6 +119,8 @@ def refuse_strangers(settings: Settings, store: JobStore) -> None:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     services = await run_in_threadpool(_start, app.state.settings)
     app.state.services = services
+    # About a second: before the first job needs it.
+    threading.Thread(target=stage_codes, daemon=True).start()
     tasks = [
         asyncio.create_task(services.changes.poll()),
         asyncio.create_task(services.keys_in_use.poll()),

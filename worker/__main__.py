@@ -12,6 +12,7 @@ from worker.jobs.private_files import keep_files_private
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
 from worker.settings import WorkerSettings, read_settings, require_usable_database
+from worker.stage_code import stage_codes
 
 
 def main() -> None:
@@ -29,6 +30,7 @@ def main() -> None:
     compile_kernels(store)
     store.close()
     tasks.tell_loading()
+    stage_codes()  # once for all children
     celery = create_celery(settings)
     celery.worker_main(
         [

@@ -1,13 +1,13 @@
 """What there is to do for a session and a spec: stages, their chunks, and the keys of what these leave.
 
-Pure: equal inputs give equal plans, on every machine. A key is a hash of the stage, the version of its code, its part
-of the spec and the stages before it down to the digests of the files. So whoever plans the same work again, after a
+Pure: equal inputs give equal plans, on every machine. A key is a hash of the stage, the digest of its code, its part of
+the spec and the stages before it down to the digests of the files. So whoever plans the same work again, after a
 crash or for another job, asks for the same keys and finds what is there.
 """
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
@@ -15,12 +15,7 @@ from typing import Any, Protocol, Self
 
 from worker.jobs.model import ChunkPlan, InputFile, StagePlan
 from worker.jobs.spec import JobSpec
-
-DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
-
-# A stage's number goes up with every change of its code that changes what it leaves.
-# `tests/worker/test_code_versions.py` fails when the code changed and the number did not.
-CODE_VERSIONS: Mapping[str, int] = {DETECT: 1, LENGTHS: 3, POSES: 3, ASSOCIATE: 4, FIT: 4, EXPORT: 5}
+from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, stage_codes
 
 DEFAULT_CHUNK_FRAMES = 100
 # A frame of a reduce takes about a tenth of the time of detecting people in it.
@@ -41,7 +36,12 @@ class SessionFacts(Protocol):
         """What was found in them; see ``worker.jobs.model.Session``."""
 
 
-def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK_FRAMES) -> tuple[StagePlan, ...]:
+def plan(
+    session: SessionFacts,
+    spec: JobSpec,
+    chunk_frames: int = DEFAULT_CHUNK_FRAMES,
+    codes: Mapping[str, str] | None = None,
+) -> tuple[StagePlan, ...]:
     """Cut a reconstruction into stages and chunks.
 
     Parameters
@@ -55,6 +55,8 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
         keyframe before are decoded in vain, so few long chunks are better than many short ones of all cameras. Chunks
         begin at its multiples, so two jobs of a session cut alike. No key of a reduce depends on it. It is doubled for
         a session that would have more than ``MAX_CHUNKS``.
+    codes
+        Digests of the stages' code, as of ``stage_codes``; ``None``: of this process's.
 
     Returns
     -------
@@ -62,38 +64,45 @@ def plan(session: SessionFacts, spec: JobSpec, chunk_frames: int = DEFAULT_CHUNK
         nothing to detect. Clustering measures bones (one chunk) and finds people (map) before it associates them.
         Stages hold ranges, from which their chunks are derived one at a time.
     """
-    inputs = _inputs(session)
+    codes = codes or stage_codes()
     cut = FrameCut.of(session, spec, _bounded_length(session, chunk_frames))
     window = {} if spec.frames is None else {"frames": [cut.frames.start, cut.frames.stop]}
     stages: list[StagePlan] = []
+
+    def key(stage: str, choices: Mapping[str, Any], inputs: Sequence[str]) -> str:
+        return _hash([stage, codes[stage], choices, inputs])
+
+    def add(stage: str, chunks: Iterable[ChunkPlan]) -> None:
+        stages.append(StagePlan(stage, chunks, codes[stage]))
+
+    inputs = _inputs(session)
     if not is_of_keypoints(session):
         inputs = [
-            _key(DETECT, {"detector": spec.detector, **({"leaves": "fields"} if spec.uses_fields else {})}, inputs)
+            key(DETECT, {"detector": spec.detector, **({"leaves": "fields"} if spec.uses_fields else {})}, inputs)
         ]
-        stages.append(StagePlan(DETECT, _CameraChunks(inputs[0], cut, _frames_per_output_frame(session))))
+        add(DETECT, _CameraChunks(inputs[0], cut, _frames_per_output_frame(session)))
     if spec.method == "clustering":
-        lengths = _key(LENGTHS, window, inputs)
-        inputs = [_key(POSES, window, [*inputs, lengths])]
-        num_measured = _num_measured(session, cut)
-        stages.append(StagePlan(LENGTHS, _reduce(lengths, num_measured, {"chunk_frames": cut.chunk_frames})))
-        stages.append(StagePlan(POSES, _FrameChunks(inputs[0], cut)))
+        lengths = key(LENGTHS, window, inputs)
+        inputs = [key(POSES, window, [*inputs, lengths])]
+        add(LENGTHS, _reduce(lengths, _num_measured(session, cut), {"chunk_frames": cut.chunk_frames}))
+        add(POSES, _FrameChunks(inputs[0], cut))
     people = {} if spec.people == "auto" else {"people": spec.people}
-    associate = _key(ASSOCIATE, {"method": spec.method, **window, **people}, inputs)
+    associate = key(ASSOCIATE, {"method": spec.method, **window, **people}, inputs)
     smoothing = {
         "smoothing": spec.smoothing,
         "feet": spec.feet,
         **({"cutoff_hz": spec.cutoff_hz} if spec.smoothing == "butterworth" else {}),
     }
-    fit = _key(FIT, smoothing, [associate])
+    fit = key(FIT, smoothing, [associate])
     formats = {
         "exports": sorted(spec.exports),
         **({"bvh": spec.bvh} if "bvh" in spec.exports else {}),
         **({} if spec.output_rate_hz is None else {"output_rate_hz": spec.output_rate_hz}),
     }
-    export = _key(EXPORT, formats, [associate, fit])
     num_units = -(-cut.num_frames // _FRAMES_A_UNIT)
-    reduces = ((ASSOCIATE, associate), (FIT, fit), (EXPORT, export))
-    stages.extend(StagePlan(name, _reduce(key, num_units)) for name, key in reduces)
+    add(ASSOCIATE, _reduce(associate, num_units))
+    add(FIT, _reduce(fit, num_units))
+    add(EXPORT, _reduce(key(EXPORT, formats, [associate, fit]), num_units))
     return tuple(stages)
 
 
@@ -231,10 +240,6 @@ def _inputs(session: SessionFacts) -> list[str]:
         return [*files, repr(session.preflight["timebase"]["frame_rate_hz"])]
     recordings = sorted(json.dumps(one, sort_keys=True) for one in session.preflight.get("recordings", ()))
     return [*files, *recordings]
-
-
-def _key(stage: str, choices: Mapping[str, Any], inputs: Sequence[str]) -> str:
-    return _hash([stage, CODE_VERSIONS[stage], choices, inputs])
 
 
 def _hash(value: Sequence[Any]) -> str:

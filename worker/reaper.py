@@ -2,7 +2,8 @@
 
 Frees the leases of workers that fell silent, ends what keeps failing, and publishes when work is ready that no message
 may stand for any more. So a lost message, or a broker that lost all of them, costs a few seconds. Removes results whose
-time is over, and files of what was deleted that are still there. Sends webhooks.
+time is over, and files of what was deleted that are still there. Plans jobs again whose code no worker runs any more.
+Sends webhooks.
 """
 
 import os
@@ -23,14 +24,21 @@ from worker.jobs.queue import WorkQueue
 from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.logs import configure_logs
+from worker.plan import DEFAULT_CHUNK_FRAMES, plan
 from worker.settings import WorkerSettings, read_settings, require_usable_database
+from worker.stage_code import stage_codes
 from worker.webhooks import Sender, deliver_forever
 
 log = structlog.get_logger()
 
 
 def reap(
-    store: JobStore, artifacts: ArtifactStore, disk: DiskSpace, publish: Callable[[], object], lease_s: float
+    store: JobStore,
+    artifacts: ArtifactStore,
+    disk: DiskSpace,
+    publish: Callable[[], object],
+    lease_s: float,
+    chunk_frames: int = DEFAULT_CHUNK_FRAMES,
 ) -> None:
     """Look once; what can't be done now, such as with a database that is away, is tried again the next time.
 
@@ -43,6 +51,15 @@ def reap(
         if store.reap(lease_s):
             publish()
 
+    def plan_again() -> None:
+        for job_id in store.unclaimable():
+            if not store.is_run(stage_codes().values()):
+                return  # workers of this version may come later
+            job = store.job(job_id)
+            if store.plan_again(job_id, plan(store.session(job.session_id), job.spec, chunk_frames)):
+                log.info("job_planned_again", job=job_id)
+                publish()
+
     def expire() -> None:
         for job_id in disk.using_reserve(store.expire):
             log.info("job_expired", job=job_id)
@@ -51,7 +68,7 @@ def reap(
         disk.using_reserve(lambda: remove_files(store, artifacts))
 
     # Each by itself: on a full disk the last makes room for the others.
-    for step in (free_leases, expire, remove):
+    for step in (free_leases, plan_again, expire, remove):
         try:
             step()
         except DamagedDatabase:
@@ -76,7 +93,7 @@ def main() -> None:
     exit_code = 0
     try:
         while True:
-            reap(store, artifacts, disk, queue.publish, settings.lease_s)
+            reap(store, artifacts, disk, queue.publish, settings.lease_s, settings.chunk_frames)
             time.sleep(settings.reap_interval_s)
     except KeyboardInterrupt:
         pass

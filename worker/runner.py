@@ -16,10 +16,10 @@ from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, 
 from worker.jobs.model import Claim, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
-from worker.plan import EXPORT
 from worker.presence import process_name
 from worker.problems import problem_of
 from worker.scratch import scratch_folder
+from worker.stage_code import EXPORT, stage_codes
 
 log = structlog.get_logger()
 
@@ -64,6 +64,7 @@ class Runner:
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
         self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
         self._name = process_name()
+        self._codes = frozenset(stage_codes().values())
 
     def work(self, claim_for_s: float) -> int:
         """Run ready chunks until there are none, or for about ``claim_for_s`` seconds; returns how many were run.
@@ -81,7 +82,7 @@ class Runner:
             if not self._has_room():
                 log.warning("disk_full")  # the reaper wakes a worker as long as there is work
                 break
-            claim = self._store.claim(self._name, self._lease_s)
+            claim = self._store.claim(self._name, self._lease_s, self._codes)
             if claim is None:
                 break
             if num_run == 0:

@@ -21,6 +21,7 @@ from worker.jobs.stores import (
     open_artifacts,
 )
 from worker.logs import LogLevel
+from worker.plan import DEFAULT_CHUNK_FRAMES
 from worker.requirements import Schema, requirement
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)
@@ -127,6 +128,11 @@ class WorkerSettings(BaseSettings):
         default=7 * 2**29,
         ge=2**29,
         description="Memory of a worker process; a chunk that needs more fails with memory_limit.",
+    )
+    chunk_frames: int = Field(
+        default=DEFAULT_CHUNK_FRAMES,
+        gt=0,
+        description="As the API's: for jobs that are planned again after an upgrade.",
     )
     claim_for_s: float = Field(default=300.0, gt=0, description="How long one message keeps a worker claiming.")
 

@@ -48,7 +48,8 @@ from worker.jobs.checksums import require_file
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import ResultWarning, Session
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, FrameCut, is_of_keypoints
+from worker.plan import FrameCut, is_of_keypoints
+from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES
 
 _detector = functools.cache(open_detector)
 

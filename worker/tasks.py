@@ -22,6 +22,7 @@ from worker.jobs.store import JobStore
 from worker.presence import Presence, forget_lost, process_name
 from worker.runner import Runner
 from worker.settings import WorkerSettings
+from worker.stage_code import stage_codes
 
 log = structlog.get_logger()
 
@@ -133,7 +134,8 @@ def _status() -> WorkerStatus | None:
         return WorkerStatus(process_name(), WorkerState.STARTING, CONNECTING)
     if not _disk().has_room():
         return WorkerStatus(process_name(), WorkerState.STARTING, NO_ROOM)
-    return WorkerStatus(process_name(), WorkerState.READY, WORKING, detectors=_installed_detectors())
+    codes = tuple(sorted(stage_codes().values()))
+    return WorkerStatus(process_name(), WorkerState.READY, WORKING, detectors=_installed_detectors(), codes=codes)
 
 
 def _installed_detectors() -> tuple[str, ...]:

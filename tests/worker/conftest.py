@@ -12,8 +12,9 @@ from worker.jobs.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
+from worker.plan import plan
 from worker.runner import Runner
+from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT
 
 NUM_FRAMES, CHUNK_FRAMES = 40, 10
 

@@ -16,8 +16,8 @@ from worker import __main__ as worker_main
 from worker import embedded
 from worker.execution import Outcome, Work
 from worker.jobs.store import JobStore
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT
 from worker.settings import WorkerSettings
+from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT
 from worker.supervisor import Supervisor
 
 

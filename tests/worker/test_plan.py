@@ -1,6 +1,7 @@
 """Laws of planning."""
 
 import tracemalloc
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -12,10 +13,10 @@ from hypothesis import strategies as st
 from pipeline.detect.registry import REGISTRY
 from pipeline.quantities import MAX_OUTPUT_FRAMES
 from pipeline.video.timeline import chunk_ranges
-from worker import plan as planning
 from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, MAX_CHUNKS, POSES, FrameCut, plan
+from worker.plan import MAX_CHUNKS, FrameCut, plan
+from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, stage_codes
 
 FILES = tuple(
     InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
@@ -44,10 +45,12 @@ def make_session(num_frames: int = 100, rates_hz: tuple[float, ...] = (25.0, 25.
     )
 
 
-def keys(session: Session, spec: JobSpec | None = None, chunk_frames: int = 25) -> dict[str, list[str]]:
+def keys(
+    session: Session, spec: JobSpec | None = None, chunk_frames: int = 25, codes: Mapping[str, str] | None = None
+) -> dict[str, list[str]]:
     return {
         stage.name: [chunk.output_key for chunk in stage.chunks]
-        for stage in plan(session, spec or JobSpec(), chunk_frames)
+        for stage in plan(session, spec or JobSpec(), chunk_frames, codes)
     }
 
 
@@ -156,12 +159,9 @@ def test_a_choice_changes_the_keys_of_its_stage_and_those_after(field: str, chan
     ("stage", "changed"),
     [(DETECT, {DETECT, ASSOCIATE, FIT, EXPORT}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
 )
-def test_new_code_changes_the_keys_of_its_stage_and_those_after(
-    monkeypatch: pytest.MonkeyPatch, stage: str, changed: set[str]
-) -> None:
+def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, changed: set[str]) -> None:
     before = keys(make_session())
-    monkeypatch.setattr(planning, "CODE_VERSIONS", {**planning.CODE_VERSIONS, stage: 99})
-    after = keys(make_session())
+    after = keys(make_session(), codes={**stage_codes(), stage: "other"})
     assert {name for name in before if before[name] != after[name]} == changed
 
 

@@ -14,8 +14,8 @@ from worker.jobs.model import JobState
 from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
 from worker.jobs.tables import removals
-from worker.plan import DETECT
 from worker.reaper import reap
+from worker.stage_code import DETECT
 
 LEASE_S = 20.0
 

@@ -18,7 +18,8 @@ from worker.jobs.artifacts import stage_key
 from worker.jobs.leases import MAX_ATTEMPTS
 from worker.jobs.model import ChunkState, JobState, ResultWarning
 from worker.jobs.spec import JobSpec
-from worker.plan import ASSOCIATE, DETECT, EXPORT, FIT, plan
+from worker.plan import plan
+from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT
 
 
 def fail_with(error: Exception) -> Any:

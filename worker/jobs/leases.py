@@ -9,12 +9,12 @@ from uuid_utils import uuid7
 
 from worker.jobs.attempts import note_failure
 from worker.jobs.database import Database, now, upsert
-from worker.jobs.model import ChunkOutput, ChunkState, Claim, JobState, Problem, Result, ResultWarning
+from worker.jobs.model import AT_WORK, ChunkOutput, ChunkState, Claim, JobState, Problem, Result, ResultWarning
 from worker.jobs.spec import JobSpec
 from worker.jobs.tables import artifacts, chunks, jobs, results
 from worker.jobs.totals import Total, count
 from worker.jobs.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
-from worker.jobs.turns import AT_WORK, has_share, next_job
+from worker.jobs.turns import has_share, next_job, of_code
 
 # Tries that a chunk has: lost leases, failures worth another try and damaged outputs count alike.
 MAX_ATTEMPTS = 5
@@ -30,25 +30,30 @@ class Leases:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def claim(self, worker: str, lease_s: float) -> Claim | None:
+    def claim(self, worker: str, lease_s: float, codes: Collection[str] | None = None) -> Claim | None:
         """Take the next ready chunk; ``None`` if no job has one.
 
         Tenants have equal shares of the workers, and one worker stays free where there are several, see
         ``worker.jobs.turns``; a tenant's jobs are worked on in the order of their creation.
+
+        Parameters
+        ----------
+        codes
+            Digests of the worker's code: it takes chunks that were planned for it. ``None``: any.
         """
         while True:
             with self._database.reading() as connection:
-                job_id = next_job(connection)
+                job_id = next_job(connection, codes)
             if job_id is None:
                 return None
-            if (claim := self._claim_of(job_id, worker, lease_s)) is not None:
+            if (claim := self._claim_of(job_id, worker, lease_s, codes)) is not None:
                 return claim
 
-    def _claim_of(self, job_id: str, worker: str, lease_s: float) -> Claim | None:
+    def _claim_of(self, job_id: str, worker: str, lease_s: float, codes: Collection[str] | None) -> Claim | None:
         """Take a job's next ready chunk, unless others took its last one or its tenant's share in the meantime."""
         first = (
             select(chunks.c.id)
-            .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY)
+            .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, of_code(codes))
             .order_by(chunks.c.stage_index, chunks.c.chunk_index)
             .limit(1)
         )

@@ -58,6 +58,9 @@ JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
 
 RETRYABLE = frozenset(state for state, targets in JOB_TRANSITIONS.items() if JobState.QUEUED in targets)
 CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
+AT_WORK = (JobState.QUEUED, JobState.RUNNING)
+"""States of jobs that have chunks to claim."""
+
 FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})
 
 
@@ -161,10 +164,13 @@ class StagePlan:
         As in ``worker.plan``.
     chunks
         One at least; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
+    code
+        Digest of the code that can run them, as in ``worker.stage_code``.
     """
 
     name: str
     chunks: Iterable[ChunkPlan]
+    code: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,6 +369,8 @@ class WorkerStatus:
         Steps of that; both 0 where there are none to count.
     detectors
         Names of the detectors that are installed there.
+    codes
+        Digests of the stages' code that it runs.
     """
 
     id: str
@@ -371,6 +379,7 @@ class WorkerStatus:
     done: int = 0
     total: int = 0
     detectors: tuple[str, ...] = ()
+    codes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
-from itertools import islice
 from types import MappingProxyType
 from typing import Any
 
@@ -19,7 +18,6 @@ from worker.jobs.model import (
     FINISHED,
     Attempt,
     Change,
-    ChunkPlan,
     ChunkState,
     InputFile,
     Job,
@@ -31,6 +29,7 @@ from worker.jobs.model import (
     Usage,
     is_worth_a_retry,
 )
+from worker.jobs.plans import insert_chunks
 from worker.jobs.quotas import NO_QUOTAS, read_usage, require_room
 from worker.jobs.receipts import Claim
 from worker.jobs.removals import keep, remove_later
@@ -40,7 +39,6 @@ from worker.jobs.tables import chunks, events, jobs, results, sessions
 from worker.jobs.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.uploads import Uploads
 
-_ROWS_AT_ONCE = 1000
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -278,7 +276,7 @@ class Records(Uploads):
             keep_attempt(connection, job)
             connection.execute(delete(results).where(results.c.job_id == job_id))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
-            _insert_chunks(connection, job_id, stages)
+            insert_chunks(connection, job_id, stages)
             return self._told(connection, job_id)
 
     def attempts(self, job_id: str) -> list[Attempt]:
@@ -371,7 +369,7 @@ class Records(Uploads):
                 trace=trace,
             )
         )
-        _insert_chunks(connection, job_id, stages)
+        insert_chunks(connection, job_id, stages)
         note(connection, job_id, "state", JobState.QUEUED)
         note_deed(connection, self._actor, tenant, Act.JOB_CREATED, job_id)
         return job_id
@@ -415,29 +413,3 @@ class Records(Uploads):
 def _require_finished(state: str, error: Conflict) -> None:
     if state not in FINISHED:
         raise error
-
-
-def _insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
-    """Insert the chunks of all stages, some at a time: a long session's rows never stand in memory at once."""
-    if not stages or any(next(iter(stage.chunks), None) is None for stage in stages):
-        raise ValueError("a job needs a stage, and every stage a chunk")
-    rows = (
-        _chunk_row(job_id, stage_index, stage.name, chunk)
-        for stage_index, stage in enumerate(stages)
-        for chunk in stage.chunks
-    )
-    while some := list(islice(rows, _ROWS_AT_ONCE)):
-        connection.execute(insert(chunks), some)
-
-
-def _chunk_row(job_id: str, stage_index: int, stage: str, chunk: ChunkPlan) -> dict[str, Any]:
-    return {
-        "job_id": job_id,
-        "stage_index": stage_index,
-        "stage": stage,
-        "chunk_index": chunk.index,
-        "payload": dict(chunk.payload),
-        "output_key": chunk.output_key,
-        "unit_count": chunk.unit_count,
-        "state": ChunkState.READY if stage_index == 0 else ChunkState.WAITING,
-    }

@@ -9,6 +9,7 @@ from worker.jobs.deliveries import Deliveries
 from worker.jobs.keys import Keys
 from worker.jobs.leases import MAX_ATTEMPTS, Leases
 from worker.jobs.model import Actor, Figures
+from worker.jobs.plans import Plans
 from worker.jobs.quotas import Quotas
 from worker.jobs.records import Records
 from worker.jobs.removals import Removals
@@ -19,11 +20,11 @@ from worker.jobs.workers import Workers
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 
 
-class JobStore(Records, Leases, Removals, Deliveries, Keys, Audit, Workers):
+class JobStore(Records, Leases, Plans, Removals, Deliveries, Keys, Audit, Workers):
     """Sessions, jobs and chunks in a database.
 
-    ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Removals`` of files, ``Deliveries`` of
-    webhooks, ``Keys``, ``Audit`` and ``Workers``.
+    ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Plans`` after an upgrade, ``Removals`` of
+    files, ``Deliveries`` of webhooks, ``Keys``, ``Audit`` and ``Workers``.
 
     Every method is one transaction. A store may be shared by threads and carried across a fork.
 

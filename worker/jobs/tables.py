@@ -108,6 +108,7 @@ chunks = Table(
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
     Column("stage_index", Integer, nullable=False),
     Column("stage", String(32), nullable=False),
+    Column("code", String(64)),  # digest of the code that can run it; null: of an older version's
     Column("chunk_index", Integer, nullable=False),
     Column("payload", JSON, nullable=False),
     Column("output_key", String(128), nullable=False),
@@ -278,6 +279,7 @@ workers = Table(
     Column("done", Integer, nullable=False),  # steps of that
     Column("total", Integer, nullable=False),
     Column("detectors", JSON, nullable=False),  # names of those that are installed there
+    Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the stages' code that it runs
     Column("seen_at", Moment, nullable=False),
 )
 

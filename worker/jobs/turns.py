@@ -3,32 +3,34 @@
 import math
 import random
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import ColumnElement, Connection, func, select, true
 
 from worker.jobs.database import lock
 from worker.jobs.keys import count_tenants
-from worker.jobs.model import ChunkState, JobState
+from worker.jobs.model import AT_WORK, ChunkState, JobState
 from worker.jobs.tables import chunks, jobs
 from worker.jobs.workers import count_ready
 
-AT_WORK = (JobState.QUEUED, JobState.RUNNING)
-"""States of jobs that have chunks to claim."""
 
-
-def next_job(connection: Connection) -> str | None:
+def next_job(connection: Connection, codes: Collection[str] | None = None) -> str | None:
     """Job whose chunk is next: of the tenant with the fewest running chunks, its oldest job with a ready chunk.
 
     Tenants with equally few take turns at random, so that one tenant's long queue delays nobody else's jobs. A tenant
     that has its share of the workers waits, see ``has_share``.
+
+    Parameters
+    ----------
+    codes
+        Only chunks of this code count; ``None``: of any.
     """
     tenants = sorted({tenant for state in AT_WORK for tenant in _tenants_in(connection, state)})
     num_running = _num_running(connection)
     most = _largest_share(connection)
     random.shuffle(tenants)
     tenants = sorted((one for one in tenants if num_running[one] < most), key=lambda tenant: num_running[tenant])
-    oldest = (_oldest_with_work(connection, tenant) for tenant in tenants)
+    oldest = (_oldest_with_work(connection, tenant, codes) for tenant in tenants)
     return next((job_id for job_id in oldest if job_id is not None), None)
 
 
@@ -40,6 +42,11 @@ def has_share(connection: Connection, tenant: str) -> bool:
     """
     lock(connection, f"workers of {tenant}")
     return _num_running(connection)[tenant] < _largest_share(connection)
+
+
+def of_code(codes: Collection[str] | None) -> ColumnElement[bool]:
+    """Condition that a chunk was planned for some code; ``None``: for any."""
+    return true() if codes is None else chunks.c.code.in_(codes)
 
 
 def _num_running(connection: Connection) -> Counter[str]:
@@ -64,9 +71,9 @@ def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
             yield tenant
 
 
-def _oldest_with_work(connection: Connection, tenant: str) -> str | None:
+def _oldest_with_work(connection: Connection, tenant: str, codes: Collection[str] | None) -> str | None:
     """Oldest job of a tenant that has a ready chunk: all running ones are older than any that is still queued."""
-    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY)
+    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, of_code(codes))
     for state in (JobState.RUNNING, JobState.QUEUED):
         # A state at a time: the index has the jobs of one in their order, so that a long queue is not sorted.
         oldest = select(jobs.c.id).where(jobs.c.state == state, jobs.c.tenant == tenant, ready.exists())

@@ -26,7 +26,8 @@ class Workers:
     def report_worker(self, status: WorkerStatus) -> None:
         """Say what a worker process does now; it is believed for ``SILENT_AFTER_S``."""
         with self._database.writing() as connection:
-            upsert(connection, workers, asdict(status) | {"detectors": list(status.detectors), "seen_at": now()})
+            lists = {"detectors": list(status.detectors), "codes": list(status.codes)}
+            upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
             _forget_silent(connection)
 
     def remove_worker(self, worker_id: str) -> None:
@@ -43,7 +44,15 @@ class Workers:
         with self._database.reading() as connection:
             rows = connection.execute(select(workers).where(_is_alive()).order_by(workers.c.id))
             return [
-                WorkerStatus(row.id, WorkerState(row.state), row.activity, row.done, row.total, tuple(row.detectors))
+                WorkerStatus(
+                    id=row.id,
+                    state=WorkerState(row.state),
+                    activity=row.activity,
+                    done=row.done,
+                    total=row.total,
+                    detectors=tuple(row.detectors),
+                    codes=tuple(row.codes),
+                )
                 for row in rows
             ]
 
@@ -52,6 +61,12 @@ def count_ready(connection: Connection) -> int:
     """Number of worker processes that could start a chunk now, or are at work on one."""
     ready = select(func.count()).select_from(workers).where(_is_alive(), workers.c.state == WorkerState.READY)
     return connection.scalar(ready) or 0
+
+
+def codes_at_work(connection: Connection) -> frozenset[str]:
+    """Digests of the stages' code that ready workers run, each of some worker."""
+    ready = select(workers.c.codes).where(_is_alive(), workers.c.state == WorkerState.READY)
+    return frozenset(code for codes in connection.scalars(ready) for code in codes)
 
 
 def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:

@@ -44,7 +44,9 @@ class Data:
     def add_job(self, session_id: str) -> Job:
         chunks = tuple(ChunkPlan(k, {}, UNITS, hashlib.sha256(f"detect-{k}".encode()).hexdigest()) for k in range(2))
         last = ChunkPlan(0, {}, UNITS, hashlib.sha256(b"export").hexdigest())
-        return self.store.create_job(session_id, JobSpec(), (StagePlan("detect", chunks), StagePlan("export", (last,))))
+        return self.store.create_job(
+            session_id, JobSpec(), (StagePlan("detect", chunks, ""), StagePlan("export", (last,), ""))
+        )
 
     def run_chunk(self) -> bool:
         """Do the next chunk as a worker does; whether there was one."""

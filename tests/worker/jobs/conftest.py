@@ -20,6 +20,7 @@ LEASE_S = 60.0
 EXPIRED_S = -1.0  # a lease that ended before it began
 
 UNITS = 10
+CODE = "c" * 64
 
 PREFLIGHT = {
     "cameras": [{"name": "cam one"}],
@@ -31,7 +32,7 @@ PREFLIGHT = {
 def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:
     """A map and a reduce."""
     chunks = tuple(ChunkPlan(k, {"start_frame": k}, UNITS, f"detect-{k}") for k in range(num_chunks))
-    return StagePlan("detect", chunks), StagePlan("export", (ChunkPlan(0, {}, UNITS, "export"),))
+    return StagePlan("detect", chunks, CODE), StagePlan("export", (ChunkPlan(0, {}, UNITS, "export"),), CODE)
 
 
 def result(job_id: str, name: str = "person-1.bvh") -> Result:

@@ -1,43 +1,55 @@
-"""A stage's number in ``worker/plan.py`` goes up when its code changes; and laws of the digest that sees to it."""
+"""The code behind each stage has a digest, which tells other code from this one; and laws of the digest."""
 
+import ast
 import shutil
-import subprocess
 import sys
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 
 from pipeline.code_digest import function_digest, reachable_modules
-from tests.worker.code_versions import FUNCTIONS, RECORD, ROOT, Version, mistakes, recorded, versions_of
-from worker.plan import ASSOCIATE, CODE_VERSIONS, DETECT, EXPORT, FIT, LENGTHS, POSES
+from worker.stage_code import (
+    ASSOCIATE,
+    DETECT,
+    EXPORT,
+    FIT,
+    FUNCTIONS,
+    LENGTHS,
+    LIBRARIES,
+    POSES,
+    stage_codes,
+)
 from worker.stages import STAGES
 
-
-def test_no_stage_s_sources_changed_under_the_same_number() -> None:
-    now = versions_of()
-    assert mistakes(recorded(), now) == []
-    assert now == recorded(), f"A number was raised: run `{RECORD}`."
+ROOT = Path(__file__).parents[2]
+# Packages that the stages import and that change no number.
+NOT_NUMERIC = {"defusedxml", "filelock", "google", "httpx2", "jaxtyping", "platformdirs", "threadpoolctl", "unearth"}
 
 
 def test_the_functions_are_those_of_the_stages() -> None:
     assert {stage: function.__name__ for stage, function in STAGES.items()} == FUNCTIONS
-    assert set(CODE_VERSIONS) == set(FUNCTIONS)
 
 
-def version(number: int, digest: str = "a") -> dict[str, Version]:
-    return {FIT: {"version": number, "digest": digest}}
+def imported_by(path: Path) -> set[str]:
+    nodes = list(ast.walk(ast.parse(path.read_bytes())))
+    absolute = {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module and not node.level}
+    return absolute | {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
 
 
-def test_mistakes_say_what_to_do() -> None:
-    assert mistakes(version(1), version(1)) == []
-    assert mistakes(version(1), version(2, "b")) == []
-    assert mistakes({}, version(1)) == []
-    (changed,) = mistakes(version(1), version(1, "b"))
-    assert "stage fit" in changed
-    assert "worker/plan.py" in changed
-    assert RECORD in changed
-    (back,) = mistakes(version(2), version(1, "b"))
-    assert "went back" in back
+def test_all_libraries_of_the_stages_count() -> None:
+    direct = {name for name in imported_by(ROOT / "worker/stages.py") if name.startswith("pipeline.")}
+    paths = [ROOT.joinpath(*name.split(".")) for name in reachable_modules(ROOT, direct)]
+    files = [path / "__init__.py" if path.is_dir() else path.with_suffix(".py") for path in paths]
+    packages = {name.partition(".")[0] for path in files for name in imported_by(path)}
+    others = packages - set(sys.stdlib_module_names) - {"pipeline"}
+    assert others >= NOT_NUMERIC
+    distributions = packages_distributions()
+    assert {distributions[name][0] for name in others - NOT_NUMERIC} == {*LIBRARIES} - {"llvmlite"}
+
+
+def test_another_version_of_a_library_is_other_code() -> None:
+    assert not {*stage_codes(ROOT, ("numpy",)).values()} & {*stage_codes(ROOT, ("numpy", "scipy")).values()}
 
 
 @pytest.fixture
@@ -60,8 +72,9 @@ def append(path: Path) -> None:
 
 
 def changed(sources: Path) -> set[str]:
-    before, now = versions_of(), versions_of(sources)
-    return {stage for stage in now if now[stage]["digest"] != before[stage]["digest"]}
+    before = stage_codes()
+    stage_codes.cache_clear()  # the sources may have changed since
+    return {stage for stage, code in stage_codes(sources).items() if code != before[stage]}
 
 
 def test_comments_docstrings_and_layout_change_nothing(sources: Path) -> None:
@@ -134,24 +147,3 @@ def test_another_origin_of_a_name_is_another_function(tmp_path: Path) -> None:
     assert function_digest(tmp_path, "main", "run", "pkg") != first
     with pytest.raises(KeyError):
         function_digest(tmp_path, "main", "walk", "pkg")
-
-
-def test_recording_refuses_a_number_that_was_forgotten(sources: Path) -> None:
-    shutil.copytree(ROOT / "tests/worker", sources / "tests/worker", ignore=shutil.ignore_patterns("__pycache__"))
-
-    def record(*options: str) -> "subprocess.CompletedProcess[str]":
-        command = [sys.executable, "-m", "tests.worker.code_versions", "--record", *options]
-        environment = {"PYTHONPATH": str(sources)}
-        return subprocess.run(command, cwd=sources, env=environment, capture_output=True, text=True, check=False)
-
-    file = sources / "tests/worker/code_versions.json"
-    before = file.read_bytes()
-    append(sources / "pipeline/export/bvh.py")
-    refused = record()
-    assert (refused.returncode, file.read_bytes()) == (1, before)
-    assert "stage export changed" in refused.stderr
-    assert record("--results-unchanged").returncode == 0
-    assert file.read_bytes() != before
-    edit(sources / "pipeline/export/bvh.py", "UNUSED = 1", "UNUSED = 2")
-    edit(sources / "worker/plan.py", f"EXPORT: {CODE_VERSIONS[EXPORT]}", f"EXPORT: {CODE_VERSIONS[EXPORT] + 1}")
-    assert record().returncode == 0
