@@ -91,6 +91,7 @@ check: setup linter  ## What CI runs: format, lint, types, import contracts, the
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -P -m api.openapi --check
+	$(BIN)/python -P -m api.problem_codes.page --check
 	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile
