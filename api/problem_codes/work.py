@@ -117,7 +117,12 @@ WARNINGS = CodeGroup(
             "Check that the calibration belongs to the videos, and that two cameras see a person at the same time.",
         ),
         ProblemCode("too_few_cameras", _WARNING, "The session has fewer than three cameras.", "Add a camera."),
-        ProblemCode("damaged_video", _WARNING, "Videos have damaged or missing frames.", "Copy the files again."),
+        ProblemCode(
+            "damaged_video",
+            _WARNING,
+            "Videos have damaged or missing frames.",
+            "Copy the files again; see [formats](formats.md#videos).",
+        ),
         ProblemCode(
             "camera_without_people",
             _WARNING,
