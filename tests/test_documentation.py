@@ -5,6 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pydantic_settings import BaseSettings
+
+from api.settings import Settings
+from worker.settings import WorkerSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/adr").glob("*.md"))]
@@ -62,3 +66,9 @@ def test_pages_begin_with_what_they_are_for(page: Path) -> None:
     assert title.startswith("# ")
     assert blank == ""
     assert first.startswith("This page ")
+
+
+@pytest.mark.parametrize("settings", [Settings, WorkerSettings])
+def test_every_setting_is_documented(settings: type[BaseSettings]) -> None:
+    page = (ROOT / "docs/operations.md").read_text(encoding="utf-8")
+    assert [name for name in settings.model_fields if f"`{name.upper()}`" not in page] == []

@@ -85,10 +85,10 @@ def _missing(client: httpx2.Client) -> str | None:
 
 
 def command(
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 for a free one.")] = 8000,
-    host: Annotated[str, typer.Option(help="Address to listen on; beyond this machine only with keys.")] = "127.0.0.1",
-    data: Annotated[Path | None, typer.Option(help="Folder of everything it keeps; made if it is missing.")] = None,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Chunks worked on at once.")] = os.cpu_count() or 1,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = 8000,
+    host: Annotated[str, typer.Option(help="Address to listen on; other than loopback only with keys.")] = "127.0.0.1",
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service; made if it is missing.")] = None,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Number of worker processes.")] = os.cpu_count() or 1,
 ) -> None:
     """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
     settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
