@@ -1,12 +1,17 @@
 """The documentation is short where it must be, its links lead somewhere, and every page says what it is for."""
 
+import ast
+import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic_settings import BaseSettings
 
+from api.cli import COMMANDS, load
+from api.client import Client
 from api.settings import Settings
 from worker.settings import WorkerSettings
 
@@ -72,3 +77,32 @@ def test_pages_begin_with_what_they_are_for(page: Path) -> None:
 def test_every_setting_is_documented(settings: type[BaseSettings]) -> None:
     page = (ROOT / "docs/operations.md").read_text(encoding="utf-8")
     assert [name for name in settings.model_fields if f"`{name.upper()}`" not in page] == []
+
+
+def test_python_example_calls_the_client_as_it_is() -> None:
+    (block,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    called = []
+    for node in ast.walk(ast.parse(block)):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="client"), attr=method), args=arguments):
+                inspect.signature(getattr(Client, method)).bind(None, *arguments)
+                called.append(method)
+    assert sorted(called) == ["download", "follow", "submit"]
+
+
+def test_options_of_the_readme_exist() -> None:
+    readme = (ROOT / "README.md").read_text("utf-8")
+    for command, options in re.findall(r"multicap (\w+)((?:[^`\n]|\\\n)*)", readme):
+        if command not in COMMANDS or "--" not in options:
+            continue
+        known = option_names(load(command))
+        assert set(re.findall(r"--[a-z-]+", options)) <= known, command
+    common = re.search(r"Common options: (.*?)\. A session", readme, re.DOTALL)
+    assert common is not None
+    assert set(re.findall(r"--[a-z-]+", common[1])) <= option_names(load("reconstruct"))
+
+
+def option_names(command: Any) -> set[str]:
+    """Options of a command and of its subcommands."""
+    inner = set().union(*(option_names(one) for one in getattr(command, "commands", {}).values()))
+    return inner | {name for parameter in command.params for name in parameter.opts}
