@@ -227,10 +227,10 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
         problems.append(Problem("unknown_evidence", f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
     elif chosen == "fields" and method != "clustering":
         problems.append(
-            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Leave it out, or choose clustering.")
+            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Omit --evidence, or use clustering.")
         )
     if ablation and chosen != "fields":
-        hint = "Leave it out, or evaluate clustering of fields."
+        hint = "Omit --ablation, or evaluate clustering of fields."
         problems.append(Problem("no_ablation", "There is an ablation of clustering of fields only.", hint=hint))
     if problems:
         raise InputError(problems)
@@ -288,7 +288,9 @@ def _shown(value: float | None) -> str:
 
 def _refuse_ablation(method: Method, ablation: bool) -> None:
     if ablation and method != "tracking":
-        problem = Problem("no_ablation", f"There is no ablation of the method '{method}' here.", hint="Leave it out.")
+        problem = Problem(
+            "no_ablation", f"There is no ablation of the method '{method}' here.", hint="Omit --ablation."
+        )
         raise InputError([problem])
 
 

@@ -97,5 +97,5 @@ def revoke(
             # A key in the wrong hands must go, also where the disk is full.
             key = DiskSpace(settings.data_dir).using_reserve(lambda: store.revoke_key(key_id))
         except NotFound:
-            raise refusal("There is no such key. `multicap keys list` says which there are.") from None
+            raise refusal("There is no such key. `multicap keys list` lists all keys.") from None
     console.print(f"Key {key.id} ({key.name}) is revoked.")

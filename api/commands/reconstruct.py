@@ -120,13 +120,13 @@ def _check_sources(
 ) -> None:
     problems = []
     if (videos is None) == (keypoints is None):
-        problems.append(Problem("sources", "A session is of videos or of keypoints.", hint="Give one of the two."))
+        problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
     if keypoints is None and (timestamps is not None or frame_rate is not None):
-        message = "Timestamps and frame rate are those of keypoints; a video says its own."
-        problems.append(Problem("sources", message, hint="Leave them away."))
+        message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps and --frame-rate."))
     if keypoints is not None and offsets:
-        message = "Offsets are those of videos; keypoints have timestamps."
-        problems.append(Problem("sources", message, hint="Leave them away."))
+        message = "Offsets belong to videos; keypoints have timestamps."
+        problems.append(Problem("sources", message, hint="Omit --offset."))
     if problems:
         raise InputError(problems)
 
@@ -139,7 +139,7 @@ def _frame_range(text: str | None) -> range | None:
     try:
         return range(int(first), int(stop))
     except ValueError:
-        message = f"{text!r} is no FIRST:STOP."
+        message = f"{text!r} is not FIRST:STOP."
         raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
 
 
@@ -153,7 +153,7 @@ def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
             changes[name.strip()] = float(value)
         except ValueError:
             hint = f"Write it as {example}."
-            problems.append(Problem("parameter_unreadable", f"{text!r} is no NAME=NUMBER.", hint=hint))
+            problems.append(Problem("parameter_unreadable", f"{text!r} is not NAME=NUMBER.", hint=hint))
     if problems:
         raise InputError(problems)
     return changes
