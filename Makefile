@@ -1,4 +1,4 @@
-# Every target sets up what it needs in .venv; nothing else has to be installed but Python 3.11 and make.
+# Every target sets up what it needs in .venv; only Python 3.11 and make have to be installed.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -9,10 +9,10 @@ BLENDER := .venv-blender
 .DEFAULT_GOAL := help
 .PHONY: help setup demo serve browser readers linter test verify-exports soak hostile check benchmark format lock clean
 
-help:  ## Say what there is
+help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(VENV)/.compiled  ## Install everything, pinned and checked by hash, into .venv
+setup: $(VENV)/.compiled  ## Install all dependencies, pinned and checked by hash, into .venv
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)
@@ -21,8 +21,8 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-# Of kernels, and of all that is compiled into them: a `git pull` that changes them has them compiled anew here, before
-# anything is started. It takes a moment where nothing has to be.
+# Sources of the compiled kernels: after a `git pull` that changes them the kernels are compiled here, before anything is
+# started. It takes a moment if nothing has changed.
 KERNELS := pipeline/compiled.py pipeline/warm_up.py $(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py))),$(wildcard $(folder)*.py))
 
 $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
@@ -30,27 +30,27 @@ $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
 	$(BIN)/python -P -m pipeline.warm_up
 	touch $@
 
-demo: setup  ## Start the service, send it a real four-camera capture, leave the results in demo-output/
+demo: setup  ## Start the service, send a real four-camera capture, write the results to demo-output/
 	$(BIN)/multicap demo
 
-serve: setup  ## Run the service on this machine until Ctrl-C
+serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap serve
 
-browser:  ## Install Chromium for the tests of the page, where Debian's packages are at hand
+browser:  ## Install Chromium for the tests of the page (as root, on Debian)
 	@command -v chromium google-chrome >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
 		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium >/dev/null; } \
-		|| echo "There is no Chromium, and it can't be installed here: the tests of the page are skipped."
+		|| echo "Chromium is not installed and can't be installed here: the tests of the page are skipped."
 
 readers: $(READERS)/node_modules/.installed  ## Install three.js, the glTF validator and tus-js-client for the tests
 
 $(READERS)/node_modules/.installed: $(READERS)/package-lock.json $(VENV)/.installed
 	@mkdir -p $(@D)
 	@$(BIN)/npm ci --prefix $(READERS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
-		|| echo "npm's packages can't be installed here: what needs three.js, the glTF validator or tus-js-client is skipped."
+		|| echo "npm's packages can't be installed here: tests with three.js, the glTF validator or tus-js-client are skipped."
 
-linter: $(LINTER)/node_modules/.installed  ## Install the linter of the API's contract
+linter: $(LINTER)/node_modules/.installed  ## Install the linter of the OpenAPI contract
 
 $(LINTER)/node_modules/.installed: $(LINTER)/package-lock.json $(VENV)/.installed
 	@mkdir -p $(@D)
@@ -66,7 +66,7 @@ $(BLENDER)/.installed: $(READERS)/blender.lock
 		--only-binary :all: -r $<
 	touch $@
 
-verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender (800 MB), three.js and other software
+verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap samples install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
@@ -78,39 +78,40 @@ test: setup browser readers  ## Run the tests
 	$(BIN)/multicap samples install
 	$(BIN)/python -P -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak and not hostile"
 
-soak: setup  ## Disturb 200 jobs by faults at random moments; half an hour
+soak: setup  ## Run 200 jobs, each disturbed by a fault at a random moment (half an hour)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
 
-hostile: setup  ## Send 6,000 damaged and malicious sessions to a service; an hour
+hostile: setup  ## Send 6,000 damaged and malicious sessions to a service (an hour)
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/python -P -m pytest -s -m hostile tests/hostile
 
-check: setup linter  ## What CI runs: format, lint, types, import contracts, the API's contract, Dockerfiles, tests
+check: setup linter  ## Run everything that CI runs: format, lint, types, imports, API contract, Dockerfiles, tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -P -m api.openapi --check
+	$(BIN)/python -P -m api.problem_codes.page --check
 	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile
 	$(MAKE) test
 
-benchmark: setup  ## Measure what the README states of the service; quiet machines only
+benchmark: setup  ## Measure speed and memory of the pipeline and the service (on a quiet machine)
 	$(BIN)/multicap benchmark pipeline
 	$(BIN)/multicap benchmark service
 	$(BIN)/python -P -m pytest -m benchmark
 
-format: setup  ## Format and mend what can be mended
+format: setup  ## Format the code and apply automatic fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 LOCK := uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
 	--no-emit-index-url --no-emit-find-links
 
-lock:  ## Pin the dependencies anew (needs uv)
+lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --extra dev --extra evaluation --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
-clean:  ## Remove what the targets made
+clean:  ## Remove everything that the targets made
 	rm -rf $(VENV) $(BLENDER) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -18,6 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
+from api.problem_codes import FIELDS
 from worker.jobs.disk import is_disk_full
 from worker.jobs.errors import (
     ArtifactsUnavailable,
@@ -61,21 +62,7 @@ _DETAILS: Mapping[int, str] = {
 }
 
 
-MEANINGS: Mapping[str, str] = {
-    "unknown_field": "the request has a field that is not known there",
-    "missing_field": "a field or parameter that is needed is not there",
-    "malformed_json": "the part is not JSON",
-    "wrong_type": "the value is of another type than the field",
-    "value_not_allowed": "the value is none of those that are allowed",
-    "out_of_range": "the number is outside of the limits",
-    "wrong_length": "the text or the list is too short or too long",
-    "wrong_format": "the text does not have the form that is asked for",
-    "control_characters": "the text has control characters",
-    "json_value": "it is no valid JSON: NaN, infinity, half surrogates",
-    "export_repeated": "a format is named twice",
-    "invalid_value": "the value is wrong in another way",
-    "more_problems": "more is wrong than is listed",
-}
+MEANINGS: Mapping[str, str] = {one.name: one.meaning for one in FIELDS.codes}
 """Codes of ``errors[]`` that are about a field, with their meanings: part of the API, so they stay."""
 
 
@@ -85,9 +72,8 @@ class ErrorItem(BaseModel):
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
     code: str = Field(
-        description="Stable, such as `video_truncated`. Of fields and parameters: "
-        + "; ".join(f"`{code}` ({meaning})" for code, meaning in MEANINGS.items())
-        + "."
+        description="Stable, such as `video_truncated`; docs/problems.md lists all codes. Of fields and parameters: "
+        + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items())
     )
     message: str = Field(description="One sentence for a person.")
     pointer: str | None = Field(default=None, description="JSON pointer to the field, parameter or part of the form.")

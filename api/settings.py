@@ -1,4 +1,4 @@
-"""What the web API is told by its environment; every variable begins with ``MULTICAP_``."""
+"""Settings of the web API, from environment variables that begin with ``MULTICAP_``."""
 
 import ipaddress
 from pathlib import Path
@@ -25,13 +25,13 @@ def is_loopback(host: str) -> bool:
 
 
 class Settings(BaseSettings):
-    """Where the API listens, where it keeps things, and how much it takes."""
+    """Addresses, storage and limits of the web API."""
 
     model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
 
     data_dir: Path = Field(
         default_factory=default_data_dir,
-        description="Folder of the artifacts, uploads on their way, and the database unless database_url says else.",
+        description="Data folder: artifacts, unfinished uploads, and the database unless database_url names another.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
     artifacts_url: str = Field(
@@ -44,12 +44,12 @@ class Settings(BaseSettings):
         default=None,
         gt=0,
         le=7 * 24 * 3600,
-        description="Send downloads of results to the store at artifacts_url, by addresses that are valid for so long; "
-        "without it they go through the API.",
+        description="Redirect downloads of results to the store at artifacts_url, by addresses that are valid for this "
+        "time; without it downloads go through the API.",
     )
-    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
+    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
 
-    log_level: LogLevel = Field(default="info", description="Least severe events that are logged.")
+    log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 for a free one.")
@@ -60,7 +60,7 @@ class Settings(BaseSettings):
     )
     allowed_hosts: frozenset[str] = Field(
         default=frozenset(),
-        description="Names besides localhost by which clients may call the service, as a JSON list.",
+        description="Names of the service, besides localhost, that clients may use, as a JSON list.",
     )
     allowed_origins: frozenset[str] = Field(
         default=frozenset(),
@@ -68,7 +68,7 @@ class Settings(BaseSettings):
     )
     trusted_proxies: frozenset[IPvAnyNetwork] = Field(
         default=frozenset(),
-        description="Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed, as a "
+        description="Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are trusted, as a "
         "JSON list. Without it the peer of a connection is the client.",
     )
     max_connections: int = Field(
@@ -79,7 +79,7 @@ class Settings(BaseSettings):
     max_client_connections: int = Field(
         default=512,
         gt=0,
-        description="Open connections of a client's address (of IPv6 its /64), but for trusted proxies.",
+        description="Open connections of a client's address (of IPv6 its /64), except trusted proxies.",
     )
     max_wrong_keys_per_minute: int = Field(
         default=30,
@@ -91,15 +91,15 @@ class Settings(BaseSettings):
     headroom_bytes: int | None = Field(
         default=None,
         ge=0,
-        description="Bytes of data_dir's disk that are kept free: beyond it nothing new is taken in (507); without it "
+        description="Room on data_dir's disk that is kept free; with less room nothing new is accepted (507). Default: "
         "5 % of the disk, at most 256 MiB.",
     )
 
-    max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Of one video.")
-    max_keypoints_bytes: int = Field(default=1 * GIB, gt=0, description="Of the archive of a camera's keypoints.")
-    max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Of all files of a session.")
-    max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Of a calibration file.")
-    max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Of a JSON body or part.")
+    max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Size of a video.")
+    max_keypoints_bytes: int = Field(default=1 * GIB, gt=0, description="Size of the archive of a camera's keypoints.")
+    max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Size of all files of a session.")
+    max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Size of a calibration file.")
+    max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Size of a JSON body or part.")
     max_session_joints: int = Field(
         default=25_000_000,
         gt=0,
@@ -110,11 +110,9 @@ class Settings(BaseSettings):
     max_duration_s: float | None = Field(
         default=None,
         gt=0,
-        description="Of a session, from the first camera's first frame to the last one's last; without it 43,200 s.",
+        description="Duration of a session, from its first frame to its last; without it 43,200 s.",
     )
-    max_pixels: int | None = Field(
-        default=None, gt=0, description="Of a frame; without it 8192 x 4320, which the check bears."
-    )
+    max_pixels: int | None = Field(default=None, gt=0, description="Pixels of a frame; without it 8192 x 4320.")
 
     max_tenant_sessions: int | None = Field(
         default=None, ge=0, description="Sessions of a tenant; without it any number."
@@ -123,13 +121,15 @@ class Settings(BaseSettings):
         default=None, ge=0, description="Jobs of a tenant that wait or run; without it any number."
     )
     max_tenant_bytes: int | None = Field(
-        default=None, ge=0, description="Of a tenant's sessions, with all that came of them; without it any number."
+        default=None,
+        ge=0,
+        description="Size of a tenant's sessions and everything made from them; without it any number.",
     )
     max_tenant_uploads: int | None = Field(
         default=None, ge=0, description="Unfinished or unused uploads of a tenant; without it any number."
     )
     max_requests_per_minute: int | None = Field(
-        default=None, gt=0, description="Of a tenant, at each API process; without it any number."
+        default=None, gt=0, description="Requests of a tenant, at each API process; without it any number."
     )
     max_tenant_streams: int = Field(
         default=200, gt=0, description="Open event streams of a tenant, at each API process."
@@ -146,17 +146,17 @@ class Settings(BaseSettings):
     client_idle_s: float = Field(
         default=60.0,
         gt=0,
-        description="How long a client may neither send nor take anything of a body, and take to send headers.",
+        description="How long a client may neither send nor take anything of a body, or take to send headers.",
     )
     client_min_bytes_per_s: float = Field(
-        default=1000.0, ge=0, description="What a client's body must come to on average, from client_idle_s on."
+        default=1000.0, ge=0, description="Average rate that a client's body must reach, from client_idle_s on."
     )
 
     upload_hours: float = Field(
-        default=48.0, gt=0, le=24 * 365, description="How long an upload is kept that nobody goes on with or uses."
+        default=48.0, gt=0, le=24 * 365, description="How long an upload is kept that receives nothing and is not used."
     )
     retention_days: float | None = Field(
-        default=None, gt=0, le=36_500, description="How long results are kept; without it until somebody deletes them."
+        default=None, gt=0, le=36_500, description="How long results are kept; without it until they are deleted."
     )
     chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
 
@@ -167,7 +167,7 @@ class Settings(BaseSettings):
     preflight_timeout_s: float = Field(
         default=15.0,
         gt=0,
-        description="How long the check may take, beside 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
+        description="How long the check may take, besides 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
         "keypoints.",
     )
     preflight_wait_s: float = Field(
@@ -175,12 +175,14 @@ class Settings(BaseSettings):
         gt=0,
         description="How long a session waits for its check before it is refused, beside 60 s a GiB of its files.",
     )
-    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="How much the check may say.")
+    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="Size of the check's output.")
     max_record_bytes: int = Field(
-        default=1 * GIB, gt=0, description="Of what the check keeps for the workers: times of all frames, keypoints."
+        default=1 * GIB,
+        gt=0,
+        description="Size of the data that the check stores for workers: times of all frames, keypoints.",
     )
     preflight_memory_bytes: int = Field(
-        default=3 * GIB, ge=GIB // 2, description="Memory of the check; a session that needs more is refused."
+        default=3 * GIB, ge=GIB // 2, description="Memory of the check; a session whose check needs more is refused."
     )
     max_parallel_preflights: int = Field(
         default=3,

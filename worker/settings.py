@@ -86,13 +86,13 @@ def require_usable_database(store: JobStore) -> None:
 
 
 class WorkerSettings(BaseSettings):
-    """Where the jobs are, and how a worker holds on to its piece of one."""
+    """Storage, leases and limits of workers and reaper."""
 
     model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
 
     data_dir: Path = Field(
         default_factory=default_data_dir,
-        description="Folder of the artifacts, and of the database unless database_url says else.",
+        description="Data folder: artifacts, and the database unless database_url names another.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
     artifacts_url: str = Field(
@@ -102,27 +102,30 @@ class WorkerSettings(BaseSettings):
         description="s3://bucket/prefix; empty for a folder in data_dir.",
     )
     cache_bytes: int = Field(
-        default=DEFAULT_CACHE_BYTES, gt=0, description="Copies in data_dir of files that are at artifacts_url."
+        default=DEFAULT_CACHE_BYTES, gt=0, description="Size of the copies in data_dir of files at artifacts_url."
     )
-    cache_hours: float = Field(
-        default=DEFAULT_CACHE_HOURS, gt=0, description="How long such a copy stays that nobody uses."
-    )
-    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="Where Celery's messages go.")
+    cache_hours: float = Field(default=DEFAULT_CACHE_HOURS, gt=0, description="How long an unused copy is kept.")
+    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
     headroom_bytes: int | None = Field(
         default=None,
         ge=0,
-        description="Bytes of data_dir's disk that are kept free: beyond it no chunk is begun; without it 5 % of the "
+        description="Room on data_dir's disk that is kept free; with less room no chunk is begun. Default: 5 % of the "
         "disk, at most 256 MiB.",
     )
-    log_level: LogLevel = Field(default="info", description="Least severe events that are logged.")
-    lease_s: float = Field(default=20.0, gt=0, description="A worker that is silent for longer has lost its chunk.")
-    heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker says how far it is.")
+    log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
+    lease_s: float = Field(
+        default=20.0, gt=0, description="A worker that does not renew its lease for this time loses its chunk."
+    )
+    heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker reports its progress.")
     webhook_private: bool = Field(
         default=False, description="Whether webhooks may go to addresses of private networks and of this machine."
     )
-    reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for what was lost.")
+    reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for lost work.")
     nice: int = Field(
-        default=10, ge=0, le=19, description="How far workers stand back for all else on their machine, the API first."
+        default=10,
+        ge=0,
+        le=19,
+        description="Niceness of workers: how far their priority is lowered for other programs.",
     )
     memory_bytes: int = Field(
         default=7 * 2**29,

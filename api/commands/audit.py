@@ -10,12 +10,14 @@ from api.console import emit, print_table
 
 
 def command(
-    tenant: Annotated[str | None, typer.Option(help="Of one tenant; without it of all.")] = None,
-    limit: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many at most, the last ones.")] = 100,
-    data: Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    tenant: Annotated[str | None, typer.Option(help="Entries of one tenant; without it of all tenants.")] = None,
+    limit: Annotated[
+        int, typer.Option(min=1, max=1_000_000, help="Largest number of entries; the last ones are listed.")
+    ] = 100,
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """List who made, changed or deleted what in the service, the last one first."""
+    """List creations, changes and deletions in the service with their tenant and key, the latest first."""
     with store_in(data) as store:
         deeds = store.deeds(tenant, limit)
         names = {key.id: key.name for key in store.list_keys()}

@@ -18,8 +18,8 @@ from worker.jobs.backup.restore import restore_backup, verify_backup
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
 app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Archive = Annotated[Path, typer.Argument(metavar="FILE", help="The backup.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]
 
 # More lines than that nobody reads; --json has all.
 _MAX_LINES = 20
@@ -27,11 +27,11 @@ _MAX_LINES = 20
 
 @app.command()
 def create(
-    archive: Annotated[Path, typer.Argument(metavar="FILE", help="The new file; it must not exist.")],
-    data: Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")] = None,
+    archive: Annotated[Path, typer.Argument(metavar="FILE", help="New backup file; it must not exist.")],
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Back up a service, which may run meanwhile."""
+    """Back up a service; it may run meanwhile."""
     settings = settings_in(data)
     with _reported(as_json), byte_bar("Back up", visible=not as_json) as on_progress:
         report = create_backup(
@@ -43,7 +43,7 @@ def create(
 @app.command()
 def restore(
     archive: Archive,
-    data: Annotated[Path, typer.Option(help="Folder of the restored service: a new one, or an empty one.")],
+    data: Annotated[Path, typer.Option(help="Data folder of the restored service: new or empty.")],
     as_json: AsJson = False,
 ) -> None:
     """Restore a service from a backup, into a new folder and, with MULTICAP_DATABASE_URL, an empty database."""
@@ -57,7 +57,7 @@ def restore(
 
 @app.command()
 def verify(archive: Archive, as_json: AsJson = False) -> None:
-    """Check all of a backup, as `restore` does, without writing it anywhere."""
+    """Check all of a backup as `restore` does, without writing it."""
     with _reported(as_json), byte_bar("Verify", visible=not as_json) as on_progress:
         report = verify_backup(archive, on_progress)
     _finish(report, f"{archive} is damaged:" if report.faults else f"{archive} is whole:", archive, as_json)

@@ -64,9 +64,9 @@ def network_seconds(session: CaptureSession, detector_name: str) -> float:
 
 @app.command()
 def pipeline(
-    loops: Annotated[int, typer.Option(min=1, max=100, help="Play the sample so many times over.")] = 1,
-    detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    loops: Annotated[int, typer.Option(min=1, max=100, help="How many times the sample is played.")] = 1,
+    detector: Annotated[str, typer.Option(help="Detector network, from `multicap models list`.")] = "movenet-multipose",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time the sample capture from videos to result files in one process, beside the network alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
@@ -149,7 +149,7 @@ def time_library(sample: Sample, folder: Path) -> float:
 
 @app.command()
 def service(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time the sample through the service with one worker and with two, beside the library."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:

@@ -45,10 +45,10 @@ def _group() -> None:
 @app.command()
 def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
-    detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
+    detector: Annotated[str, typer.Option(help="Detector network, from `multicap models list`.")] = "movenet-multipose",
     method: MethodOption = "tracking",
     smoothing: SmoothingOption = "fit",
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
@@ -68,10 +68,14 @@ def shelf(
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
     method: MethodOption = "tracking",
     smoothing: SmoothingOption = "fit",
-    detections: Annotated[Path | None, typer.Option(help="Other 2D keypoints of the same images.")] = None,
-    every: Annotated[int, typer.Option(min=1, max=10, help="Keep every n-th image, a phase a camera.")] = 1,
-    ablation: Annotated[bool, typer.Option(help="Also what the method's parts are worth; half a minute.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
+    every: Annotated[
+        int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
+    ] = 1,
+    ablation: Annotated[
+        bool, typer.Option(help="Also measure what the parts of the method are worth (half a minute).")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
@@ -159,25 +163,26 @@ def _print_ablation(ablation: dict[str, Any]) -> None:
 @app.command()
 def simulated(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same scene.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same scene.")] = 0,
     method: MethodOption = "tracking",
     smoothing: SmoothingOption = "fit",
     feet: FeetOption = "auto",
     evidence: Annotated[
         str | None,
         typer.Option(
-            help="What people are found from: fields (of a network with part affinity fields; only clustering, and its "
-            "default) or bodies (of one that finds whole ones; tracking's)."
+            help="Evidence: `fields` (part affinity fields; default of clustering) or `bodies` (whole bodies; the "
+            "default of tracking)."
         ),
     ] = None,
     views: Annotated[
         str | None,
-        typer.Option(help="Numbers of cameras, such as 4,8; all by default, with an ablation the paper's 12 at most."),
+        typer.Option(help="Numbers of cameras, such as 4,8. Default: all; with --ablation at most the paper's 12."),
     ] = None,
     ablation: Annotated[
-        bool, typer.Option(help="Also what clustering's constraints are worth (the paper's table 3); minutes.")
+        bool,
+        typer.Option(help="Also measure what the constraints of clustering are worth (the paper's table 3; minutes)."),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Simulated people with exact truth, from what a faulty detector sees of them."""
     by_views: dict[int, dict[str, Any]] = {}
@@ -222,10 +227,10 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
         problems.append(Problem("unknown_evidence", f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
     elif chosen == "fields" and method != "clustering":
         problems.append(
-            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Leave it out, or choose clustering.")
+            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Omit --evidence, or use clustering.")
         )
     if ablation and chosen != "fields":
-        hint = "Leave it out, or evaluate clustering of fields."
+        hint = "Omit --ablation, or evaluate clustering of fields."
         problems.append(Problem("no_ablation", "There is an ablation of clustering of fields only.", hint=hint))
     if problems:
         raise InputError(problems)
@@ -283,7 +288,9 @@ def _shown(value: float | None) -> str:
 
 def _refuse_ablation(method: Method, ablation: bool) -> None:
     if ablation and method != "tracking":
-        problem = Problem("no_ablation", f"There is no ablation of the method '{method}' here.", hint="Leave it out.")
+        problem = Problem(
+            "no_ablation", f"There is no ablation of the method '{method}' here.", hint="Omit --ablation."
+        )
         raise InputError([problem])
 
 

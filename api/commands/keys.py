@@ -13,9 +13,9 @@ from worker.jobs.errors import NotFound
 from worker.jobs.model import Key, Scope
 from worker.jobs.tables import DEFAULT_TENANT
 
-app = typer.Typer(help="Keys of the service: make, list, revoke.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Data = Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")]
+app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
 
 _DAY_S = 86_400.0
 
@@ -33,19 +33,25 @@ def _document(key: Key) -> dict[str, Any]:
 
 @app.command()
 def create(
-    name: Annotated[str, typer.Argument(help="For people: who or what it is for.")],
-    tenant: Annotated[str, typer.Option(help="Whose sessions and jobs it sees. Without keys all was `default`'s.")] = (
-        DEFAULT_TENANT
-    ),
-    scope: Annotated[list[Scope], typer.Option(help="What it is good for; more than once for several.")] = [  # noqa: B006
+    name: Annotated[str, typer.Argument(help="Name of the key for people, such as its user.")],
+    tenant: Annotated[
+        str,
+        typer.Option(help="Tenant whose sessions and jobs the key sees; what was made without keys is `default`'s."),
+    ] = (DEFAULT_TENANT),
+    scope: Annotated[
+        list[Scope], typer.Option(help="What the key allows; give it several times for several scopes.")
+    ] = [  # noqa: B006
         Scope.READ,
         Scope.WRITE,
     ],
-    days: Annotated[float | None, typer.Option(min=1 / 1440, help="How long; without it until it is revoked.")] = None,
+    days: Annotated[
+        float | None,
+        typer.Option(min=1 / 1440, help="Days until the key expires; without it the key is valid until it is revoked."),
+    ] = None,
     data: Data = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a key and print it; it can't be read again. After the first one nobody comes in without."""
+    """Create a key and print it; it can't be read again. After the first key every request needs one."""
     if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
         raise refusal("A name has 1 to 200 characters, a tenant's 1 to 64. Choose others.")
     with store_in(data) as store:
@@ -81,14 +87,15 @@ def _until(key: Key, now: datetime) -> str:
 
 @app.command()
 def revoke(
-    key_id: Annotated[str, typer.Argument(metavar="ID", help="Of `multicap keys list`.")], data: Data = None
+    key_id: Annotated[str, typer.Argument(metavar="ID", help="ID of the key, from `multicap keys list`.")],
+    data: Data = None,
 ) -> None:
-    """End a key at once and for good."""
+    """Revoke a key, at once and for good."""
     settings = settings_in(data)
     with opened_store(settings) as store:
         try:
             # A key in the wrong hands must go, also where the disk is full.
             key = DiskSpace(settings.data_dir).using_reserve(lambda: store.revoke_key(key_id))
         except NotFound:
-            raise refusal("There is no such key. `multicap keys list` says which there are.") from None
+            raise refusal("There is no such key. `multicap keys list` lists all keys.") from None
     console.print(f"Key {key.id} ({key.name}) is revoked.")

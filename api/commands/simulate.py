@@ -14,11 +14,11 @@ from pipeline.simulation.scenes import SCENES, simulate
 def command(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     out: Annotated[Path, typer.Option(help="Folder for the files; made if it is missing.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    views: Annotated[int | None, typer.Option(help="How many of the scene's cameras; all by default.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
+    views: Annotated[int | None, typer.Option(help="Number of the scene's cameras; all by default.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Write a scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""
+    """Write a simulated scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""
     with reporting(as_json):
         simulation = simulate(scene, seed, views)
         try:

@@ -9,10 +9,10 @@ from api.commands.store import store_in
 from api.console import console, emit, print_table, refusal, shown_time
 from worker.jobs.tables import DEFAULT_TENANT
 
-app = typer.Typer(help="Webhooks of the service: secrets, and what has not arrived.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Data = Annotated[Path | None, typer.Option(help="Folder of the service, as `serve` has it.")]
-Tenant = Annotated[str, typer.Option(help="Whose jobs' ends it signs.")]
+app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
+Tenant = Annotated[str, typer.Option(help="Tenant whose webhooks the secret signs.")]
 
 _HOUR_S = 3600.0
 
@@ -20,11 +20,13 @@ _HOUR_S = 3600.0
 @app.command()
 def rotate(
     tenant: Tenant = DEFAULT_TENANT,
-    keep_hours: Annotated[float, typer.Option(min=0, max=720, help="How long the earlier secret signs, too.")] = 24.0,
+    keep_hours: Annotated[
+        float, typer.Option(min=0, max=720, help="Hours in which the earlier secret still signs.")
+    ] = 24.0,
     data: Data = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make the secret that signs a tenant's webhooks, and print it."""
+    """Create the secret that signs a tenant's webhooks, and print it."""
     if not 0 < len(tenant) <= 64:
         raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
     with store_in(data) as store:
@@ -32,13 +34,13 @@ def rotate(
     if as_json:
         emit({"tenant": tenant, "secret": secret})
         return
-    console.print(f"Secret of {tenant}. Whoever receives its webhooks verifies them by it:")
+    console.print(f"Secret of {tenant}. Receivers of its webhooks verify them with it:")
     typer.echo(secret)
 
 
 @app.command("list")
 def list_(data: Data = None, as_json: AsJson = False) -> None:
-    """List what has not arrived, the oldest first."""
+    """List undelivered messages, the oldest first."""
     with store_in(data) as store:
         left = store.deliveries()
     if as_json:

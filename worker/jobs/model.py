@@ -164,13 +164,13 @@ class StagePlan:
         As in ``worker.plan``.
     chunks
         One at least; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
-    code
+    code_sha256
         Digest of the code that can run them, as in ``worker.stage_code``.
     """
 
     name: str
     chunks: Iterable[ChunkPlan]
-    code: str
+    code_sha256: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,7 +71,7 @@ def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan
         "job_id": job_id,
         "stage_index": stage_index,
         "stage": stage.name,
-        "code": stage.code,
+        "code": stage.code_sha256,
         "chunk_index": chunk.index,
         "payload": dict(chunk.payload),
         "output_key": chunk.output_key,

@@ -1,0 +1,34 @@
+"""Records of the documentation of problem codes."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemCode:
+    """A stable code, with what it means and what to do about it.
+
+    Parameters
+    ----------
+    name
+        The code, such as ``video_truncated``.
+    where
+        Places in which clients meet the code: HTTP statuses of answers as digits, ``job`` (the error of a job),
+        ``attempt`` (a failed attempt at a chunk), ``readyz`` (the errors of ``/readyz``), ``command`` (the command
+        line), ``warning`` (a warning of a job and in ``metrics.json``).
+    meaning, remedy
+        One sentence each.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    meaning: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True)
+class CodeGroup:
+    """Codes about one subject: a section of ``docs/problems.md``."""
+
+    title: str
+    introduction: str
+    codes: tuple[ProblemCode, ...]

@@ -1,0 +1,108 @@
+"""The documentation is short where it must be, its links lead somewhere, and every page says what it is for."""
+
+import ast
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic_settings import BaseSettings
+
+from api.cli import COMMANDS, load
+from api.client import Client
+from api.settings import Settings
+from worker.settings import WorkerSettings
+
+ROOT = Path(__file__).parents[1]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/adr").glob("*.md"))]
+MAX_README_LINES = 150
+MAX_README_ROW = 200
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+
+
+def prose(page: Path) -> str:
+    """Text of a page without its blocks of code."""
+    return FENCE.sub("", page.read_text(encoding="utf-8"))
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as code hosts make them."""
+    headings = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path) -> Iterator[str]:
+    for target in LINK.findall(prose(page)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        found = page if path == "" else (page.parent / path).resolve()
+        if not found.exists() or (anchor and anchor not in anchors(found)):
+            yield target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    assert list(broken_links(page)) == []
+
+
+def test_broken_links_are_found(tmp_path: Path) -> None:
+    (tmp_path / "other.md").write_text("# Some title: `a_b`, twice\n\n```\n# no heading\n```\n")
+    page = tmp_path / "page.md"
+    page.write_text(
+        "[a](other.md) [b](other.md#some-title-a_b-twice) [c](https://x.example/y.md) ![d](missing.png)\n"
+        "[e](other.md#no-heading) [f](#nowhere)\n```\n[g](missing.md)\n```\n"
+    )
+    assert list(broken_links(page)) == ["missing.png", "other.md#no-heading", "#nowhere"]
+
+
+def test_readme_is_short() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= MAX_README_LINES
+    assert [line for line in lines if len(line) > MAX_README_ROW] == []
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_pages_begin_with_what_they_are_for(page: Path) -> None:
+    title, blank, first, *_ = page.read_text(encoding="utf-8").splitlines()
+    assert title.startswith("# ")
+    assert blank == ""
+    assert first.startswith("This page ")
+
+
+@pytest.mark.parametrize("settings", [Settings, WorkerSettings])
+def test_every_setting_is_documented(settings: type[BaseSettings]) -> None:
+    page = (ROOT / "docs/operations.md").read_text(encoding="utf-8")
+    assert [name for name in settings.model_fields if f"`{name.upper()}`" not in page] == []
+
+
+def test_python_example_calls_the_client_as_it_is() -> None:
+    (block,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    called = []
+    for node in ast.walk(ast.parse(block)):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="client"), attr=method), args=arguments):
+                inspect.signature(getattr(Client, method)).bind(None, *arguments)
+                called.append(method)
+    assert sorted(called) == ["download", "follow", "submit"]
+
+
+def test_options_of_the_readme_exist() -> None:
+    readme = (ROOT / "README.md").read_text("utf-8")
+    for command, options in re.findall(r"multicap (\w+)((?:[^`\n]|\\\n)*)", readme):
+        if command not in COMMANDS or "--" not in options:
+            continue
+        known = option_names(load(command))
+        assert set(re.findall(r"--[a-z-]+", options)) <= known, command
+    common = re.search(r"Common options: (.*?)\. A session", readme, re.DOTALL)
+    assert common is not None
+    assert set(re.findall(r"--[a-z-]+", common[1])) <= option_names(load("reconstruct"))
+
+
+def option_names(command: Any) -> set[str]:
+    """Options of a command and of its subcommands."""
+    inner = set().union(*(option_names(one) for one in getattr(command, "commands", {}).values()))
+    return inner | {name for parameter in command.params for name in parameter.opts}
