@@ -232,9 +232,12 @@ def reprojection_error_px(
 
     NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
     """
-    projected_px = np.stack([project(camera, track.xyz_m) for camera in cameras], axis=1)
-    distance_px = np.linalg.norm(projected_px - observations.points_px, axis=-1)
-    return np.where(_counts(observations), distance_px, np.nan).astype(np.float32)
+    error_px = np.empty(observations.score.shape, np.float32)
+    for number, camera in enumerate(cameras):
+        distance_px = np.linalg.norm(project(camera, track.xyz_m) - observations.points_px[:, number], axis=-1)
+        error_px[:, number] = distance_px
+    error_px[~_counts(observations)] = np.nan
+    return error_px
 
 
 def views_per_joint(track: Track3D, observations: Observations) -> float:
