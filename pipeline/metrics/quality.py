@@ -33,6 +33,7 @@ from pipeline.joints import LIMBS, JointSet
 from pipeline.metrics.capture_checks import capture_checks
 from pipeline.metrics.world_checks import world_checks
 from pipeline.skeleton.fit import MAX_GAP_S
+from pipeline.skeleton.windows import windows
 
 SCHEMA_VERSION = 1
 MIN_SCORE = 0.2
@@ -233,9 +234,10 @@ def reprojection_error_px(
     NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
     """
     error_px = np.empty(observations.score.shape, np.float32)
-    for number, camera in enumerate(cameras):
-        distance_px = np.linalg.norm(project(camera, track.xyz_m) - observations.points_px[:, number], axis=-1)
-        error_px[:, number] = distance_px
+    for rows in windows(track.num_frames, overlap=0):
+        for number, camera in enumerate(cameras):
+            projected_px = project(camera, track.xyz_m[rows])
+            error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
     error_px[~_counts(observations)] = np.nan
     return error_px
 

@@ -132,7 +132,7 @@ def _triangulate(
     cameras: Sequence[Camera],
     bodies: Bodies,
     ideal_px: Float[np.ndarray, "detections joints 2"],
-    lives: Sequence[Int[np.ndarray, " rows"]],
+    lives: Sequence[Int[np.ndarray, " _"]],
     timebase: Timebase,
     parameters: TrackingParameters,
     on_share: OnShare,
@@ -140,7 +140,7 @@ def _triangulate(
     """Everybody's joints in space at the output instants of their lives, robustly."""
     projections = np.array([image_from_world(camera) for camera in cameras])
 
-    def located_m(rows: Int[np.ndarray, " rows"]) -> Float[np.ndarray, "frames joints 3"]:
+    def located_m(rows: Int[np.ndarray, " _"]) -> Float[np.ndarray, "frames joints 3"]:
         sampled = observations_at(timebase, bodies, ideal_px, rows, len(cameras), parameters)
         return triangulate_frames(projections, sampled.points_px, sampled.score, parameters.min_score)
 
@@ -150,7 +150,7 @@ def _triangulate(
 def _record(
     cameras: Sequence[Camera],
     bodies: Bodies,
-    lives: Sequence[Int[np.ndarray, " rows"]],
+    lives: Sequence[Int[np.ndarray, " _"]],
     xyz_m: Sequence[Float[np.ndarray, "_ joints 3"]],
     timebase: Timebase,
     parameters: TrackingParameters,
@@ -168,7 +168,7 @@ def _record(
     return number_people(found)
 
 
-def _reported(lives: Sequence[Int[np.ndarray, " rows"]], on_share: OnShare) -> Iterator[Int[np.ndarray, " rows"]]:
+def _reported(lives: Sequence[Int[np.ndarray, " _"]], on_share: OnShare) -> Iterator[Int[np.ndarray, " rows"]]:
     """Lives, each of which counts by its detections when the next one is asked for."""
     num_all, num_done = sum(map(len, lives)), 0
     for rows in lives:
