@@ -5,12 +5,12 @@ people in any range of frames by itself, and at last links them. What found them
 or fields (``PafFields``), of the range at least.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import overload
 
-from pipeline.clustering.associate import find_people, first_lengths, link_people, sampled_frames
+from pipeline.clustering.associate import find_people, first_lengths, join_poses, link_people, sampled_frames
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.candidates import Seen, SeenBodies, SeenFields
 from pipeline.clustering.parameters import ClusteringParameters
@@ -27,7 +27,8 @@ from pipeline.keypoints import KeypointSession
 from pipeline.parameters import change_parameters
 from pipeline.progress import OnShare, ignore
 from pipeline.session import CaptureSession
-from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.associate import track_bodies
+from pipeline.tracking.observations import Bodies, gather
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
 from pipeline.video.timeline import cut_timebase, frames_in, span_s
@@ -115,13 +116,20 @@ def track(
     on_share
         Called with the share of the work that is done.
     """
+    return track_gathered(session, gather(session.cameras, session.times, detections), config, on_share)
+
+
+def track_gathered(
+    session: Views, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
+) -> People:
+    """``track`` what ``gather`` made of all cameras' detections; the session's own are not looked at."""
     parameters = tracking_parameters(session, config.tracking)
     timebase = session.timebase
     approximate: set[int] = set()
-    people = reconstruct_tracks(
+    people = track_bodies(
         session.cameras,
         session.times,
-        detections,
+        bodies,
         timebase,
         parameters,
         on_share,
@@ -180,15 +188,16 @@ def locate_people(
 
 def link(
     session: Views,
-    chunks: Sequence[Poses3D],
+    chunks: Iterable[Poses3D],
     joints: JointSet,
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
 ) -> People:
     """Link the poses of all ranges to tracks; ``on_share`` is called as often as the work is far enough to say so."""
     parameters = clustering_parameters(session, config)
-    people = link_people(session.cameras, chunks, session.timebase, joints, parameters, on_share)
-    return People(*keep_most_seen(*people, config.people), sum(len(one.approximate) for one in chunks))
+    poses = join_poses(chunks)
+    people = link_people(session.cameras, poses, session.timebase, joints, parameters, on_share)
+    return People(*keep_most_seen(*people, config.people), len(poses.approximate))
 
 
 def _seen(session: Views, frames: range, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:

@@ -39,7 +39,7 @@ MAX_PEOPLE = 128
 MAX_JOINTS = 25_000_000
 """Joints of a session, found or not: two hours of two people in four cameras, with 17 joints at 25 Hz.
 
-Tracking takes some 105 bytes of memory for each.
+A worker takes some 85 bytes of memory for each.
 """
 # Of a file, those without a joint among them.
 _MAX_LISTED_PEOPLE = 1000

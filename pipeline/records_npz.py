@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Int
+from numpy.lib.npyio import NpzFile
 
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data import (
@@ -62,9 +63,15 @@ def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
     return file.getvalue()
 
 
-def _decode(content: bytes) -> dict[str, np.ndarray]:
-    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+def _decode(content: bytes | Path) -> dict[str, np.ndarray]:
+    with _open(content) as archive:
         return dict(archive)
+
+
+def _open(content: bytes | Path) -> NpzFile:
+    """Open an archive, or the file that holds it: its arrays are read when they are asked for."""
+    opened: NpzFile = np.load(content if isinstance(content, Path) else io.BytesIO(content), allow_pickle=False)
+    return opened
 
 
 def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
@@ -226,7 +233,7 @@ def decode_fields(content: bytes) -> PafFields:
 
 def decode_damaged(content: bytes) -> Int[np.ndarray, " damaged"]:
     """Read the numbers of damaged frames, and nothing else, from what ``encode_fields`` wrote."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+    with _open(content) as archive:
         return archive["damaged"] if "damaged" in archive.files else no_frames()
 
 
@@ -246,9 +253,9 @@ def _damaged_videos(damaged: Sequence[DamagedVideo]) -> dict[str, np.ndarray]:
     return {_DAMAGED_VIDEOS: np.array(json.dumps([asdict(one) for one in damaged]))} if damaged else {}
 
 
-def decode_damaged_videos(content: bytes) -> tuple[DamagedVideo, ...]:
+def decode_damaged_videos(content: bytes | Path) -> tuple[DamagedVideo, ...]:
     """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``encode_people`` wrote."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+    with _open(content) as archive:
         written = json.loads(str(archive[_DAMAGED_VIDEOS])) if _DAMAGED_VIDEOS in archive.files else []
     return tuple(DamagedVideo(**one) for one in written)
 
@@ -272,8 +279,8 @@ def encode_people(people: People, damaged: Sequence[DamagedVideo] = ()) -> bytes
     return _encode(arrays)
 
 
-def decode_people(content: bytes) -> People:
-    """Read the tracks and observations that ``encode_people`` wrote."""
+def decode_people(content: bytes | Path) -> People:
+    """Read the tracks and observations that ``encode_people`` wrote, from the bytes or from a file of them."""
     arrays = _decode(content)
     tracks = _tracks(arrays)
     observations = tuple(

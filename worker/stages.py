@@ -8,11 +8,12 @@ import functools
 import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from pipeline.association import Found, Views, link, locate_people, measure_bones, restrict, track
+from pipeline.association import Found, Views, link, locate_people, measure_bones, restrict, track_gathered
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Detections, Reconstruction
+from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.detector import open_detector
@@ -40,6 +41,7 @@ from pipeline.records_npz import (
     encode_poses,
 )
 from pipeline.skeleton.animate import animate
+from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 from pipeline.warm_up import warm_up as compile_kernels
 from worker.execution import Outcome, ResultFile, Stages, Work
@@ -53,6 +55,7 @@ from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES
 
 _detector = functools.cache(open_detector)
 
+_PEOPLE = "people.npz"
 _MEDIA_TYPES = {
     ".json": "application/json",
     ".bvh": "text/plain; charset=utf-8",
@@ -82,24 +85,37 @@ class _OpenSession:
     def __init__(self) -> None:
         self._files = contextlib.ExitStack()
         self._id: str | None = None
-        self._views: Views
+        self._views: Views | None = None
+        self._is_outline = False
         self._folder: Path
         self._names: set[str] = set()
 
     def views(self, session: Session, artifacts: ArtifactStore) -> Views:
         """Open a session, unless it is open."""
-        if self._id == session.id:
+        if self._views is None or self._id != session.id or self._is_outline:
+            return self._open(session, artifacts)
+        return self._views
+
+    def outline(self, session: Session, artifacts: ArtifactStore) -> Views:
+        """Open a session without the detections of keypoint files: they leave the memory, of which they take most."""
+        views = self._views
+        if views is None or self._id != session.id:
+            views = self._open(session, artifacts)
+        if isinstance(views, KeypointSession):
+            self._views, self._is_outline = replace(views, detections={}), True
             return self._views
+        return views
+
+    def _open(self, session: Session, artifacts: ArtifactStore) -> Views:
         self._files.close()
         self._names.clear()
-        self._id = None
+        # Before the next session is in memory.
+        self._views, self._id, self._is_outline = None, None, False
         with _undamaged("The record of the session's check"):
             content = read_artifact(artifacts, record_key(session.id), session.record_sha256)
-        self._views = (
-            decode_keypoints(content) if is_of_keypoints(session) else decode_session(content, self._new_folder())
-        )
-        self._id = session.id
-        return self._views
+        views = decode_keypoints(content) if is_of_keypoints(session) else decode_session(content, self._new_folder())
+        self._views, self._id = views, session.id
+        return views
 
     @contextlib.contextmanager
     def video(self, work: Work, camera: str) -> Iterator[None]:
@@ -138,7 +154,16 @@ def warm_up() -> None:
 
 def _views_of(work: Work) -> tuple[Views, JointSet]:
     """The session, as if it had the frames alone that are wanted, and what its detections' joints are."""
-    views = restrict(_open.views(work.session, work.artifacts), work.claim.spec.frames)
+    return _wanted(_open.views(work.session, work.artifacts), work)
+
+
+def _outline_of(work: Work) -> tuple[Views, JointSet]:
+    """As ``_views_of``, of a session without the detections of keypoint files."""
+    return _wanted(_open.outline(work.session, work.artifacts), work)
+
+
+def _wanted(session: Views, work: Work) -> tuple[Views, JointSet]:
+    views = restrict(session, work.claim.spec.frames)
     return views, views.joints if isinstance(views, KeypointSession) else _detector(work.claim.spec.detector).joints
 
 
@@ -214,43 +239,61 @@ def find_poses(work: Work) -> Outcome:
 
 def associate_people(work: Work) -> Outcome:
     """Turn what was found in all chunks into tracks: one pass in time order."""
-    session, joints = _views_of(work)
     on_share = in_units(work.claim.unit_count, work.on_unit)
     if work.claim.spec.method == "clustering":
-        poses = [decode_poses(content) for content in work.outputs(POSES)]
+        session, joints = _outline_of(work)
+        people = link(session, map(decode_poses, work.outputs(POSES)), joints, _config(work), on_share)
         damaged = decode_damaged_videos(*work.outputs(LENGTHS))
-        return Outcome(encode_people(link(session, poses, joints, _config(work), on_share), damaged))
+        return Outcome(encode_people(people, damaged))
+    bodies, damaged = _gathered(work)
+    session, _ = _outline_of(work)
+    people = track_gathered(session, bodies, _config(work), on_share)
+    del bodies
+    return Outcome(encode_people(people, damaged))
+
+
+def _gathered(work: Work) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
+    """All cameras' bodies as tracking takes them, and the damaged videos among those that show them."""
+    session, joints = _views_of(work)
     detections = (
-        session.detections if isinstance(session, KeypointSession) else _bodies(session, joints, work.outputs(DETECT))
+        session.detections
+        if isinstance(session, KeypointSession)
+        else _bodies(session, joints, iter(work.outputs(DETECT)))
     )
     damaged = damaged_videos(session, [(camera, one.damaged) for camera, one in detections.items()])
-    return Outcome(encode_people(track(session, detections, _config(work), on_share), damaged))
+    return gather(session.cameras, session.times, detections), damaged
 
 
 def fit_skeletons(work: Work) -> Outcome:
     """Animate one skeleton a person."""
-    session, joints = _views_of(work)
+    return Outcome(encode_animation(_animation(work)))
+
+
+def _animation(work: Work) -> Animation:
+    session, joints = _outline_of(work)
     located, observations, _ = decode_people(*work.outputs(ASSOCIATE))
     on_share = in_units(work.claim.unit_count, work.on_unit)
-    animation = animate(located, observations, session.cameras, session.timebase, joints, _config(work), on_share)
-    return Outcome(encode_animation(animation))
+    return animate(located, observations, session.cameras, session.timebase, joints, _config(work), on_share)
 
 
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
-    session, joints = _views_of(work)
-    (associated,) = work.outputs(ASSOCIATE)
-    located, observations, num_approximate_frames = decode_people(associated)
+    session, joints = _outline_of(work)
+    # Beside what is in it, the archive would be a fifth of the memory.
+    archive = work.scratch / _PEOPLE
+    archive.write_bytes(*work.outputs(ASSOCIATE))
+    animation = decode_animation(*work.outputs(FIT))
+    located, observations, num_approximate_frames = decode_people(archive)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
         located=located,
         observations=observations,
-        animation=decode_animation(*work.outputs(FIT)),
+        animation=animation,
         warnings=session.warnings,
         num_approximate_frames=num_approximate_frames,
-        damaged=decode_damaged_videos(associated),
+        damaged=decode_damaged_videos(archive),
     )
     spec = work.claim.spec
     on_share = in_units(work.claim.unit_count, work.on_unit)

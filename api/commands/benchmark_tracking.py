@@ -17,7 +17,7 @@ from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, Simulation, record
 from pipeline.tracking import reference
 from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.observations import gather
+from pipeline.tracking.observations import gather, undistorted
 from pipeline.tracking.pairwise import associate_pairwise
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.tracker import make_frames, make_rig
@@ -75,8 +75,9 @@ def _track_s(simulation: Simulation, repeats: int = _REPEATS) -> float:
 def _reference_s(simulation: Simulation) -> float:
     """The association alone, in plain numpy."""
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
-    bodies = gather(simulation.cameras, simulation.times, simulation.detections, parameters.min_score)
-    frames = make_frames([simulation.times[camera.name] for camera in simulation.cameras], bodies)
+    bodies = gather(simulation.cameras, simulation.times, simulation.detections)
+    times = [simulation.times[camera.name] for camera in simulation.cameras]
+    frames = make_frames(times, bodies, undistorted(simulation.cameras, bodies), parameters.min_score)
     rig = make_rig(simulation.cameras)
     return _seconds(lambda: reference.Tracker(simulation.cameras, rig, frames, parameters).run(), 1)
 

@@ -109,13 +109,13 @@ def first_lengths(
     """
     unknown = unknown_lengths(skeleton)
     first = [find_people(cameras, one, frames, skeleton, unknown, parameters, on_frame) for one, frames in seen]
-    poses = _join(first)
+    poses = join_poses(first)
     return measure_lengths([poses.xyz_m[life] for life in _lives(poses, timebase, skeleton, parameters)], skeleton)
 
 
 def link_people(
     cameras: Sequence[Camera],
-    chunks: Sequence[Poses3D],
+    poses: Poses3D,
     timebase: Timebase,
     joints: JointSet,
     parameters: ClusteringParameters,
@@ -125,8 +125,8 @@ def link_people(
 
     Parameters
     ----------
-    chunks
-        Of consecutive ranges.
+    poses
+        Of all ranges; see ``join_poses``.
     joints
         What the joint axis of the tracks shall hold: the detector's.
     on_share
@@ -137,7 +137,6 @@ def link_people(
         Tracks on the output frames, in order of first appearance, and the observations behind them.
     """
     skeleton = skeleton_of(joints)
-    poses = _join(chunks)
     on_lives, on_people = split(on_share, (1, 1))
     lives = _lives(poses, timebase, skeleton, parameters, on_lives)
     parts = split(on_people, [len(life) for life in lives])
@@ -205,17 +204,18 @@ def reconstruct_seen(
     seen = ((seen_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
     lengths = first_lengths(cameras, seen, timebase, skeleton, parameters)
     poses = [find_people(cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges]
-    return link_people(cameras, poses, timebase, joints, parameters)
+    return link_people(cameras, join_poses(poses), timebase, joints, parameters)
 
 
-def _join(chunks: Sequence[Poses3D]) -> Poses3D:
+def join_poses(chunks: Iterable[Poses3D]) -> Poses3D:
     """Poses of consecutive ranges, one at least, as one record."""
+    joined = list(chunks)
     return Poses3D(
-        np.concatenate([one.frame for one in chunks]),
-        np.concatenate([one.xyz_m for one in chunks]),
-        np.concatenate([one.points_px for one in chunks]),
-        np.concatenate([one.score for one in chunks]),
-        np.concatenate([one.approximate for one in chunks]),
+        np.concatenate([one.frame for one in joined]),
+        np.concatenate([one.xyz_m for one in joined]),
+        np.concatenate([one.points_px for one in joined]),
+        np.concatenate([one.score for one in joined]),
+        np.concatenate([one.approximate for one in joined]),
     )
 
 

@@ -144,14 +144,16 @@ def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints
     of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}
     for chunk in chunks:
         of_camera[chunk.camera].append(chunk)
-    return {
-        camera: Detections(
-            camera=camera,
-            frame=np.concatenate([np.empty(0, np.int64), *(one.frame for one in found)]),
-            keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for one in found)]),
-            score=np.concatenate([np.empty((0, num_joints)), *(one.score for one in found)]),
-            box_px=np.concatenate([np.empty((0, 4)), *(one.box_px for one in found)]),
-            damaged=np.concatenate([no_frames(), *(one.damaged for one in found)]),
-        )
-        for camera, found in of_camera.items()
-    }
+    # A camera's chunks are freed before those of the next one are joined.
+    return {camera: _join(camera, of_camera.pop(camera), num_joints) for camera in cameras}
+
+
+def _join(camera: str, chunks: Sequence[Detections], num_joints: int) -> Detections:
+    return Detections(
+        camera=camera,
+        frame=np.concatenate([np.empty(0, np.int64), *(one.frame for one in chunks)]),
+        keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for one in chunks)]),
+        score=np.concatenate([np.empty((0, num_joints)), *(one.score for one in chunks)]),
+        box_px=np.concatenate([np.empty((0, 4)), *(one.box_px for one in chunks)]),
+        damaged=np.concatenate([no_frames(), *(one.damaged for one in chunks)]),
+    )

@@ -6,13 +6,15 @@ always the same for the same reconstruction; each track stands on a line of its 
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Reconstruction, Source, Track3D
-from pipeline.export.blocks import frame_blocks
+from pipeline.export.blocks import BLOCK_FRAMES, frame_blocks
 
 SCHEMA_VERSION = 1
 
@@ -71,11 +73,38 @@ def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of each track in a file that ``encode`` wrote, NaN where null, a person at a time."""
-    unknown = [np.nan] * 3
+    """World positions of each track in a file that ``encode`` wrote, NaN where null, a person at a time.
+
+    The other series are decoded too, so that a damaged one is noticed.
+    """
     with path.open(encoding="ascii") as file:
         file.readline()
         for line in file:
             if line.startswith("{"):
-                track = json.loads(line.rstrip(",\n"))
-                yield np.array([[xyz_m or unknown for xyz_m in frame] for frame in track["positions_m"]])
+                positions_m = [_as_array(block) for block in _blocks(line, "positions_m")]
+                for name in ("scores", "sources", "error_px"):
+                    for _ in _blocks(line, name):
+                        pass
+                yield np.concatenate(positions_m)
+
+
+def _as_array(frames: Sequence[Any]) -> Float[np.ndarray, "frames joints 3"]:
+    unknown = [np.nan] * 3
+    return np.array([[xyz_m or unknown for xyz_m in frame] for frame in frames])
+
+
+def _blocks(line: str, name: str) -> Iterator[list[Any]]:
+    """A series of a track's line, some frames at a time: as Python objects all of them would take some GiB."""
+    start = f'"{name}":['
+    values = _values(line, line.index(start) + len(start))
+    while block := list(islice(values, BLOCK_FRAMES)):
+        yield block
+
+
+def _values(line: str, place: int) -> Iterator[Any]:
+    """Values of the JSON list that begins before a place in the line."""
+    decoder = json.JSONDecoder()
+    while line[place - 1 : place] != "]":
+        value, place = decoder.raw_decode(line, place)
+        yield value
+        place += 1

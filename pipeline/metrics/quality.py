@@ -33,6 +33,7 @@ from pipeline.joints import LIMBS, JointSet
 from pipeline.metrics.capture_checks import capture_checks
 from pipeline.metrics.world_checks import world_checks
 from pipeline.skeleton.fit import MAX_GAP_S
+from pipeline.skeleton.windows import windows
 
 SCHEMA_VERSION = 1
 MIN_SCORE = 0.2
@@ -232,9 +233,13 @@ def reprojection_error_px(
 
     NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
     """
-    projected_px = np.stack([project(camera, track.xyz_m) for camera in cameras], axis=1)
-    distance_px = np.linalg.norm(projected_px - observations.points_px, axis=-1)
-    return np.where(_counts(observations), distance_px, np.nan).astype(np.float32)
+    error_px = np.empty(observations.score.shape, np.float32)
+    for rows in windows(track.num_frames, overlap=0):
+        for number, camera in enumerate(cameras):
+            projected_px = project(camera, track.xyz_m[rows])
+            error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
+    error_px[~_counts(observations)] = np.nan
+    return error_px
 
 
 def views_per_joint(track: Track3D, observations: Observations) -> float:

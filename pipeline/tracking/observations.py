@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.tracking.observation_kernels import choose_scores, sample_observations
+from pipeline.tracking.observation_kernels import clear_unfound, sample_observations
 from pipeline.tracking.parameters import TrackingParameters
 
 NOBODY = -1
@@ -23,50 +23,43 @@ class Bodies(NamedTuple):
     ----------
     camera, frame, time_s
         Position of the camera, its frame number and time; one a detection.
-    seen_px, ideal_px
-        Joints as seen and undistorted, (detections, joints, 2); one array if no camera distorts.
+    seen_px
+        Joints as seen, (detections, joints, 2).
     score
         The detector's, (detections, joints), 0 for joints that it did not find.
-    used
-        The same, 0 for joints that it is not sure of either.
     """
 
     camera: np.ndarray
     frame: np.ndarray
     time_s: np.ndarray
     seen_px: np.ndarray
-    ideal_px: np.ndarray
     score: np.ndarray
-    used: np.ndarray
 
 
-def gather(
-    cameras: Sequence[Camera],
-    times: Mapping[str, FrameTimes],
-    detections: Mapping[str, Detections],
-    min_score: float,
-) -> Bodies:
-    """Put all cameras' detections into arrays; joints below ``min_score`` are not used."""
+def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> Bodies:
+    """Copy all cameras' detections into arrays."""
     ordered = [detections[camera.name] for camera in cameras]
     seen_px = np.concatenate([one.keypoints_px for one in ordered])
-    found = np.concatenate([one.score for one in ordered])
-    used = np.empty_like(found)
-    choose_scores(seen_px, found, min_score, found, used)
-    ideal_px = seen_px
-    if any(np.any(camera.distortion) for camera in cameras):
-        ideal_px = np.empty_like(seen_px)  # filled camera by camera: a long session is a large part of the memory
-        borders = np.cumsum([0, *(len(one.frame) for one in ordered)]).tolist()
-        for camera, one, (first, last) in zip(cameras, ordered, pairwise(borders), strict=True):
-            ideal_px[first:last] = undistort_px(camera, one.keypoints_px)
+    score = np.concatenate([one.score for one in ordered])
+    clear_unfound(seen_px, score)
     return Bodies(
         camera=np.repeat(np.arange(len(cameras)), [len(one.frame) for one in ordered]),
         frame=np.concatenate([one.frame for one in ordered]),
         time_s=np.concatenate([times[one.camera].time_s[one.frame] for one in ordered]),
         seen_px=seen_px,
-        ideal_px=ideal_px,
-        score=found,
-        used=used,
+        score=score,
     )
+
+
+def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, "detections joints 2"]:
+    """Joints in undistorted pixels; ``bodies.seen_px`` itself if no camera distorts."""
+    if not any(np.any(camera.distortion) for camera in cameras):
+        return bodies.seen_px
+    ideal_px = np.empty_like(bodies.seen_px)  # filled camera by camera: a long session is a large part of the memory
+    borders = np.searchsorted(bodies.camera, np.arange(len(cameras) + 1)).tolist()
+    for camera, (first, last) in zip(cameras, pairwise(borders), strict=True):
+        ideal_px[first:last] = undistort_px(camera, bodies.seen_px[first:last])
+    return ideal_px
 
 
 def people(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
@@ -93,21 +86,21 @@ class Sampled(NamedTuple):
     ----------
     start_frame
         Output frame of the first row.
-    seen_px, ideal_px
-        (frames, cameras, joints, 2), NaN where a camera has no observation; one array if no camera distorts.
+    points_px
+        (frames, cameras, joints, 2), NaN where a camera has no observation.
     score
         (frames, cameras, joints), 0 where there is none.
     """
 
     start_frame: int
-    seen_px: np.ndarray
-    ideal_px: np.ndarray
+    points_px: np.ndarray
     score: np.ndarray
 
 
 def observations_at(
     timebase: Timebase,
     bodies: Bodies,
+    points_px: Float[np.ndarray, "detections joints 2"],
     rows: Int[np.ndarray, " rows"],
     num_cameras: int,
     parameters: TrackingParameters,
@@ -118,20 +111,23 @@ def observations_at(
     are not synchronised agree on the instant; its score falls with the distance to the nearer frame as old observations
     do, ``exp(-lambda_t |t - t_i|)`` (Chen et al. 2020, eq. 11). Where a neighbour is missing, a frame within half a
     period stands for the instant. Nothing is made up across missed frames.
+
+    Parameters
+    ----------
+    points_px
+        Joints of ``bodies``, as seen or undistorted.
+    rows
+        The person's detections.
     """
     half_s = 0.5 / timebase.frame_rate_hz
     instants_s = _instants_s(timebase, bodies.time_s[rows], half_s)
     shape = (len(instants_s), num_cameras, bodies.score.shape[1])
-    is_distorted = bodies.ideal_px is not bodies.seen_px
-    seen_px, score = np.empty((*shape, 2)), np.empty(shape)
-    ideal_px = np.empty_like(seen_px) if is_distorted else seen_px
-    sample_observations(
-        rows, bodies, is_distorted, instants_s, half_s, parameters.lambda_t_hz, seen_px, ideal_px, score
-    )
+    sampled_px, score = np.empty((*shape, 2)), np.empty(shape)
+    sample_observations(rows, bodies, points_px, instants_s, half_s, parameters.lambda_t_hz, sampled_px, score)
     start_frame = (
         round(float((instants_s[0] - timebase.start_time_s) * timebase.frame_rate_hz)) if len(instants_s) else 0
     )
-    return Sampled(start_frame, seen_px, ideal_px, score)
+    return Sampled(start_frame, sampled_px, score)
 
 
 def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:

@@ -7,7 +7,7 @@ from jaxtyping import Int
 
 from pipeline.data import Camera, Detections, FrameTimes
 from pipeline.tracking.initialization import Unmatched, group_unmatched
-from pipeline.tracking.observations import NOBODY, gather
+from pipeline.tracking.observations import NOBODY, gather, undistorted
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.tracker import make_rig
 
@@ -26,7 +26,9 @@ def associate_pairwise(
     -------
         As of ``associate.associate``, with a new identity for every group.
     """
-    bodies = gather(cameras, times, detections, parameters.min_score)
+    bodies = gather(cameras, times, detections)
+    ideal_px = undistorted(cameras, bodies)
+    score = np.where(bodies.score >= parameters.min_score, bodies.score, 0.0)
     fundamental = make_rig(cameras).fundamental
     identity = np.full(len(bodies.frame), NOBODY)
     num_groups = 0
@@ -36,8 +38,8 @@ def associate_pairwise(
                 int(bodies.camera[row]),
                 row,
                 float(bodies.time_s[row]),
-                np.where(bodies.used[row][:, None] > 0, bodies.ideal_px[row], np.nan),
-                bodies.used[row],
+                np.where(score[row][:, None] > 0, ideal_px[row], np.nan),
+                score[row],
             )
             for row in np.flatnonzero(bodies.frame == frame).tolist()
         ]

@@ -39,13 +39,19 @@ def make_limits(parameters: TrackingParameters) -> Limits:
     return Limits(**{name: getattr(parameters, name) for name in Limits._fields})
 
 
-def make_frames(times: Sequence[FrameTimes], bodies: Bodies) -> Frames:
+def make_frames(
+    times: Sequence[FrameTimes], bodies: Bodies, ideal_px: Float[np.ndarray, "detections joints 2"], min_score: float
+) -> Frames:
     """All frames in time order, cameras at the same instant in their order.
 
     Parameters
     ----------
     times
         Of each camera, in the order of ``bodies.camera``.
+    ideal_px
+        Joints of ``bodies``, undistorted.
+    min_score
+        Joints below it are not used.
     """
     first, last = [], []
     starts = np.searchsorted(bodies.camera, np.arange(len(times) + 1))
@@ -62,8 +68,8 @@ def make_frames(times: Sequence[FrameTimes], bodies: Bodies) -> Frames:
         camera[in_time],
         np.concatenate(first)[in_time],
         np.concatenate(last)[in_time],
-        points_px=bodies.ideal_px,
-        score=bodies.used,
+        points_px=ideal_px,
+        score=np.where(bodies.score >= min_score, bodies.score, 0.0),
     )
 
 

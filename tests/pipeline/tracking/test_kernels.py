@@ -15,7 +15,7 @@ from pipeline.tracking import kernels, observation_kernels, reference
 from pipeline.tracking.affinity import epipolar_affinity
 from pipeline.tracking.assignment_kernels import assign
 from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.observations import gather
+from pipeline.tracking.observations import gather, undistorted
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.state import make_room
 from pipeline.tracking.tracker import Tracker, make_frames, make_rig
@@ -26,8 +26,12 @@ from pipeline.warm_up import warm_up
 def test_tracks_are_those_of_the_reference(scene: str, seed: int) -> None:
     simulation = record(replace(SCENES[scene], duration_s=8.0), seed)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
-    bodies = gather(simulation.cameras, simulation.times, simulation.detections, parameters.min_score)
-    frames = make_frames([simulation.times[camera.name] for camera in simulation.cameras], bodies)
+    bodies = gather(simulation.cameras, simulation.times, simulation.detections)
+    times, ideal_px = (
+        [simulation.times[camera.name] for camera in simulation.cameras],
+        undistorted(simulation.cameras, bodies),
+    )
+    frames = make_frames(times, bodies, ideal_px, parameters.min_score)
     plain = reference.Tracker(simulation.cameras, make_rig(simulation.cameras), frames, parameters)
     identity = plain.run()
     tracker = Tracker(simulation.cameras, frames, parameters)

@@ -1,0 +1,95 @@
+"""Memory that stages take for each joint of a long session of keypoints."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.data import Detections, FrameTimes, Timebase
+from pipeline.keypoints import KeypointSession
+from pipeline.records_npz import encode_keypoints
+from pipeline.simulation.director import Cast
+from pipeline.simulation.scenes import find_scene, record
+from worker import stages
+from worker.execution import Work
+from worker.jobs.artifacts import LocalArtifacts, record_key
+from worker.jobs.model import Claim, InputFile, Session
+from worker.jobs.spec import JobSpec
+
+SESSION_ID = "0190"
+MAX_BYTES_A_JOINT = 95  # a worker of 25 million joints then takes less than 2.3 GiB beside code and kernels
+
+
+def long_session(num_joints: int) -> KeypointSession:
+    """Two people in four cameras who move to and fro, with exactly or a little more than so many joints."""
+    once = record(replace(find_scene("room"), cast=Cast(2, (3.0, 3.0)), duration_s=8.0), seed=4)
+    num_once = once.timebase.num_frames
+    num_repeats = -(-num_joints // (2 * sum(one.score.size for one in once.detections.values())))
+    detections, times = {}, {}
+    for camera, one in once.detections.items():
+        back = slice(None, None, -1)
+        frame = np.concatenate([one.frame, 2 * num_once - 1 - one.frame[back]])
+        starts = np.repeat(2 * num_once * np.arange(num_repeats), len(frame))
+        values = [np.concatenate([part, part[back]]) for part in (one.keypoints_px, one.score, one.box_px)]
+        tiled = [np.tile(part, (num_repeats, *(1,) * (part.ndim - 1))) for part in values]
+        detections[camera] = Detections(camera, starts + np.tile(frame, num_repeats), *tiled)
+        detections[camera].keypoints_px[:] += np.random.default_rng(1).normal(0.0, 0.2, tiled[0].shape)
+        times[camera] = FrameTimes(np.arange(2 * num_once * num_repeats) / once.timebase.frame_rate_hz)
+    timebase = Timebase(0.0, once.timebase.frame_rate_hz, 2 * num_once * num_repeats)
+    return KeypointSession(once.cameras, times, timebase, detections, once.joints, {}, ())
+
+
+def work(folder: Path, stage: str) -> Work:
+    content = (folder / "record").read_bytes()
+    artifacts = LocalArtifacts(folder / "artifacts")
+    artifacts.put_bytes(record_key(SESSION_ID), content)
+    file = InputFile("cam_00.zip", "keypoints", "sessions/0190/inputs/0-cam_00.zip", 1, "0" * 64)
+    digest = hashlib.sha256(content).hexdigest()
+    session = Session(SESSION_ID, "take", datetime.now(UTC), (file,), {}, record_sha256=digest)
+    claim = Claim(1, "job", SESSION_ID, stage, 0, {}, 100, "0" * 64, JobSpec(smoothing="none"), "token", 1, None)
+
+    def outputs(stage: str, chunks: slice = slice(None)) -> list[bytes]:
+        return [(folder / stage).read_bytes()][chunks]
+
+    return Work(claim, session, artifacts, outputs, folder, lambda: None, lambda: None)
+
+
+def run(folder: Path, stage: str) -> None:
+    """Run a stage in this process, keep its output, and print its peak of memory in KiB."""
+    outcome = stages.STAGES[stage](work(folder, stage))
+    (folder / stage).write_bytes(outcome.content)
+    status = Path("/proc/self/status").read_text()
+    sys.stdout.write(status.split("VmHWM:")[1].split()[0])
+
+
+def peak_bytes(folder: Path, stage: str) -> int:
+    """Peak of memory of a process that runs a stage; large arrays are given back as soon as they are freed."""
+    command = [sys.executable, "-c", "import sys; from tests.worker.test_stage_memory import run; "
+               "from pathlib import Path; run(Path(sys.argv[1]), sys.argv[2])", str(folder), stage]  # fmt: skip
+    environment = os.environ | {"MALLOC_MMAP_THRESHOLD_": str(2**20), "OMP_NUM_THREADS": "1"}
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300, env=environment)
+    return 1024 * int(ended.stdout)
+
+
+@pytest.mark.benchmark
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count other memory")
+def test_a_joint_takes_little_memory_in_every_stage(tmp_path: Path) -> None:
+    stages_in_order = ("associate", "fit", "export")
+    num_joints, peaks = [], []
+    for number, wanted in enumerate((500_000, 2_500_000)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        session = long_session(wanted)
+        (folder / "record").write_bytes(encode_keypoints(session))
+        num_joints.append(sum(one.score.size for one in session.detections.values()))
+        peaks.append([peak_bytes(folder, stage) for stage in stages_in_order])
+    growth = (np.diff(peaks, axis=0)[0] / np.diff(num_joints)).round(1).tolist()
+    by_stage = dict(zip(stages_in_order, growth, strict=True))
+    assert max(growth) < MAX_BYTES_A_JOINT, json.dumps(by_stage)
