@@ -76,7 +76,7 @@ test: setup browser readers  ## Run the tests
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
-	$(BIN)/python -P -m pytest -n 2 --dist loadgroup -m "not benchmark and not blender and not soak and not hostile"
+	$(BIN)/python -P -m pytest -n 2 --dist loadgroup --durations 40 --durations-min 5 -m "not benchmark and not blender and not soak and not hostile"
 
 soak: setup  ## Run 200 jobs, each disturbed by a fault at a random moment (half an hour)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
