@@ -10,21 +10,16 @@ import subprocess
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from api.commands.reconstruct import write_results
-from pipeline.config import Method, ReconstructionConfig
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import find_scene, record
-from tests.e2e.serving import NUM_PROCESSES, digests, wait_for
+from pipeline.config import Method
+from tests.e2e.serving import NUM_PROCESSES, wait_for
 from tests.e2e.test_serve_keypoints import files
+from tests.faults.conftest import METHODS
 from tests.faults.faults import (
     AT_ONCE,
     FAULTS,
@@ -44,34 +39,12 @@ pytestmark = pytest.mark.xdist_group("faults")
 FEW_RUNS = len(FAULTS)
 RUNS = int(os.environ.get("MULTICAP_SOAK_RUNS", "200"))
 SEED = int(os.environ.get("MULTICAP_SOAK_SEED", "0"))
-METHODS: tuple[Method, ...] = ("tracking", "clustering")
 # A job takes about so long: some faults come before it has begun, some after its end.
 LONGEST_WAIT_S = 5.0
 # A message that was lost is noticed by then.
 NOTICED_S = 30.0
 # A webhook whose sender was killed is sent again by then.
 TOLD_S = 120.0
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("capture")
-    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=6.0), 3, 4)):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def undisturbed(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[Method, dict[str, str]]:
-    """SHA-256 of each result file of the library."""
-    session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    found = {}
-    for method in METHODS:
-        folder = tmp_path_factory.mktemp(method)
-        write_results(reconstruct_keypoints(session, ReconstructionConfig(method=method)), folder)
-        found[method] = digests(folder)
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,37 @@
+"""A short capture of keypoints, and what the library makes of it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from api.commands.reconstruct import write_results
+from pipeline.config import Method, ReconstructionConfig
+from pipeline.keypoints import open_keypoints
+from pipeline.run import reconstruct_keypoints
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
+from tests.e2e.serving import digests
+
+METHODS: tuple[Method, ...] = ("tracking", "clustering")
+
+
+@pytest.fixture(scope="session")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("capture")
+    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=6.0), 3, 4)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def undisturbed(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[Method, dict[str, str]]:
+    """SHA-256 of each result file of the library."""
+    session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
+    found = {}
+    for method in METHODS:
+        folder = tmp_path_factory.mktemp(method)
+        write_results(reconstruct_keypoints(session, ReconstructionConfig(method=method)), folder)
+        found[method] = digests(folder)
+    return found

@@ -1,0 +1,91 @@
+"""Two versions of the code at once on one database: each works on its own plans, with the same result."""
+
+import json
+import os
+import socket
+import sqlite3
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from subprocess import Popen
+
+import httpx2
+import psutil
+import pytest
+
+from pipeline.config import Method
+from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.test_serve_keypoints import files
+from tests.faults.conftest import METHODS
+from tests.faults.service import ROOT, other_version
+from worker.embedded import Place
+
+pytestmark = pytest.mark.xdist_group("faults")
+
+
+@contextmanager
+def running(environment: Mapping[str, str], *words: str) -> Iterator[Popen[bytes]]:
+    """A part of the service, with all its children ended at the block's end."""
+    with Popen([sys.executable, "-P", "-m", *words], env=environment, start_new_session=True) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def is_ready(client: httpx2.Client) -> bool:
+    try:
+        return client.get("/readyz").status_code == 200
+    except httpx2.TransportError:
+        return False
+
+
+def send(client: httpx2.Client, capture: Path, method: Method) -> str:
+    spec = ("spec", (None, json.dumps({"method": method})))
+    return str(client.post("/v1/jobs", files=[*files(capture), spec]).raise_for_status().json()["id"])
+
+
+def workers_of(data_dir: Path, job_id: str) -> set[int]:
+    """Processes that ran a job's chunks."""
+    with sqlite3.connect(data_dir / "multicap.db") as database:
+        rows = database.execute("SELECT worker FROM chunks WHERE job_id = ?", [job_id]).fetchall()
+    return {int(worker.rpartition(":")[2]) for (worker,) in rows}
+
+
+def test_two_versions_work_side_by_side(
+    capture: Path, undisturbed: dict[Method, dict[str, str]], tmp_path: Path
+) -> None:
+    port = free_port()
+    with ExitStack() as opened:
+        # Short: a Unix socket's path has a limit.
+        data_dir = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mc-")))
+        old = opened.enter_context(serving(data_dir, PYTHONPATH=str(ROOT)))
+        place = Place(data_dir, data_dir / "broker" / "socket")
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(other_version(tmp_path / "other")),
+            "MULTICAP_DATA_DIR": str(data_dir),
+            "MULTICAP_BROKER_URL": place.broker_url,
+            "MULTICAP_PORT": str(port),
+        }
+        worker = opened.enter_context(running(environment, "worker", "--workers", "1"))
+        api = opened.enter_context(running(environment, "api"))
+        client = opened.enter_context(httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0, trust_env=False))
+        new = Served(api, data_dir, client)  # type: ignore[arg-type]  # no text is read of it
+        wait_for(lambda: is_ready(client), timeout_s=120)
+        jobs = [(one, send(one.client, capture, method), method) for one in (old, new) for method in METHODS]
+        wait_for(lambda: len(psutil.Process(worker.pid).children()) == 1, timeout_s=120)
+        of_new = {child.pid for child in psutil.Process(worker.pid).children()}
+        for served, job_id, method in jobs:
+            assert served.wait_for_end(job_id)["state"] == "succeeded"
+            assert served.downloads(job_id) == undisturbed[method]
+            by_new = workers_of(data_dir, job_id) & of_new
+            assert by_new == (of_new if served is new else set())
