@@ -4,6 +4,7 @@ All are frozen; their arrays are read-only by convention of the makers (``read_o
 is 0. World coordinates are metres, right-handed, Z up; pixel (0, 0) is the centre of the first pixel.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal, NamedTuple
@@ -327,8 +328,8 @@ class People(NamedTuple):
         See ``Reconstruction``.
     """
 
-    tracks: tuple[Track3D, ...]
-    observations: tuple[Observations, ...]
+    tracks: Sequence[Track3D]
+    observations: Sequence[Observations]
     num_approximate_frames: int
 
 
@@ -427,8 +428,8 @@ class Reconstruction:
     cameras: tuple[Camera, ...]
     joints: JointSet
     timebase: Timebase
-    located: tuple[Track3D, ...]
-    observations: tuple[Observations, ...]
+    located: Sequence[Track3D]
+    observations: Sequence[Observations]
     animation: Animation
     warnings: tuple[str, ...] = field(default=())
     num_approximate_frames: int = 0

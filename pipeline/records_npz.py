@@ -5,10 +5,10 @@ Only plain arrays are written and read (no pickles): a file that was tampered wi
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from jaxtyping import Int
@@ -54,16 +54,21 @@ _CONTACT = np.dtype(
     ]
 )
 _DAMAGED_VIDEOS = "damaged_videos"
+_Record = TypeVar("_Record")
 _DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
+
+
+def _save(file: io.BufferedIOBase, arrays: Mapping[str, np.ndarray]) -> None:
+    np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
     file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, **arrays)
+    _save(file, arrays)
     return file.getvalue()
 
 
-def _decode(content: bytes | Path) -> dict[str, np.ndarray]:
+def _decode(content: bytes) -> dict[str, np.ndarray]:
     with _open(content) as archive:
         return dict(archive)
 
@@ -72,6 +77,34 @@ def _open(content: bytes | Path) -> NpzFile:
     """Open an archive, or the file that holds it: its arrays are read when they are asked for."""
     opened: NpzFile = np.load(content if isinstance(content, Path) else io.BytesIO(content), allow_pickle=False)
     return opened
+
+
+class _Stored(Sequence[_Record]):
+    """Records in a file, each read anew whenever it is asked for: all of a long session's are large.
+
+    Parameters
+    ----------
+    num_records
+        How many there are.
+    read
+        Reads the one with a number.
+    """
+
+    def __init__(self, num_records: int, read: Callable[[int], _Record]) -> None:
+        self._numbers, self._read = range(num_records), read
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @overload
+    def __getitem__(self, index: int) -> _Record: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[_Record]: ...
+
+    def __getitem__(self, index: int | slice) -> _Record | Sequence[_Record]:
+        numbers = self._numbers[index]
+        return self._read(numbers) if isinstance(numbers, int) else [self._read(number) for number in numbers]
 
 
 def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
@@ -254,7 +287,7 @@ def _damaged_videos(damaged: Sequence[DamagedVideo]) -> dict[str, np.ndarray]:
 
 
 def decode_damaged_videos(content: bytes | Path) -> tuple[DamagedVideo, ...]:
-    """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``encode_people`` wrote."""
+    """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``write_people`` wrote."""
     with _open(content) as archive:
         written = json.loads(str(archive[_DAMAGED_VIDEOS])) if _DAMAGED_VIDEOS in archive.files else []
     return tuple(DamagedVideo(**one) for one in written)
@@ -270,24 +303,33 @@ def decode_poses(content: bytes) -> Poses3D:
     return Poses3D(**_decode(content))
 
 
-def encode_people(people: People, damaged: Sequence[DamagedVideo] = ()) -> bytes:
-    """Write tracks with the observations behind them, and the damaged videos among those that they come from."""
+def write_people(path: Path, people: People, damaged: Sequence[DamagedVideo] = ()) -> None:
+    """Write tracks with the observations behind them, and the damaged videos among those that they come from.
+
+    Into a file: beside all that is in it, the archive would take as much memory again.
+    """
     arrays = _track_arrays(people.tracks) | _damaged_videos(damaged)
     arrays["num_approximate_frames"] = np.array(people.num_approximate_frames)
     for k, seen in enumerate(people.observations):
         arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
-    return _encode(arrays)
+    with path.open("wb") as file:
+        _save(file, arrays)
 
 
-def decode_people(content: bytes | Path) -> People:
-    """Read the tracks and observations that ``encode_people`` wrote, from the bytes or from a file of them."""
-    arrays = _decode(content)
-    tracks = _tracks(arrays)
-    observations = tuple(
-        Observations(track.track_id, arrays[f"points_px_{k}"], arrays[f"point_score_{k}"])
-        for k, track in enumerate(tracks)
-    )
-    return People(tracks, observations, int(arrays["num_approximate_frames"]))
+def open_people(path: Path) -> People:
+    """Open what ``write_people`` wrote: a track or its observations are read whenever they are asked for."""
+
+    def track(k: int) -> Track3D:
+        with _open(path) as archive:
+            return _track(archive, k)
+
+    def observations(k: int) -> Observations:
+        with _open(path) as archive:
+            return Observations(int(archive["track_id"][k]), archive[f"points_px_{k}"], archive[f"point_score_{k}"])
+
+    with _open(path) as archive:
+        num_people, num_approximate_frames = len(archive["track_id"]), int(archive["num_approximate_frames"])
+    return People(_Stored(num_people, track), _Stored(num_people, observations), num_approximate_frames)
 
 
 def encode_animation(animation: Animation) -> bytes:
@@ -338,7 +380,9 @@ def _track_arrays(tracks: Sequence[Track3D]) -> dict[str, np.ndarray]:
 
 
 def _tracks(arrays: Mapping[str, np.ndarray]) -> tuple[Track3D, ...]:
-    return tuple(
-        Track3D(int(number), int(arrays["start_frame"][k]), *(arrays[f"{name}_{k}"] for name in _TRACK_ARRAYS))
-        for k, number in enumerate(arrays["track_id"])
-    )
+    return tuple(_track(arrays, k) for k in range(len(arrays["track_id"])))
+
+
+def _track(arrays: Mapping[str, np.ndarray], k: int) -> Track3D:
+    values = (arrays[f"{name}_{k}"] for name in _TRACK_ARRAYS)
+    return Track3D(int(arrays["track_id"][k]), int(arrays["start_frame"][k]), *values)

@@ -30,15 +30,15 @@ from pipeline.records_npz import (
     decode_fields,
     decode_keypoints,
     decode_lengths,
-    decode_people,
     decode_poses,
     decode_session,
     encode_animation,
     encode_detections,
     encode_fields,
     encode_lengths,
-    encode_people,
     encode_poses,
+    open_people,
+    write_people,
 )
 from pipeline.skeleton.animate import animate
 from pipeline.tracking.observations import Bodies, gather
@@ -244,12 +244,15 @@ def associate_people(work: Work) -> Outcome:
         session, joints = _outline_of(work)
         people = link(session, map(decode_poses, work.outputs(POSES)), joints, _config(work), on_share)
         damaged = decode_damaged_videos(*work.outputs(LENGTHS))
-        return Outcome(encode_people(people, damaged))
-    bodies, damaged = _gathered(work)
-    session, _ = _outline_of(work)
-    people = track_gathered(session, bodies, _config(work), on_share)
-    del bodies
-    return Outcome(encode_people(people, damaged))
+    else:
+        bodies, damaged = _gathered(work)
+        session, _ = _outline_of(work)
+        people = track_gathered(session, bodies, _config(work), on_share)
+        del bodies
+    archive = work.scratch / _PEOPLE
+    write_people(archive, people, damaged)
+    del people
+    return Outcome(archive.read_bytes())
 
 
 def _gathered(work: Work) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
@@ -271,19 +274,26 @@ def fit_skeletons(work: Work) -> Outcome:
 
 def _animation(work: Work) -> Animation:
     session, joints = _outline_of(work)
-    located, observations, _ = decode_people(*work.outputs(ASSOCIATE))
+    located, observations, _ = open_people(_archive_of_people(work))
     on_share = in_units(work.claim.unit_count, work.on_unit)
-    return animate(located, observations, session.cameras, session.timebase, joints, _config(work), on_share)
+    # Windows of all observations are asked for again and again, a track but once.
+    seen = tuple(observations)
+    return animate(located, seen, session.cameras, session.timebase, joints, _config(work), on_share)
+
+
+def _archive_of_people(work: Work) -> Path:
+    """The output of association, in a file: in memory it would be a fifth of what a stage takes."""
+    archive = work.scratch / _PEOPLE
+    archive.write_bytes(*work.outputs(ASSOCIATE))
+    return archive
 
 
 def export(work: Work) -> Outcome:
     """Write the client's files, and an index of them."""
     session, joints = _outline_of(work)
-    # Beside what is in it, the archive would be a fifth of the memory.
-    archive = work.scratch / _PEOPLE
-    archive.write_bytes(*work.outputs(ASSOCIATE))
+    archive = _archive_of_people(work)
     animation = decode_animation(*work.outputs(FIT))
-    located, observations, num_approximate_frames = decode_people(archive)
+    located, observations, num_approximate_frames = open_people(archive)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,

@@ -22,7 +22,7 @@ A figure without any data is null (``None``).
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -43,6 +43,24 @@ _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 
+class _Views(NamedTuple):
+    """What is kept of a track's observations, which are not: of a long session they are the largest part.
+
+    Parameters
+    ----------
+    error_px
+        See ``reprojection_error_px``.
+    sees
+        Whether a camera saw anything of the person in a frame, (frames, cameras).
+    views_per_joint
+        See ``views_per_joint``.
+    """
+
+    error_px: np.ndarray
+    sees: np.ndarray
+    views_per_joint: float
+
+
 def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     """Compute ``metrics.json`` as a dictionary of plain Python values, rounded.
 
@@ -51,11 +69,11 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     """
     tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
-    observed = {observations.track_id: observations for observations in reconstruction.observations}
-    errors_px = [reprojection_error_px(track, observed[track.track_id], cameras) for track in tracks]
+    views = [_compare(track, reconstruction.observations[number], cameras) for number, track in enumerate(tracks)]
+    errors_px = [one.error_px for one in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
-    seen = {track_id: _sees(observations) for track_id, observations in observed.items()}
+    seen = {track.track_id: one.sees for track, one in zip(tracks, views, strict=True)}
     return {
         "schema_version": SCHEMA_VERSION,
         "num_frames": reconstruction.timebase.num_frames,
@@ -82,8 +100,8 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                 "num_frames": track.num_frames,
                 "coverage": _rounded(np.mean(track.source == Source.MEASURED), 4),
                 "stature_m": _rounded(statures_m[track.track_id], 3),
-                "reprojection_error_px": _rounded(np.median(_known([error_px])), 3),
-                "views_per_joint": _rounded(views_per_joint(track, observed[track.track_id]), 2),
+                "reprojection_error_px": _rounded(np.median(_known([one.error_px])), 3),
+                "views_per_joint": _rounded(one.views_per_joint, 2),
                 "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
                 "feet": {
                     "toes": "measured" if _sees_toes(track, joints) else "predicted",
@@ -91,7 +109,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                     "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
                 },
             }
-            for track, error_px in zip(tracks, errors_px, strict=True)
+            for track, one in zip(tracks, views, strict=True)
         ],
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
@@ -141,6 +159,11 @@ def _summarise_error(
         "p95_by_joint": {name: figures[1] for name, figures in by_joint.items()},
         "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
     }
+
+
+def _compare(track: Track3D, observations: Observations, cameras: tuple[Camera, ...]) -> _Views:
+    error_px = reprojection_error_px(track, observations, cameras)
+    return _Views(error_px, _sees(observations), views_per_joint(track, observations))
 
 
 def _sees(observations: Observations) -> Bool[np.ndarray, "frames cameras"]:

@@ -5,7 +5,18 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.data import Camera, DamagedVideo, Detections, FrameTimes, MapGrid, PafFields, People, Poses3D
+from pipeline.data import (
+    Camera,
+    DamagedVideo,
+    Detections,
+    FrameTimes,
+    MapGrid,
+    Observations,
+    PafFields,
+    People,
+    Poses3D,
+    Track3D,
+)
 from pipeline.geometry.rigid import Rigid3
 from pipeline.records_npz import (
     decode_damaged,
@@ -13,15 +24,15 @@ from pipeline.records_npz import (
     decode_detections,
     decode_fields,
     decode_lengths,
-    decode_people,
     decode_poses,
     decode_session,
     encode_detections,
     encode_fields,
     encode_lengths,
-    encode_people,
     encode_poses,
     encode_session,
+    open_people,
+    write_people,
 )
 from pipeline.session import CaptureSession
 from pipeline.video.info import VideoInfo
@@ -74,7 +85,7 @@ def test_detections_come_back() -> None:
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
 
 
-def test_damage_comes_back_and_costs_no_byte_where_there_is_none() -> None:
+def test_damage_comes_back_and_costs_no_byte_where_there_is_none(tmp_path: Path) -> None:
     found = Detections("left", np.array([4]), RNG.normal(size=(1, 17, 2)), np.ones((1, 17)), np.ones((1, 4)))
     assert "damaged" not in np.load(io.BytesIO(encode_detections(found))).files
     assert decode_detections(encode_detections(found)).damaged.tolist() == []
@@ -89,12 +100,50 @@ def test_damage_comes_back_and_costs_no_byte_where_there_is_none() -> None:
     lengths = LimbLengths(np.array([[0.3]]), np.array([0.5]))
     videos = (DamagedVideo("left", "a.mp4", 2, 60, 0.5, 1.0), DamagedVideo("right", "b.mp4", 1, 60, 0.1, 0.1))
     assert encode_lengths(lengths) == encode_lengths(lengths, ())
-    assert encode_people(NOBODY) == encode_people(NOBODY, ())
     assert decode_damaged_videos(encode_lengths(lengths)) == ()
-    for content in (encode_lengths(lengths, videos), encode_people(NOBODY, videos)):
-        assert decode_damaged_videos(content) == videos
+    people = tmp_path / "people"
+    write_people(people, NOBODY)
+    assert decode_damaged_videos(people) == ()
+    write_people(people, NOBODY, videos)
+    assert decode_damaged_videos(people) == decode_damaged_videos(encode_lengths(lengths, videos)) == videos
     np.testing.assert_array_equal(decode_lengths(encode_lengths(lengths, videos))[0], lengths[0])
-    assert decode_people(encode_people(NOBODY, videos)) == NOBODY
+
+
+def people_of_two_lengths() -> People:
+    tracks, observations = [], []
+    for track_id, num_frames in ((1, 4), (2, 6)):
+        shape = (num_frames, 17)
+        score, error_px = RNG.uniform(size=shape), RNG.normal(size=shape)
+        source, num_views = RNG.integers(0, 4, shape).astype(np.int8), RNG.integers(0, 3, shape)
+        xyz_m = RNG.normal(size=(*shape, 3))
+        tracks.append(Track3D(track_id, 10 * track_id, xyz_m, score, source, error_px, num_views))
+        points_px = RNG.normal(size=(num_frames, 2, 17, 2))
+        observations.append(Observations(track_id, points_px, RNG.uniform(size=(num_frames, 2, 17))))
+    return People(tracks, observations, 3)
+
+
+def assert_equal(ours: Track3D | Observations, theirs: Track3D | Observations) -> None:
+    for field in fields(ours):
+        np.testing.assert_array_equal(getattr(theirs, field.name), getattr(ours, field.name))
+
+
+def test_people_come_back_one_by_one(tmp_path: Path) -> None:
+    people, path = people_of_two_lengths(), tmp_path / "people"
+    write_people(path, people)
+    back = open_people(path)
+    assert back.num_approximate_frames == 3
+    for track, back_track in zip(people.tracks, back.tracks, strict=True):
+        assert_equal(track, back_track)
+    for seen, back_seen in zip(people.observations, back.observations, strict=True):
+        assert_equal(seen, back_seen)
+    assert [one.track_id for one in back.tracks[-1:]] == [back.observations[-1].track_id] == [2]
+
+
+def test_equal_people_are_equal_bytes(tmp_path: Path) -> None:
+    people = people_of_two_lengths()
+    for name in ("one", "other"):
+        write_people(tmp_path / name, people)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 
 
 def fields_of_two_frames() -> PafFields:

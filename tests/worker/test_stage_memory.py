@@ -24,7 +24,7 @@ from worker.jobs.model import Claim, InputFile, Session
 from worker.jobs.spec import JobSpec
 
 SESSION_ID = "0190"
-MAX_BYTES_A_JOINT = 95  # a worker of 25 million joints then takes less than 2.3 GiB beside code and kernels
+MAX_BYTES_A_JOINT = 70  # a worker of 25 million joints then takes less than 1.7 GiB beside code and kernels
 
 
 def long_session(num_joints: int) -> KeypointSession:
