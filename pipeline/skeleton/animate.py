@@ -55,7 +55,8 @@ def animate(
         As ``check_smoothing``.
     """
     check_smoothing(timebase, config)
-    work = [share * track.num_frames for shares in (_WORK[:2], _WORK[2:]) for track in tracks for share in shares]
+    num_frames = [track.num_frames for track in tracks]
+    work = [share * num for shares in (_WORK[:2], _WORK[2:]) for num in num_frames for share in shares]
     parts = iter(split(on_share, work))
     fits: list[SkeletonFit] = []
     motions: list[SkeletonMotion] = []
