@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import shlex
 import shutil
-import threading
 from collections.abc import AsyncIterator
 
 from fastapi import FastAPI
@@ -119,8 +118,6 @@ def refuse_strangers(settings: Settings, store: JobStore) -> None:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     services = await run_in_threadpool(_start, app.state.settings)
     app.state.services = services
-    # About a second: before the first job needs it.
-    threading.Thread(target=stage_codes, daemon=True).start()
     tasks = [
         asyncio.create_task(services.changes.poll()),
         asyncio.create_task(services.keys_in_use.poll()),
@@ -134,6 +131,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 def _start(settings: Settings) -> Services:
+    stage_codes()  # takes about a second: not in the first request that needs it
     # What an earlier process was receiving when it was killed; the folder is this process's alone.
     shutil.rmtree(settings.spool_dir, ignore_errors=True)
     make_private(settings.data_dir)

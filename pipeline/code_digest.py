@@ -59,6 +59,12 @@ def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE
     return sorted(found)
 
 
+def forget_sources() -> None:
+    """Free the syntax trees that are kept between calls."""
+    for kept in (_parsed, _imports, _source_digest):
+        kept.cache_clear()
+
+
 def _path(root: Path, module: str) -> Path:
     """File of a module, or of a package's ``__init__``."""
     path = root.joinpath(*module.split("."))

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
-from pipeline.code_digest import function_digest
+from pipeline.code_digest import forget_sources, function_digest
 
 DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
 
@@ -62,12 +62,12 @@ def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Map
         SHA-256 in hexadecimal digits.
     """
     versions = [[name, _version(name)] for name in libraries]
+    digests = {stage: function_digest(root, "worker.stages", function) for stage, function in FUNCTIONS.items()}
+    forget_sources()
     return MappingProxyType(
         {
-            stage: hashlib.sha256(
-                json.dumps([function_digest(root, "worker.stages", function), versions]).encode()
-            ).hexdigest()
-            for stage, function in FUNCTIONS.items()
+            stage: hashlib.sha256(json.dumps([digest, versions]).encode()).hexdigest()
+            for stage, digest in digests.items()
         }
     )
 
