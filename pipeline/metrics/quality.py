@@ -44,7 +44,7 @@ _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 
 class _Views(NamedTuple):
-    """What is kept of a track's observations, which are not: of a long session they are the largest part.
+    """Figures of a track's observations; the observations, most of a long session's memory, are not kept.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ class FileVersion(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether its last change is complete, and another one would have other times."""
+        """Return whether the last change is complete, and another one would have other times."""
         return time.time_ns() - max(self.modified_ns, self.changed_ns) > _SETTLED_NS
 
 

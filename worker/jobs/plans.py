@@ -32,7 +32,7 @@ class Plans:
             return list(connection.scalars(query.order_by(jobs.c.queued_at, jobs.c.id)))
 
     def is_run(self, codes: Iterable[str]) -> bool:
-        """Whether ready workers run all of some code, so that they could run a plan for it."""
+        """Return whether ready workers run all of some code, so that they could run a plan for it."""
         with self._database.reading() as connection:
             return codes_at_work(connection).issuperset(codes)
 

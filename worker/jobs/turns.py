@@ -35,7 +35,7 @@ def next_job(connection: Connection, codes: Collection[str] | None = None) -> st
 
 
 def has_share(connection: Connection, tenant: str) -> bool:
-    """Whether a tenant may have one more chunk at work.
+    """Return whether a tenant may have one more chunk at work.
 
     Where several tenants have keys, one worker stays free for the others: a chunk may take minutes. The answer holds
     until the transaction, one that writes, ends.
