@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pipeline.association import Found, Views, link, locate_people, measure_bones, restrict, track
-from pipeline.config import ReconstructionConfig
+from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.damage import DamagedFrames, damaged_videos
@@ -53,14 +53,7 @@ from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES
 
 _detector = functools.cache(open_detector)
 
-_MEDIA_TYPES = {
-    ".json": "application/json",
-    ".bvh": "text/plain; charset=utf-8",
-    ".glb": "model/gltf-binary",
-    ".trc": "text/plain; charset=utf-8",
-    ".c3d": "application/octet-stream",
-    ".csv": "text/csv; charset=utf-8; header=present",
-}
+_MEDIA_TYPES = {".json": "application/json"} | {f".{name}": one.media_type for name, one in FILE_FORMATS.items()}
 
 
 @contextlib.contextmanager
