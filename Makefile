@@ -92,6 +92,7 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 	$(BIN)/lint-imports
 	$(BIN)/python -P -m api.openapi --check
 	$(BIN)/python -P -m api.problem_codes.page --check
+	$(BIN)/python -P -m api.options_page --check
 	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile

@@ -227,7 +227,24 @@ ANSWERS: dict[str, dict[str, Any]] = {
                 "installed": True,
                 "install": "Run: multicap models install movenet-multipose",
             }
-        ]
+        ],
+        "choices": [
+            {
+                "name": "method",
+                "label": "Method",
+                "description": "Method that matches detections to people.",
+                "kind": "one",
+                "values": [
+                    {"name": "tracking", "label": "Tracking of whole bodies"},
+                    {"name": "clustering", "label": "Clustering of joints for crowds and people who touch"},
+                ],
+                "default": "tracking",
+                "unset": None,
+                "minimum": None,
+                "exclusive_minimum": None,
+                "maximum": None,
+            }
+        ],
     },
 }
 

@@ -26,13 +26,14 @@ from api.multipart import receive_form
 from api.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.schemas import Manifest, UploadedCapture, UploadedSession
 from api.validation import model_items
+from pipeline.config import install_command
 from worker.addresses import may_be_public, url_fault
 from worker.jobs.artifacts import input_key, record_key, session_prefix
 from worker.jobs.errors import NotFound
 from worker.jobs.model import InputFile
 from worker.jobs.receipts import Answer
 from worker.jobs.records import Records
-from worker.jobs.spec import INSTALL_COMMANDS, JobSpec
+from worker.jobs.spec import JobSpec
 from worker.jobs.workers import installed_detectors
 
 MANIFEST, SPEC = "manifest", "spec"
@@ -238,7 +239,7 @@ def detector_errors(spec: JobSpec, services: Services, pointer: str | None) -> l
     if installed is None or spec.detector in installed:
         return []
     message = f"The detector {spec.detector} is not installed."
-    hint = INSTALL_COMMANDS[spec.detector]
+    hint = install_command(spec.detector)
     return [ErrorItem(code="detector_not_installed", message=message, pointer=pointer, hint=hint)]
 
 

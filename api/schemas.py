@@ -8,6 +8,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
+from pipeline.config import Choice, Kind
 from worker.jobs.model import (
     CANCELABLE,
     Attempt,
@@ -470,10 +471,53 @@ class DetectorOut(_Answer):
     install: str = Field(description="What the operator does to install it.")
 
 
+class ValueOut(_Answer):
+    """A named value of a choice."""
+
+    name: str = Field(description="As in the spec of a job.")
+    label: str = Field(description="For people.")
+
+
+class ChoiceOut(_Answer):
+    """A choice of a job: what a form needs to ask for it."""
+
+    name: str = Field(description="Name of the field in the spec of a job.")
+    label: str = Field(description="Heading of the field in a form.")
+    description: str
+    kind: Kind = Field(
+        description="`one` of the values, a list of `several` of them, a `number`, a `whole_number`, or a "
+        "`frame_range`: a list of two whole numbers."
+    )
+    values: tuple[ValueOut, ...] = Field(description="Named values; of numbers, names that stand for no number.")
+    default: str | float | tuple[str, ...] | None
+    unset: str | None = Field(description="Meaning of null, where that is the default.")
+    minimum: float | None
+    exclusive_minimum: float | None
+    maximum: float | None
+
+    @classmethod
+    def of(cls, choice: Choice) -> Self:
+        """Build the response from a choice."""
+        about = choice.about
+        return cls(
+            name=choice.name,
+            label=about.label,
+            description=about.sentence,
+            kind=choice.kind,
+            values=tuple(ValueOut(name=name, label=value.label) for name, value in choice.values.items()),
+            default=choice.default,
+            unset=about.unset,
+            minimum=about.minimum,
+            exclusive_minimum=about.above,
+            maximum=about.maximum,
+        )
+
+
 class Options(_Answer):
     """Choices of jobs, and what is installed."""
 
     detectors: tuple[DetectorOut, ...] = Field(description="All that the service knows.")
+    choices: tuple[ChoiceOut, ...] = Field(description="All choices of a job, for a form; `callback_url` is none.")
 
 
 class Readiness(_Answer):

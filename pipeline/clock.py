@@ -7,9 +7,10 @@ time in a video, would make billions of them.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from pipeline.config import MAX_OUTPUT_FRAMES
 from pipeline.data import FrameTimes
 from pipeline.errors import Problem
-from pipeline.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, MAX_OUTPUT_FRAMES
+from pipeline.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
 from pipeline.video.probe import mean_rate_hz
 
 

@@ -1,55 +1,381 @@
-"""What a reconstruction may be asked for."""
+"""Choices of a reconstruction, each declared once: name, values, default, limits and one sentence.
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+The job's spec, the options of the command line, ``GET /v1/options``, the form of the page and ``docs/options.md`` are
+made from these declarations. Standard library only: the web API imports this module.
 
-Method = Literal["tracking", "clustering"]
-Smoothing = Literal["none", "butterworth", "one-euro", "fit"]
-Feet = Literal["off", "auto", "always"]
-Export = Literal["bvh", "glb", "trc", "c3d", "csv"]
-Preset = Literal["default", "blender", "unity-humanoid", "unreal", "mixamo"]
+A value stands once, with its label: as ``Annotated[Literal["name"], Value("label")]`` in the union of its choice. For
+type checkers the union is a ``Literal`` of all names.
+"""
+
+import types
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+MAX_OUTPUT_FRAMES = 1_000_000
+"""Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
-class ReconstructionConfig:
-    """Choices of one reconstruction; the result does not depend on the last two.
+class Value:
+    """A value of a choice: what forms and documentation call it."""
+
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Network(Value):
+    """A detector network; ``pipeline.detect.registry`` has its files, input and outputs.
 
     Parameters
     ----------
-    method
-        How detections become tracks: cross-view tracking of whole bodies, or clustering of joints.
-    detector
-        A network of ``pipeline.detect.models``.
+    leaves_fields
+        Whether it outputs part affinity fields; the other networks find whole bodies.
+    publisher
+        Where users get its files; ``None``: Multicap installs it from a package.
+    """
+
+    leaves_fields: bool
+    publisher: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat(Value):
+    """A format of a person's file; ``pipeline.export.formats`` writes and reads it.
+
+    Parameters
+    ----------
+    media_type
+        RFC 6838, as the service sends it.
+    holds
+        ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints.
+    max_frames
+        Largest number of frames of a file; ``None``: no limit.
+    """
+
+    media_type: str
+    holds: Literal["motion", "joints"]
+    max_frames: int | None = None
+
+
+_TEXT = "text/plain; charset=utf-8"
+_CSV = "text/csv; charset=utf-8; header=present"
+_BYTES = "application/octet-stream"
+
+Method = (
+    Annotated[Literal["tracking"], Value("Tracking of whole bodies")]
+    | Annotated[Literal["clustering"], Value("Clustering of joints for crowds and people who touch")]
+)
+Detector = (
+    Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose, fast", leaves_fields=False)]
+    | Annotated[
+        Literal["openpose-mobilenet-thin"],
+        Network("OpenPose MobileNet thin, part affinity fields for clustering", leaves_fields=True),
+    ]
+    | Annotated[
+        Literal["human-pose-estimation-0001"],
+        Network(
+            "human-pose-estimation-0001, part affinity fields for clustering",
+            leaves_fields=True,
+            publisher="Intel's Open Model Zoo (FP16-INT8)",
+        ),
+    ]
+)
+Smoothing = (
+    Annotated[Literal["none"], Value("None, joints as they were located")]
+    | Annotated[Literal["butterworth"], Value("Butterworth low-pass")]
+    | Annotated[Literal["one-euro"], Value("One-euro low-pass")]
+    | Annotated[Literal["fit"], Value("Fit of a skeleton over the whole take")]
+)
+Feet = (
+    Annotated[Literal["off"], Value("Not held")]
+    | Annotated[Literal["auto"], Value("Held where contact is likely")]
+    | Annotated[Literal["always"], Value("Held wherever contact is possible")]
+)
+Export = (
+    Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
+    | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
+    | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
+    # The header counts frames in 16 bits, and readers take no longer files.
+    | Annotated[Literal["c3d"], FileFormat("C3D, joints", _BYTES, "joints", max_frames=2**16 - 1)]
+    | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
+)
+Preset = (
+    Annotated[Literal["default"], Value("Standard BVH")]
+    | Annotated[Literal["blender"], Value("Blender")]
+    | Annotated[Literal["unity-humanoid"], Value("Unity, humanoid")]
+    | Annotated[Literal["unreal"], Value("Unreal Engine, mannequin")]
+    | Annotated[Literal["mixamo"], Value("Mixamo")]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a declaration says of a choice beside its type and default.
+
+    Parameters
+    ----------
+    label
+        Heading of its field in a form.
+    sentence
+        Description for the API, the command line and the documentation.
+    minimum, above, maximum
+        Limits of numbers: at least, more than, at most.
+    unset
+        Meaning of an omitted value, where the default is ``None``.
+    option
+        Name of the option of the command line, if other than the field's.
+    noun
+        Name of one value in problems of the command line, if other than the option's.
+    """
+
+    label: str
+    sentence: str
+    minimum: int | float | None = None
+    above: int | float | None = None
+    maximum: int | float | None = None
+    unset: str | None = None
+    option: str | None = None
+    noun: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MotionChoices:
+    """Choices that a job and a configuration of the pipeline have alike."""
+
+    method: Annotated[Method, About("Method", "Method that matches detections to people.")] = "tracking"
+    detector: Annotated[Detector, About("Detector", "Network that finds the 2D joints.")] = "movenet-multipose"
+    smoothing: Annotated[Smoothing, About("Smoothing", "How joint positions are smoothed.")] = "fit"
+    cutoff_hz: Annotated[
+        float,
+        About(
+            "Cutoff of the Butterworth low-pass, Hz",
+            "Cutoff of the Butterworth low-pass, in Hz, below half of the frame rate.",
+            above=0.0,
+            maximum=1000.0,
+            option="cutoff",
+        ),
+    ] = 6.0
+    feet: Annotated[Feet, About("Feet on the floor", "Which standing feet are held in place.")] = "auto"
+
+
+@dataclass(frozen=True, slots=True)
+class JobChoices(MotionChoices):
+    """Choices of a job; ``worker.jobs.spec.JobSpec`` has these fields."""
+
+    frame_range: Annotated[
+        tuple[int, int] | None,
+        About(
+            "Frames",
+            "First output frame of the session and the one after the last.",
+            minimum=0,
+            unset="all frames",
+            option="frames",
+        ),
+    ] = None
+    output_rate_hz: Annotated[
+        float | None,
+        About(
+            "Frame rate of the files, Hz",
+            "Frame rate of the motion in all files, in Hz; metrics are of the session's rate.",
+            minimum=1.0,
+            maximum=240.0,
+            unset="the session's rate",
+            option="output-rate",
+        ),
+    ] = None
+    people: Annotated[
+        Annotated[Literal["auto"], Value("everybody")] | int,
+        About(
+            "Largest number of people",
+            "Largest number of people: those whom most cameras saw for longest.",
+            minimum=1,
+            maximum=1000,
+        ),
+    ] = "auto"
+    exports: Annotated[
+        tuple[Export, ...],
+        About(
+            "Files of each person",
+            "Formats of each person's files, beside `skeletons.json` and `metrics.json`.",
+            noun="export",
+        ),
+    ] = ("bvh",)
+    bvh: Annotated[
+        Preset,
+        About(
+            "Application for BVH files",
+            "Application that BVH files are written for: names, axes, unit and rest pose.",
+            option="preset",
+        ),
+    ] = "default"
+
+
+@dataclass(frozen=True, slots=True)
+class ReconstructionConfig(MotionChoices):
+    """Configuration of one reconstruction; the result does not depend on the last two fields.
+
+    Parameters
+    ----------
     tracking
         Parameters of the tracker by name, instead of those that are derived from the session; see
         ``tracking.parameters.TrackingParameters``.
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
-    smoothing
-        What becomes of the joints' positions; see ``skeleton.fit`` and ``skeleton.smooth``.
-    cutoff_hz
-        Of ``butterworth``.
-    feet
-        Which feet that stand are held in place: none, where it is likely that they stand, or all.
     frames
-        Those of the session's output frames that are wanted; ``None``: all.
+        Output frames of the session to reconstruct; ``None``: all.
     people
-        How many at most: those whom most cameras saw for longest; ``None``: everybody.
+        Largest number of people: those whom most cameras saw for longest; ``None``: everybody.
     chunk_frames
-        Output frames of one chunk: what is decoded and detected as one piece, of one camera.
+        Output frames of one chunk, which is decoded and detected as one piece, of one camera.
     processes
-        How many chunks are worked on at once, each with a single-threaded network of its own.
+        Number of processes, each with a single-threaded network of its own.
     """
 
-    method: Method = "tracking"
-    detector: str = "movenet-multipose"
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
-    smoothing: Smoothing = "fit"
-    cutoff_hz: float = 6.0
-    feet: Feet = "auto"
     frames: range | None = None
     people: int | None = None
-    chunk_frames: int = 100
-    processes: int = 1
+    chunk_frames: Annotated[
+        int,
+        About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),
+    ] = 100
+    processes: Annotated[
+        int, About("Processes", "Number of processes; results do not depend on it.", minimum=1, maximum=64)
+    ] = 1
+
+    @classmethod
+    def of(cls, choices: JobChoices) -> "ReconstructionConfig":
+        """Configuration for the choices of a job; fields that jobs do not have keep their defaults."""
+        shared = {one.name: getattr(choices, one.name) for one in fields(MotionChoices)}
+        return cls(
+            **shared,
+            frames=None if choices.frame_range is None else range(*choices.frame_range),
+            people=None if choices.people == "auto" else choices.people,
+        )
+
+
+Kind = Literal["one", "several", "number", "whole_number", "frame_range"]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A declared choice.
+
+    Parameters
+    ----------
+    name
+        Name of the field.
+    kind
+        ``one`` of the values, ``several`` of them, a number, a whole number, or a range of frames.
+    hint
+        Type of the field, with the labels of its values.
+    values
+        Named values by name; of numbers, names that stand for no number.
+    """
+
+    name: str
+    kind: Kind
+    hint: Any
+    values: Mapping[str, Value]
+    default: Any
+    about: About
+
+    @property
+    def option(self) -> str:
+        """Name of the option of the command line, without dashes in front."""
+        return self.about.option or self.name.replace("_", "-")
+
+    @property
+    def noun(self) -> str:
+        """Name of one value in problems of the command line."""
+        return self.about.noun or self.option
+
+    @property
+    def is_checked_by_name(self) -> bool:
+        """Whether the command line refuses values that are not declared; of networks the registry refuses them."""
+        return self.kind in {"one", "several"} and self.name != "detector"
+
+    @property
+    def description(self) -> str:
+        """The sentence, with the values and their labels or the meaning of an omitted value."""
+        parts = [f"`{name}`: {value.label}" for name, value in self.values.items()]
+        if self.about.unset is not None:
+            parts.append(f"Omitted: {self.about.unset}")
+        return f"{self.about.sentence} {'; '.join(parts)}." if parts else self.about.sentence
+
+
+def members(hint: Any) -> tuple[Any, ...]:
+    """Types of a union; of another type the type itself."""
+    return get_args(hint) if get_origin(hint) in {Union, types.UnionType} else (hint,)
+
+
+_AnyValue = TypeVar("_AnyValue", bound=Value)
+
+
+def values_of(hint: Any, kind: type[_AnyValue]) -> dict[str, _AnyValue]:
+    """Values of a type of this module that are of a kind, by name, in the order of their declaration."""
+    found = {}
+    for member in members(hint):
+        if get_origin(member) is tuple:
+            found.update(values_of(get_args(member)[0], kind))
+        elif get_origin(member) is Annotated:
+            literal, value = get_args(member)
+            if isinstance(value, kind):
+                found[str(*get_args(literal))] = value
+    return found
+
+
+def choices_of(declaration: type[MotionChoices]) -> tuple[Choice, ...]:
+    """Choices that a dataclass declares, in their order; fields without ``About`` are left out."""
+    hints = get_type_hints(declaration, include_extras=True)
+    found = []
+    for one in fields(declaration):
+        hint = hints[one.name]
+        if get_origin(hint) is Annotated:
+            inner, about = get_args(hint)
+            found.append(Choice(one.name, _kind(inner), inner, values_of(inner, Value), one.default, about))
+    return tuple(found)
+
+
+def _kind(hint: Any) -> Kind:
+    plain = [member for member in members(hint) if get_origin(member) is not Annotated and member is not type(None)]
+    match plain:
+        case []:
+            return "one"
+        case [one] if get_origin(one) is tuple:
+            return "several" if get_args(one)[1] is Ellipsis else "frame_range"
+        case [one] if one is int:
+            return "whole_number"
+        case [one] if one is float:
+            return "number"
+    message = f"Choices have no type {hint}."
+    raise TypeError(message)
+
+
+CHOICES = {choice.name: choice for choice in choices_of(JobChoices)}
+"""Choices of jobs by name."""
+NETWORKS = cast(Mapping[Detector, Network], values_of(Detector, Network))
+"""Detector networks by name."""
+FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
+"""Formats of people's files by name."""
+
+
+def install_command(detector: Detector) -> str:
+    """Sentence that tells how to install a network of ``NETWORKS``."""
+    publisher = NETWORKS[detector].publisher
+    if publisher is None:
+        return f"Run: multicap models install {detector}"
+    return f"Get it from {publisher}, then run: multicap models add {detector} --from FOLDER or URL"
+
+
+def too_long_for(exports: Collection[Export], num_frames: int) -> tuple[tuple[Export, int], ...]:
+    """Formats among ``exports`` whose files can't hold so many frames, with their limits."""
+    limits = ((name, FILE_FORMATS[name].max_frames) for name in dict.fromkeys(exports))
+    return tuple((name, limit) for name, limit in limits if limit is not None and num_frames > limit)
+
+
+def unlimited_alternatives(export: Export) -> tuple[Export, ...]:
+    """Formats that hold the same as another one, with any number of frames."""
+    holds = FILE_FORMATS[export].holds
+    return tuple(name for name, one in FILE_FORMATS.items() if one.holds == holds and one.max_frames is None)

@@ -63,5 +63,3 @@ TIME_S = Quantity(0, 1e6, "s")
 OFFSET_S = Quantity(-86_400, 86_400, "s")
 # Of a session, from its first frame to its last.
 DURATION_S = Quantity(0, 43_200, "s")
-# Of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz.
-MAX_OUTPUT_FRAMES = 1_000_000

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.association import Found, Views, link, locate_people, measure_bones, restrict, track_gathered
-from pipeline.config import ReconstructionConfig
+from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.damage import DamagedFrames, damaged_videos
@@ -56,14 +56,7 @@ from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES
 _detector = functools.cache(open_detector)
 
 _PEOPLE = "people.npz"
-_MEDIA_TYPES = {
-    ".json": "application/json",
-    ".bvh": "text/plain; charset=utf-8",
-    ".glb": "model/gltf-binary",
-    ".trc": "text/plain; charset=utf-8",
-    ".c3d": "application/octet-stream",
-    ".csv": "text/csv; charset=utf-8; header=present",
-}
+_MEDIA_TYPES = {".json": "application/json"} | {f".{name}": one.media_type for name, one in FILE_FORMATS.items()}
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from itertools import repeat
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -20,11 +20,12 @@ from api.commands.benchmark_queue import queue
 from api.commands.benchmark_takes import peak_rss_mib
 from api.commands.benchmark_tracking import tracking
 from api.commands.benchmark_videos import loop_video
+from api.commands.options import DEFAULTS, DetectorOption
 from api.commands.reconstruct import write_results
 from api.console import StageBars, emit, print_table, reporting
 from pipeline import samples
 from pipeline.child_processes import ProcessPool
-from pipeline.config import ReconstructionConfig
+from pipeline.config import Detector, ReconstructionConfig
 from pipeline.detect import models
 from pipeline.detect.detector import open_detector
 from pipeline.run import reconstruct
@@ -65,7 +66,7 @@ def network_seconds(session: CaptureSession, detector_name: str) -> float:
 @app.command()
 def pipeline(
     loops: Annotated[int, typer.Option(min=1, max=100, help="How many times the sample is played.")] = 1,
-    detector: Annotated[str, typer.Option(help="Detector network, from `multicap models list`.")] = "movenet-multipose",
+    detector: DetectorOption = DEFAULTS.detector,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time the sample capture from videos to result files in one process, beside the network alone."""
@@ -83,7 +84,7 @@ def pipeline(
         started_s = time.perf_counter()
         session = open_session(videos, sample.calibration)
         opened_s = time.perf_counter()
-        reconstruction = reconstruct(session, ReconstructionConfig(detector=detector), bars.update)
+        reconstruction = reconstruct(session, ReconstructionConfig(detector=cast(Detector, detector)), bars.update)
         reconstructed_s = time.perf_counter()
         num_bytes = sum(path.stat().st_size for path in write_results(reconstruction, Path(folder) / "results"))
         ended_s = time.perf_counter()

@@ -5,13 +5,13 @@ import time
 from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import typer
 
 from api.commands.benchmark_takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
 from api.console import emit, print_table, reporting
-from pipeline.config import Export, ReconstructionConfig
+from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Animation, Reconstruction, SkeletonMotion, Timebase, Track3D
 from pipeline.export.results import write_results
 from pipeline.simulation.scenes import SCENES, record
@@ -70,7 +70,7 @@ def measure(num_people: int, num_frames: int) -> dict[str, Any]:
     num_bytes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         last_s = started_s = time.perf_counter()
-        for path in write_results(take, Path(folder), get_args(Export)):
+        for path in write_results(take, Path(folder), tuple(FILE_FORMATS)):
             now_s = time.perf_counter()
             kind = path.suffix.removeprefix(".") if path.stem.startswith("person-") else path.stem
             seconds[kind] += now_s - last_s

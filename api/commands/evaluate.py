@@ -3,15 +3,24 @@
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
-from api.commands.options import FeetOption, MethodOption, SmoothingOption, known_feet, known_method, known_smoothing
+from api.commands.options import (
+    DEFAULTS,
+    DetectorOption,
+    FeetOption,
+    MethodOption,
+    SmoothingOption,
+    known_feet,
+    known_method,
+    known_smoothing,
+)
 from api.console import StageBars, emit, print_table, reporting
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
-from pipeline.config import Method, ReconstructionConfig
+from pipeline.config import Detector, Method, ReconstructionConfig
 from pipeline.data import Animation
 from pipeline.errors import InputError, Problem
 from pipeline.joints import COCO_17, COCO_18, JointSet
@@ -45,16 +54,18 @@ def _group() -> None:
 @app.command()
 def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
-    detector: Annotated[str, typer.Option(help="Detector network, from `multicap models list`.")] = "movenet-multipose",
-    method: MethodOption = "tracking",
-    smoothing: SmoothingOption = "fit",
+    detector: DetectorOption = DEFAULTS.detector,
+    method: MethodOption = DEFAULTS.method,
+    smoothing: SmoothingOption = DEFAULTS.smoothing,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
-        config = ReconstructionConfig(known_method(method), detector, smoothing=known_smoothing(smoothing))
+        config = ReconstructionConfig(
+            known_method(method), cast(Detector, detector), smoothing=known_smoothing(smoothing)
+        )
         reconstruction = reconstruct(session, config, bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
     if as_json:
@@ -66,8 +77,8 @@ def rendered(
 @app.command()
 def shelf(
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
-    method: MethodOption = "tracking",
-    smoothing: SmoothingOption = "fit",
+    method: MethodOption = DEFAULTS.method,
+    smoothing: SmoothingOption = DEFAULTS.smoothing,
     detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
     every: Annotated[
         int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
@@ -164,9 +175,9 @@ def _print_ablation(ablation: dict[str, Any]) -> None:
 def simulated(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same scene.")] = 0,
-    method: MethodOption = "tracking",
-    smoothing: SmoothingOption = "fit",
-    feet: FeetOption = "auto",
+    method: MethodOption = DEFAULTS.method,
+    smoothing: SmoothingOption = DEFAULTS.smoothing,
+    feet: FeetOption = DEFAULTS.feet,
     evidence: Annotated[
         str | None,
         typer.Option(

@@ -1,52 +1,149 @@
-"""Options that several commands share."""
+"""Options that several commands share; those of a reconstruction are made from ``pipeline.config``."""
 
-from collections.abc import Sequence
-from typing import Annotated, cast, get_args
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, cast
 
 import typer
 
 from pipeline.calibration.registry import UNITS_M, Units
-from pipeline.config import Export, Feet, Method, Preset, Smoothing
+from pipeline.config import (
+    CHOICES,
+    Choice,
+    Feet,
+    JobChoices,
+    Method,
+    ReconstructionConfig,
+    Smoothing,
+    choices_of,
+)
 from pipeline.errors import InputError, Problem
 
-METHODS: tuple[str, ...] = get_args(Method)
-SMOOTHINGS: tuple[str, ...] = get_args(Smoothing)
-FEET: tuple[str, ...] = get_args(Feet)
-EXPORTS: tuple[str, ...] = get_args(Export)
-PRESETS: tuple[str, ...] = get_args(Preset)
+DEFAULTS = JobChoices()
+# Choices that only this machine's reconstruction has.
+_LOCAL = tuple(choice for choice in choices_of(ReconstructionConfig) if choice.name not in CHOICES)
 
 
-def _choice(values: Sequence[str]) -> str:
-    return "|".join(values)
+def _option(choice: Choice) -> Any:
+    """Option of the command line for a choice."""
+    about, text = choice.about, choice.about.sentence.replace("`", "")
+    make = functools.partial(typer.Option, f"--{choice.option}")
+    match choice.kind:
+        case "one":
+            # Values are checked by `checked`, not by Typer: a wrong one is reported as any other problem.
+            return make(metavar="|".join(choice.values), help=text)
+        case "several":
+            names = list(choice.values)
+            text = f"{text.removesuffix('.')}, such as {','.join(names[:2])}: {', '.join(names)}."
+            return make(metavar="LIST", help=text)
+        case "frame_range":
+            return make(metavar="FIRST:STOP", help=_with_unset(choice, text))
+    # Typer has no limit that is excluded itself: the pipeline refuses that number.
+    least = about.minimum if about.above is None else about.above
+    return make(min=least, max=about.maximum, help=_with_unset(choice, text))
 
 
-# Values are checked by the functions below, not by Typer: a wrong one is reported as any other problem.
-MethodOption = Annotated[str, typer.Option(metavar=_choice(METHODS), help="Method that matches detections to people.")]
-SmoothingOption = Annotated[str, typer.Option(metavar=_choice(SMOOTHINGS), help="How joint positions are smoothed.")]
-FeetOption = Annotated[
-    str, typer.Option(metavar=_choice(FEET), help="Hold standing feet in place; auto: where contact is likely.")
-]
-ExportsOption = Annotated[
-    str, typer.Option(metavar="LIST", help=f"Formats of each person's files, such as bvh,csv: {', '.join(EXPORTS)}.")
-]
-PresetOption = Annotated[
-    str, typer.Option(metavar=_choice(PRESETS), help="Application that BVH files are written for; see docs/formats.md.")
-]
+def _with_unset(choice: Choice, text: str) -> str:
+    """Sentence of an option with the meaning of its absence."""
+    unset = choice.about.unset or ", ".join(value.label for value in choice.values.values())
+    return f"{text} Default: {unset}." if unset else text
+
+
+MethodOption = Annotated[str, _option(CHOICES["method"])]
+DetectorOption = Annotated[str, _option(CHOICES["detector"])]
+SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
+FeetOption = Annotated[str, _option(CHOICES["feet"])]
+
+
+def with_choices(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command an option for each choice of a reconstruction, in place of its parameter ``chosen``.
+
+    The command gets a mapping of the options' values, as they were typed, by the choices' names: see ``checked``.
+    """
+    choices = (*CHOICES.values(), *_LOCAL)
+    signature = inspect.signature(command, eval_str=True)
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        parameters += [_parameter(choice) for choice in choices] if parameter.name == "chosen" else [parameter]
+
+    def with_options(**values: Any) -> None:
+        chosen = {choice.name: values.pop(choice.name) for choice in choices}
+        command(**values, chosen=chosen)
+
+    with_options.__doc__ = command.__doc__
+    # Typer reads the names, types and defaults of options from these.
+    with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {one.name: one.annotation for one in parameters}
+    return with_options
+
+
+def _parameter(choice: Choice) -> inspect.Parameter:
+    """Parameter of a command for a choice: its option with type and default."""
+    kind: Any = {"number": float, "whole_number": int}.get(choice.kind, str)
+    default = choice.default
+    if choice.kind == "several":
+        default = ",".join(default)
+    elif kind is not str and default in choice.values:
+        default = None
+    if default is None:
+        kind = kind | None
+    annotation = Annotated[kind, _option(choice)]
+    return inspect.Parameter(choice.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def checked(chosen: Mapping[str, Any]) -> JobChoices:
+    """Check the values of the options that ``with_choices`` made.
+
+    Raises
+    ------
+    InputError
+        If a choice has no such value, or a range of frames can't be read.
+    """
+    return JobChoices(**{name: _checked(choice, chosen[name]) for name, choice in CHOICES.items()})
+
+
+def _checked(choice: Choice, value: Any) -> Any:
+    match choice.kind:
+        case "one" if choice.is_checked_by_name:
+            return known(choice, value)
+        case "several":
+            return tuple(known(choice, name.strip()) for name in value.split(",") if name.strip())
+        case "frame_range":
+            return _frame_range(value)
+    return choice.default if value is None else value
+
+
+def _frame_range(text: str | None) -> tuple[int, int] | None:
+    """FIRST:STOP as two numbers; whether a session has such frames is checked later."""
+    if text is None:
+        return None
+    first, _, stop = text.partition(":")
+    try:
+        return int(first), int(stop)
+    except ValueError:
+        message = f"{text!r} is not FIRST:STOP."
+        raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
+
+
+def known(choice: Choice, name: str) -> str:
+    """Check the name of a value; ``InputError`` if the choice has no value of that name."""
+    return _known(choice.noun, name, tuple(choice.values))
 
 
 def known_method(name: str) -> Method:
     """Check the name of a method; ``InputError`` if there is none of that name."""
-    return cast(Method, _known("method", name, METHODS))
+    return cast(Method, known(CHOICES["method"], name))
 
 
 def known_smoothing(name: str) -> Smoothing:
     """Check the name of a smoothing; ``InputError`` if there is none of that name."""
-    return cast(Smoothing, _known("smoothing", name, SMOOTHINGS))
+    return cast(Smoothing, known(CHOICES["smoothing"], name))
 
 
 def known_feet(name: str) -> Feet:
     """Check what to do with feet; ``InputError`` if there is nothing of that name."""
-    return cast(Feet, _known("feet", name, FEET))
+    return cast(Feet, known(CHOICES["feet"], name))
 
 
 def known_units(name: str) -> Units:
@@ -54,18 +151,8 @@ def known_units(name: str) -> Units:
     return cast(Units, _known("units", name, tuple(UNITS_M)))
 
 
-def known_exports(names: str) -> tuple[Export, ...]:
-    """Check a list of formats; ``InputError`` if there is none of a name."""
-    return tuple(cast(Export, _known("export", name.strip(), EXPORTS)) for name in names.split(",") if name.strip())
-
-
-def known_preset(name: str) -> Preset:
-    """Check the name of a preset; ``InputError`` if there is none of that name."""
-    return cast(Preset, _known("preset", name, PRESETS))
-
-
-def _known(kind: str, name: str, names: Sequence[str]) -> str:
+def _known(noun: str, name: str, names: Sequence[str]) -> str:
     if name not in names:
         hint = f"Use {', '.join(names)}."
-        raise InputError([Problem(f"unknown_{kind}", f"There is no {kind} '{name}'.", hint=hint)])
+        raise InputError([Problem(f"unknown_{noun}", f"There is no {noun} '{name}'.", hint=hint)])
     return name

@@ -3,24 +3,13 @@
 import json
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from api.commands.options import (
-    ExportsOption,
-    FeetOption,
-    MethodOption,
-    PresetOption,
-    SmoothingOption,
-    known_exports,
-    known_feet,
-    known_method,
-    known_preset,
-    known_smoothing,
-    known_units,
-)
+from api.commands.options import checked, known_units, with_choices
 from api.console import StageBars, emit, print_table, reporting, warn
 from pipeline.association import Views, restrict
 from pipeline.calibration.registry import UNITS_M
@@ -131,18 +120,6 @@ def _check_sources(
         raise InputError(problems)
 
 
-def _frame_range(text: str | None) -> range | None:
-    """FIRST:STOP as a range; whether there are such frames is to be seen."""
-    if text is None:
-        return None
-    first, _, stop = text.partition(":")
-    try:
-        return range(int(first), int(stop))
-    except ValueError:
-        message = f"{text!r} is not FIRST:STOP."
-        raise InputError([Problem("frame_range", message, hint="Write it as 100:250.")]) from None
-
-
 def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
     """NAME=VALUE pairs as numbers by name."""
     changes: dict[str, float] = {}
@@ -159,7 +136,9 @@ def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
     return changes
 
 
+@with_choices
 def command(
+    *,
     calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
     videos: Annotated[
@@ -190,8 +169,7 @@ def command(
         float | None,
         typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default."),
     ] = None,
-    method: MethodOption = "tracking",
-    detector: Annotated[str, typer.Option(help="Detector network, from `multicap models list`.")] = "movenet-multipose",
+    chosen: Mapping[str, Any],
     tracking: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Parameter of tracking, see docs/tracking.md; repeatable."),
@@ -200,46 +178,20 @@ def command(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see docs/clustering.md; repeatable."),
     ] = None,
-    smoothing: SmoothingOption = "fit",
-    feet: FeetOption = "auto",
-    frames: Annotated[
-        str | None,
-        typer.Option(metavar="FIRST:STOP", help="First output frame and the one after the last; all by default."),
-    ] = None,
-    output_rate: Annotated[
-        float | None,
-        typer.Option(min=1, max=240, help="Frame rate of the result files, in Hz; the session's by default."),
-    ] = None,
-    people: Annotated[
-        int | None, typer.Option(min=1, help="Largest number of people: those whom most cameras saw for longest.")
-    ] = None,
-    exports: ExportsOption = "bvh",
-    preset: PresetOption = "default",
-    cutoff: Annotated[float, typer.Option(help="Cutoff of the Butterworth low-pass, in Hz.")] = 6.0,
-    chunk_frames: Annotated[
-        int, typer.Option(min=1, help="Frames of a camera in one chunk; results do not depend on it.")
-    ] = 100,
-    processes: Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Reconstruct all people in synchronised videos, or in keypoint files, of calibrated cameras."""
     started_s = time.monotonic()
     paths: list[Path] = []
     with reporting(as_json, lambda: _what_is_left(paths, out)), StageBars(visible=not as_json) as bars:
-        config = ReconstructionConfig(
-            method=known_method(method),
-            detector=detector,
+        choices = checked(chosen)
+        config = replace(
+            ReconstructionConfig.of(choices),
             tracking=_parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=_parameters(clustering or [], "tau2=0.25"),
-            smoothing=known_smoothing(smoothing),
-            feet=known_feet(feet),
-            cutoff_hz=cutoff,
-            frames=_frame_range(frames),
-            people=people,
-            chunk_frames=chunk_frames,
-            processes=processes,
+            chunk_frames=chosen["chunk_frames"],
+            processes=chosen["processes"],
         )
-        formats, names = known_exports(exports), known_preset(preset)
         offsets = _parameters(offset or [], "cam_2=0.48")
         _check_sources(videos, keypoints, timestamps, frame_rate, offsets)
         session: Views
@@ -249,14 +201,14 @@ def command(
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
             session = open_session(named[0] if len(named) == 1 else named, calibration, recordings, known_units(units))
-        check_exports(restrict(session, config.frames).timebase, formats, output_rate)
+        check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)
         if isinstance(session, KeypointSession):
             reconstruction = reconstruct_keypoints(session, config, bars.update)
         else:
             reconstruction = reconstruct(session, config, bars.update)
-        paths.extend(_written(reconstruction, out, formats, names, output_rate))
+        paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:
         emit(

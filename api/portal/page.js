@@ -24,6 +24,7 @@ const at = (id) => document.getElementById(id);
 const cards = new Map(); // id of a job -> its element and what it showed last
 let limit = PAGE;
 let timer = 0;
+let choices = []; // of a job, as the service lists them
 let optionsAt = -Infinity; // when the service was last asked what it can do
 
 class Problem extends Error {
@@ -218,11 +219,88 @@ async function refresh() {
   return jobs.some((job) => !ENDED.has(job.state));
 }
 
+function labelled(text, ...fields) {
+  const label = element("label", text);
+  label.append(...fields);
+  return label;
+}
+
+function numberInput(choice, whole) {
+  const named = choice.values.find(({ name }) => name === choice.default);
+  return Object.assign(document.createElement("input"), {
+    type: "number",
+    name: choice.name,
+    step: whole ? 1 : "any",
+    min: choice.minimum ?? choice.exclusive_minimum ?? "",
+    max: choice.maximum ?? "",
+    defaultValue: typeof choice.default === "number" ? choice.default : "",
+    placeholder: named?.label ?? choice.unset ?? "",
+    title: choice.description,
+  });
+}
+
+// The fields of a choice, as the service describes it.
+const FIELDS = {
+  one(choice) {
+    const select = Object.assign(document.createElement("select"), { name: choice.name, title: choice.description });
+    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default)));
+    return labelled(choice.label, select);
+  },
+  several(choice) {
+    const group = document.createElement("fieldset");
+    group.title = choice.description;
+    group.append(element("legend", choice.label));
+    for (const { name, label } of choice.values) {
+      const box = Object.assign(document.createElement("input"), { type: "checkbox", name: choice.name, value: name });
+      box.defaultChecked = choice.default.includes(name);
+      const line = document.createElement("label");
+      line.append(box, ` ${label}`);
+      group.append(line);
+    }
+    return group;
+  },
+  number: (choice) => labelled(choice.label, numberInput(choice, false)),
+  whole_number: (choice) => labelled(choice.label, numberInput(choice, true)),
+  frame_range(choice) {
+    const group = document.createElement("fieldset");
+    group.title = choice.description;
+    group.append(element("legend", `${choice.label}: ${choice.unset}, or`));
+    const bounds = [["first", 0], ["after the last", 1]];
+    group.append(...bounds.map(([text, least]) => {
+      const input = numberInput(choice, true);
+      input.min = Math.max(choice.minimum ?? 0, least);
+      input.placeholder = "";
+      return labelled(text, input);
+    }));
+    return group;
+  },
+};
+
+// What is sent of a choice; undefined where the field is empty, and the service takes the default.
+const VALUES = {
+  one: (field) => field.value,
+  several: (boxes) => boxes.filter((box) => box.checked).map((box) => box.value),
+  number: (field) => (field.value === "" ? undefined : field.valueAsNumber),
+  whole_number: (field) => (field.value === "" ? undefined : field.valueAsNumber),
+  frame_range: (inputs) => (inputs.every((input) => input.value === "") ? undefined
+    : inputs.map((input) => (input.value === "" ? null : input.valueAsNumber))),
+};
+
+function fieldsOf(form, { name, kind }) {
+  const fields = [...form.querySelectorAll(`#choices [name="${name}"]`)];
+  return kind === "several" || kind === "frame_range" ? fields : fields[0];
+}
+
+function fillChoices(asked) {
+  const place = at("choices");
+  if (choices.length > 0) return;
+  choices = asked.filter(({ kind }) => kind in FIELDS); // a newer service may have other kinds
+  place.append(...choices.map((choice) => FIELDS[choice.kind](choice)));
+  place.hidden = false;
+}
+
 // Detectors that no worker has: such a job would be refused.
-async function markDetectors() {
-  if (performance.now() - optionsAt < OPTIONS_MS) return;
-  const { detectors } = await call("/v1/options");
-  optionsAt = performance.now();
+function markDetectors(detectors) {
   const options = [...at("send").elements.detector.options];
   for (const { name, installed, install } of detectors) {
     const option = options.find((one) => one.value === name);
@@ -234,12 +312,20 @@ async function markDetectors() {
   }
 }
 
+async function refreshOptions() {
+  if (performance.now() - optionsAt < OPTIONS_MS) return;
+  const options = await call("/v1/options");
+  optionsAt = performance.now();
+  fillChoices(options.choices);
+  markDetectors(options.detectors);
+}
+
 async function poll() {
   clearTimeout(timer);
   let busy = false;
   try {
     busy = await refresh();
-    await markDetectors();
+    await refreshOptions();
     at("connection").textContent = "";
   } catch (problem) {
     if (problem.status === 401) return showEntrance();
@@ -267,15 +353,14 @@ function send(form, onProgress, stopped) {
   });
 }
 
-function formOf(fields) {
+function formOf(sent) {
+  const fields = sent.elements;
   const form = new FormData();
   const name = fields.name.value.trim();
   if (name) form.append("manifest", new Blob([JSON.stringify({ name })], { type: "application/json" }));
   form.append("calibration", fields.calibration.files[0]);
   for (const video of fields.videos.files) form.append("videos", video);
-  const choices = ["method", "detector", "smoothing", "feet", "bvh"];
-  const spec = Object.fromEntries(choices.map((name) => [name, fields[name].value]));
-  spec.exports = [...fields.exports].filter((box) => box.checked).map((box) => box.value);
+  const spec = Object.fromEntries(choices.map((choice) => [choice.name, VALUES[choice.kind](fieldsOf(sent, choice))]));
   form.append("spec", new Blob([JSON.stringify(spec)], { type: "application/json" }));
   return form;
 }
@@ -291,7 +376,7 @@ at("send").addEventListener("submit", async (event) => {
   submit.disabled = true;
   at("abort").hidden = at("upload").hidden = false;
   try {
-    const job = await send(formOf(form.elements), (loaded, total) => {
+    const job = await send(formOf(form), (loaded, total) => {
       at("upload-bar").value = total ? loaded / total : 0;
       at("upload-text").textContent =
         loaded < total ? `${sized(loaded)} of ${sized(total)} sent` : "Sent. Checking the files …";

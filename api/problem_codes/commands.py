@@ -1,6 +1,7 @@
 """Codes of the command line alone."""
 
 from api.problem_codes.model import CodeGroup, ProblemCode
+from pipeline.config import CHOICES
 
 _COMMAND = ("command",)
 
@@ -15,12 +16,17 @@ COMMANDS = CodeGroup(
             "Options of videos and of keypoints were mixed, or neither was given.",
             "Give `--videos`, with `--offset` if needed, or `--keypoints`, with `--timestamps` or `--frame-rate`.",
         ),
-        ProblemCode("unknown_method", _COMMAND, "There is no such method.", "Use a name that `hint` lists."),
-        ProblemCode("unknown_smoothing", _COMMAND, "There is no such smoothing.", "Use a name that `hint` lists."),
-        ProblemCode("unknown_feet", _COMMAND, "There is no such treatment of feet.", "Use a name that `hint` lists."),
+        *(
+            ProblemCode(
+                f"unknown_{choice.noun}",
+                _COMMAND,
+                f"`--{choice.option}` has no such value.",
+                "Use a name that `hint` lists.",
+            )
+            for choice in CHOICES.values()
+            if choice.is_checked_by_name
+        ),
         ProblemCode("unknown_units", _COMMAND, "There is no such unit.", "Use a name that `hint` lists."),
-        ProblemCode("unknown_export", _COMMAND, "There is no such format.", "Use a name that `hint` lists."),
-        ProblemCode("unknown_preset", _COMMAND, "There is no such preset.", "Use a name that `hint` lists."),
         ProblemCode("unknown_scene", _COMMAND, "There is no such simulated scene.", "Use a name that `hint` lists."),
         ProblemCode(
             "unknown_evidence", _COMMAND, "There is no such evidence for the method.", "Omit it, or use the hint."

@@ -1,6 +1,7 @@
 """Codes of specs and jobs, of the service's readiness, and of warnings."""
 
 from api.problem_codes.model import CodeGroup, ProblemCode
+from pipeline.config import FILE_FORMATS, unlimited_alternatives
 
 _SPEC = ("422", "command")
 _WARNING = ("warning",)
@@ -14,7 +15,16 @@ SPECS = CodeGroup(
             "frame_range", _SPEC, "The session does not have these output frames.", "Ask for frames that it has."
         ),
         ProblemCode("cutoff_range", _SPEC, "The cutoff is not below half of the frame rate.", "Use 6 Hz."),
-        ProblemCode("too_long_for_c3d", _SPEC, "A C3D file holds at most 65,535 frames.", "Use `trc` or `csv`."),
+        *(
+            ProblemCode(
+                f"too_long_for_{name}",
+                _SPEC,
+                f"A {name.upper()} file holds at most {one.max_frames:,} frames.",
+                f"Use {' or '.join(f'`{other}`' for other in unlimited_alternatives(name))}.",
+            )
+            for name, one in FILE_FORMATS.items()
+            if one.max_frames is not None
+        ),
         ProblemCode(
             "detector_not_installed",
             ("422",),

@@ -13,9 +13,10 @@ from api.dependencies import ServicesDep
 from api.errors import ErrorItem, database_damaged, problem_response, service_away
 from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
+from pipeline.config import install_command
 from worker.jobs.disk import DiskSpace
 from worker.jobs.model import WorkerStatus
-from worker.jobs.spec import INSTALL_COMMANDS, JobSpec
+from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.jobs.workers import installed_detectors
 
@@ -109,7 +110,7 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     item = ErrorItem(
         code="model_unavailable",
         message=f"Not every worker has the detector {detector}.",
-        hint=INSTALL_COMMANDS[detector],
+        hint=install_command(detector),
     )
     return {"worker": None, "model": item}
 

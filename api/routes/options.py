@@ -6,8 +6,8 @@ from api.auth import RecordsDep
 from api.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.contract import answer
 from api.dependencies import ServicesDep
-from api.schemas import DetectorOut, Options
-from worker.jobs.spec import INSTALL_COMMANDS
+from api.schemas import ChoiceOut, DetectorOut, Options
+from pipeline.config import CHOICES, NETWORKS, install_command
 from worker.jobs.workers import installed_detectors
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -21,12 +21,17 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
     responses={200: answer("Options") | {"headers": ETAG}, **NOT_MODIFIED},
 )
 def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
-    """List the detectors, and say which of them are installed."""
+    """List the choices of a job with their values, limits and defaults, and the detectors that are installed."""
     installed = installed_detectors(services.store.workers())
     options = Options(
         detectors=tuple(
-            DetectorOut(name=name, installed=None if installed is None else name in installed, install=command)
-            for name, command in INSTALL_COMMANDS.items()
-        )
+            DetectorOut(
+                name=name,
+                installed=None if installed is None else name in installed,
+                install=install_command(name),
+            )
+            for name in NETWORKS
+        ),
+        choices=tuple(ChoiceOut.of(choice) for choice in CHOICES.values()),
     )
     return conditional(options, if_none_match)

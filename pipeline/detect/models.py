@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit, urlunsplit
 
+from pipeline.config import install_command
 from pipeline.detect.registry import REGISTRY, LooseWeights, NetworkEntry, PackagedWeights, WeightFile, entry_of
 from pipeline.errors import ModelError
 from pipeline.packages.archive import Archive, read_member
@@ -36,15 +37,8 @@ def path_of(name: str) -> Path:
     """Path of an installed network; ``ModelError`` if it is unknown or not installed."""
     path = _file_of(entry_of(name))
     if not path.is_file():
-        raise ModelError(f"The network {name} is not installed. {how_to_install(entry_of(name))}")
+        raise ModelError(f"The network {name} is not installed. {install_command(entry_of(name).name)}")
     return path
-
-
-def how_to_install(entry: NetworkEntry) -> str:
-    """Command that installs a network."""
-    if isinstance(entry.source, PackagedWeights):
-        return f"Run: multicap models install {entry.name}"
-    return f"Get it from {entry.source.publisher}, then run: multicap models add {entry.name} --from FOLDER or URL"
 
 
 def verify(name: str) -> Path:
@@ -53,7 +47,7 @@ def verify(name: str) -> Path:
     with storage_errors():
         intact = sha256_of(path) == entry_of(name).sha256
     if not intact:
-        raise ModelError(f"The file of the network {name} was changed. {how_to_install(entry_of(name))}")
+        raise ModelError(f"The file of the network {name} was changed. {install_command(entry_of(name).name)}")
     return path
 
 
@@ -76,7 +70,7 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
     if isinstance(origin, LooseWeights):
         if _file_of(entry).is_file():
             return verify(name)
-        raise ModelError(f"No package holds {name}. {how_to_install(entry)}")
+        raise ModelError(f"No package holds {name}. {install_command(entry.name)}")
     return _install(entry, lambda: _from_package(entry, origin, fetch_package(origin.package, on_bytes)))
 
 
@@ -195,7 +189,7 @@ def _find_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, 
         endings = " and ".join(file.suffix for file in wanted)
         raise ModelError(
             f"{place.name or folder.resolve().name} is not, or does not hold, the files of {entry.name} ({endings}) "
-            f"with the right checksums. {how_to_install(entry)}"
+            f"with the right checksums. {install_command(entry.name)}"
         )
     return found
 

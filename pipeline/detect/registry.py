@@ -1,7 +1,8 @@
 """The detector networks: where each comes from, what it must be, what goes in and what comes out.
 
 A network is weights inside a pinned package, or files that a user brings, converted to ONNX here; checksums pin the
-package, the weights and the result. Another network is one more entry, and one more conversion if its format is new.
+package, the weights and the result. Another network is one more entry, and one more conversion if its format is new;
+``pipeline.config`` declares its name, its label, whether it leaves fields, and where users get it.
 """
 
 import enum
@@ -9,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from pipeline.config import Detector
 from pipeline.detect.fields import FieldGrid
 from pipeline.errors import ModelError
 from pipeline.joints import COCO_17, COCO_18, JointSet
@@ -59,12 +61,9 @@ class LooseWeights:
     ----------
     files
         In the order in which the conversion takes them.
-    publisher
-        Where users get them.
     """
 
     files: tuple[WeightFile, ...]
-    publisher: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +98,7 @@ class NetworkEntry:
     Parameters
     ----------
     name
-        What users call it.
+        Name in ``pipeline.config.NETWORKS``.
     source, convert
         Its weights, and the conversion to ONNX.
     sha256, num_bytes
@@ -112,7 +111,7 @@ class NetworkEntry:
         How its part affinity fields lie on the image; ``None`` for a network that has none.
     """
 
-    name: str
+    name: Detector
     source: PackagedWeights | LooseWeights
     convert: Callable[[Sequence[bytes]], bytes]
     sha256: str
@@ -158,7 +157,7 @@ def _convert_human_pose_estimation(weights: Sequence[bytes]) -> bytes:
     return convert(weights[0], weights[1], "image", _OPENPOSE_OUTPUTS)
 
 
-REGISTRY = {
+REGISTRY: dict[str, NetworkEntry] = {
     entry.name: entry
     for entry in (
         NetworkEntry(
@@ -214,7 +213,6 @@ REGISTRY = {
                     WeightFile(".xml", "c3a47de94906e6b3256eb16af7274141b2fc9f6c7889a02d96ef430b9bc321d3", 435_357),
                     WeightFile(".bin", "fc7e9dde0f4a34876cfbbd266388a59526a8c8c1bc9394ce4827b7a007d20f82", 4_170_036),
                 ),
-                publisher="Intel's Open Model Zoo (FP16-INT8)",
             ),
             convert=_convert_human_pose_estimation,
             sha256="2f04fe51422b6b39f9e09de9237a40667429fc532e8d01ce8863510f15983eeb",

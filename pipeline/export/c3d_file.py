@@ -16,9 +16,6 @@ from jaxtyping import Float
 from pipeline.data import Timebase, Track3D
 from pipeline.joints import JointSet
 
-MAX_FRAMES = 2**16 - 1
-"""More than these the format's header can't count, and readers take no others."""
-
 _MM_PER_M = 1000.0
 _PIECE_BYTES = 2**18
 

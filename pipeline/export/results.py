@@ -8,23 +8,28 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.config import Export, Preset
-from pipeline.data import Reconstruction, SkeletonMotion, Timebase, Track3D
+from pipeline.config import (
+    FILE_FORMATS,
+    MAX_OUTPUT_FRAMES,
+    Export,
+    JobChoices,
+    Preset,
+    too_long_for,
+    unlimited_alternatives,
+)
+from pipeline.data import Reconstruction, Timebase
 from pipeline.errors import InputError, Problem
-from pipeline.export import bvh, c3d_file, csv_table, glb, skeletons_json, trc
-from pipeline.export.presets import PRESETS
+from pipeline.export import skeletons_json
+from pipeline.export.formats import FORMATS, Person
 from pipeline.export.resample import resample, resampled_timebase
 from pipeline.metrics.quality import encode as encode_metrics
 from pipeline.metrics.quality import quality_report
 from pipeline.progress import OnShare, ignore, part_of, split
-from pipeline.quantities import MAX_OUTPUT_FRAMES
 from pipeline.skeleton.model import forward_kinematics
 
-DEFAULT_EXPORTS: tuple[Export, ...] = ("bvh",)
+DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 METRICS = "metrics.json"
 
-# Of a skeleton's motion; the other formats hold positions of joints.
-_OF_MOTIONS: frozenset[Export] = frozenset({"bvh", "glb"})
 _MM_PER_M = 1000.0
 _DECIMALS_MM = 4
 
@@ -48,10 +53,11 @@ def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz
         message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
         hint = "Ask for a lower rate, or for fewer frames."
         problems.append(Problem("too_many_frames", message, field="output_rate_hz", hint=hint))
-    if "c3d" in exports and num_frames > c3d_file.MAX_FRAMES:
-        message = f"A C3D file holds {c3d_file.MAX_FRAMES} frames at most; the session has {num_frames}."
-        hint = "Leave c3d away: trc and csv have the same joints and no such limit."
-        problems.append(Problem("too_long_for_c3d", message, field="exports", hint=hint))
+    for export, limit in too_long_for(exports, num_frames):
+        message = f"A {export.upper()} file holds {limit} frames at most; the session has {num_frames}."
+        others = " and ".join(unlimited_alternatives(export))
+        hint = f"Leave {export} away: {others} have the same {FILE_FORMATS[export].holds} and no such limit."
+        problems.append(Problem(f"too_long_for_{export}", message, field="exports", hint=hint))
     if problems:
         raise InputError(problems)
 
@@ -104,10 +110,12 @@ def write_results(
         skeleton_m = forward_kinematics(motion)
         for export in formats:
             path = folder / f"{motion.name}.{export}"
-            expected_m = skeleton_m if export in _OF_MOTIONS else track.xyz_m
-            with _replacing(path, _encode(export, shown, track, motion, path.name, preset)) as part:
+            person = Person(track, motion, shown.joints, shown.timebase, path.name, preset)
+            expected_m = skeleton_m if FILE_FORMATS[export].holds == "motion" else track.xyz_m
+            with _replacing(path, FORMATS[export].encode(person)) as part:
                 on_read = _of_reading(next(parts))
-                far_mm[export].append(_furthest_mm(path, expected_m, _read(export, part, preset), on_read))
+                found_m = FORMATS[export].read_xyz_m(part, preset)
+                far_mm[export].append(_furthest_mm(path, expected_m, found_m, on_read))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
     path = folder / METRICS
@@ -133,30 +141,6 @@ def _replacing(path: Path, pieces: Iterable[bytes]) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def _encode(
-    export: Export, reconstruction: Reconstruction, track: Track3D, motion: SkeletonMotion, name: str, preset: Preset
-) -> Iterator[bytes]:
-    joints, timebase = reconstruction.joints, reconstruction.timebase
-    match export:
-        case "bvh":
-            return bvh.encode(motion, PRESETS[preset])
-        case "glb":
-            return glb.encode(motion)
-        case "trc":
-            return trc.encode(track, joints, timebase, name)
-        case "c3d":
-            return c3d_file.encode(track, joints, timebase)
-        case "csv":
-            return csv_table.encode(track, joints, timebase)
-
-
-def _read(export: Export, path: Path, preset: Preset) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    if export == "bvh":
-        return bvh.read_xyz_m(path, PRESETS[preset])
-    read = {"glb": glb, "trc": trc, "c3d": c3d_file, "csv": csv_table}[export]
-    return read.read_xyz_m(path)
 
 
 def _furthest_mm(

@@ -2,11 +2,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from pipeline.detect.models import how_to_install
-from pipeline.detect.registry import REGISTRY
+from pipeline.config import NETWORKS
 from tests.api.conftest import Live, keypoint_form, problem_of
 from worker.jobs.model import WorkerState, WorkerStatus
-from worker.jobs.spec import INSTALL_COMMANDS
 
 READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
 COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the numeric kernels", 5, 14)
@@ -56,10 +54,6 @@ def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) ->
     assert (item["code"], item["hint"]) == ("model_unavailable", "Run: multicap models install movenet-multipose")
 
 
-def test_the_commands_that_install_are_those_of_the_command_line() -> None:
-    assert {name: how_to_install(entry) for name, entry in REGISTRY.items()} == INSTALL_COMMANDS
-
-
 @pytest.mark.parametrize("detector", ["openpose-mobilenet-thin", "human-pose-estimation-0001"])
 def test_a_detector_that_no_worker_has_is_refused(with_broker: Live, detector: str) -> None:
     live, session_id = with_broker, with_broker.session_id()
@@ -94,4 +88,4 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     # Nothing was sent that could be pointed to.
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
     listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
-    assert listed == {name: name == "movenet-multipose" for name in INSTALL_COMMANDS}
+    assert listed == {name: name == "movenet-multipose" for name in NETWORKS}

@@ -63,3 +63,19 @@ def test_while_a_job_is_watched_nothing_else_is_asked_each_second(live: Live) ->
         assert asked.count("/v1/options") == 1
         with page.expect_response("**/v1/options"):
             page.clock.run_for(31_000)
+
+
+def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
+    choices = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
+    with opened(str(live.client.base_url)) as page:
+        page.get_by_text("Options", exact=True).click()
+        names = page.locator("#choices [name]").evaluate_all("all => all.map(one => one.name)")
+        assert list(dict.fromkeys(names)) == list(choices)
+        assert page.get_by_label(choices["smoothing"]["label"]).input_value() == "fit"
+        cutoff = page.get_by_label(choices["cutoff_hz"]["label"])
+        assert (cutoff.input_value(), cutoff.get_attribute("max")) == ("6", "1000")
+        people = page.get_by_label(choices["people"]["label"])
+        assert (people.input_value(), people.get_attribute("placeholder")) == ("", "everybody")
+        exports = page.get_by_role("group", name=choices["exports"]["label"]).get_by_role("checkbox")
+        assert exports.evaluate_all("all => all.map(one => one.checked)") == [True, False, False, False, False]
+        assert page.get_by_role("group", name=choices["frame_range"]["label"]).get_by_role("spinbutton").count() == 2

@@ -11,6 +11,7 @@ import pytest
 from api.form import VIEWS
 from api.problem_codes import GROUPS, ProblemCode
 from api.problem_codes.page import PAGE, document, main
+from pipeline.config import CHOICES, FILE_FORMATS
 
 ROOT = Path(__file__).parents[2]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -43,6 +44,8 @@ PASSED_ON = {
 }
 # Codes that are put together from values that no call states as a constant.
 TEMPLATES = {
+    "unknown_{noun}": {"unknown_units"} | {f"unknown_{one.noun}" for one in CHOICES.values() if one.is_checked_by_name},
+    "too_long_for_{export}": {f"too_long_for_{name}" for name, one in FILE_FORMATS.items() if one.max_frames},
     "invalid_{field}": {
         f"invalid_{field}" for field in ("name", "size", "matrix", "distortion", "rotation", "translation")
     },

@@ -17,9 +17,9 @@ from schemathesis.specs.openapi.checks import negative_data_rejection, positive_
 from api.openapi import COMMITTED
 from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
+from pipeline.config import NETWORKS
 from tests.api.conftest import Live, running
 from worker.jobs.model import Scope, WorkerState, WorkerStatus
-from worker.jobs.spec import INSTALL_COMMANDS
 from worker.presence import Presence, process_name
 
 schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
@@ -47,7 +47,7 @@ def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 @pytest.fixture(scope="module")
 def known(service: Live) -> Iterator[dict[str, str]]:
     """Things that are there, so that not all ids are unknown; and all that readiness asks for."""
-    worker = WorkerStatus(process_name(), WorkerState.READY, "A worker works", detectors=tuple(INSTALL_COMMANDS))
+    worker = WorkerStatus(process_name(), WorkerState.READY, "A worker works", detectors=tuple(NETWORKS))
     presence = Presence(service.services.store, lambda: worker)
     presence.start()
     service.services.queue.ping = lambda: True  # type: ignore[method-assign]

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 import c3d
 import cv2
@@ -17,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from trc import TRCData
 
 from api.commands.reconstruct import write_results
-from pipeline.config import Export, Preset, ReconstructionConfig
+from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction, SkeletonMotion
 from pipeline.export.presets import PRESETS
 from pipeline.keypoints import open_keypoints
@@ -31,8 +30,8 @@ from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with
 
 pytestmark = pytest.mark.xdist_group("sample")
 
-EXPORTS: tuple[Export, ...] = get_args(Export)
-PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
+EXPORTS = tuple(FILE_FORMATS)
+PRESET_NAMES = tuple(PRESETS)
 # What x, y and z of a file are in the world, and how many units a metre is.
 WORLD, Y_UP = np.eye(3), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {

@@ -74,13 +74,13 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
 
 def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served) -> None:
     properties = served.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
-    page.get_by_text("How", exact=True).click()
+    page.get_by_text("Options", exact=True).click()
     for name, label in (
-        ("method", "People are put together"),
+        ("method", "Method"),
         ("detector", "Detector"),
         ("smoothing", "Smoothing"),
         ("feet", "Feet on the floor"),
-        ("bvh", "BVH is for"),
+        ("bvh", "Application for BVH files"),
     ):
         options = page.get_by_label(label).get_by_role("option").evaluate_all("all => all.map(one => one.value)")
         assert sorted(options) == sorted(properties[name]["enum"])
@@ -145,7 +145,7 @@ def test_warnings_of_a_result_are_shown_and_no_retry_that_would_fail_the_same_wa
 def test_detectors_that_are_not_installed_cannot_be_chosen(page: Page, served: Served) -> None:
     known = served.client.get("/v1/options").raise_for_status().json()["detectors"]
     assert known[0]["installed"] is True
-    page.get_by_text("How", exact=True).click()
+    page.get_by_text("Options", exact=True).click()
     options = page.get_by_label("Detector").get_by_role("option")
     for detector in known:
         option = options.and_(page.locator(f"[value={detector['name']}]"))

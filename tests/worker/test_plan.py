@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.config import MAX_OUTPUT_FRAMES
 from pipeline.detect.registry import REGISTRY
-from pipeline.quantities import MAX_OUTPUT_FRAMES
 from pipeline.video.timeline import chunk_ranges
 from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec

@@ -1,29 +1,26 @@
-"""What a client may ask for."""
+"""Job specs: what a client asks for. The choices are those of ``pipeline.config``."""
 
-from collections.abc import Mapping
-from typing import Annotated, Literal
+import functools
+import operator
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model, field_validator
+from pydantic.config import JsonDict
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
-# Networks with part affinity fields; the others find whole bodies.
-_FIELD_DETECTORS = frozenset({"openpose-mobilenet-thin", "human-pose-estimation-0001"})
-
-
-# Commands that install a missing detector; as ``pipeline.detect.models`` says it.
-INSTALL_COMMANDS: Mapping[str, str] = {
-    "movenet-multipose": "Run: multicap models install movenet-multipose",
-    "openpose-mobilenet-thin": "Run: multicap models install openpose-mobilenet-thin",
-    "human-pose-estimation-0001": (
-        "Get it from Intel's Open Model Zoo (FP16-INT8), then run: "
-        "multicap models add human-pose-estimation-0001 --from FOLDER or URL"
-    ),
-}
-
-# As in ``pipeline.export.c3d_file``.
-_MAX_C3D_FRAMES = 2**16 - 1
-# As in ``pipeline.quantities``.
-_MAX_OUTPUT_FRAMES = 1_000_000
+from pipeline.config import (
+    CHOICES,
+    MAX_OUTPUT_FRAMES,
+    NETWORKS,
+    About,
+    Choice,
+    JobChoices,
+    Value,
+    members,
+    too_long_for,
+    unlimited_alternatives,
+    values_of,
+)
 
 
 def _number(value: object) -> object:
@@ -33,62 +30,50 @@ def _number(value: object) -> object:
     return value
 
 
-# Numbers are numbers: true is no 1, and "1" neither.
-_FrameNumber = Annotated[int, Field(ge=0), BeforeValidator(_number)]
+def _field_type(hint: Any, about: About) -> Any:
+    """Pydantic's type of a choice: named values as one enumeration, numbers with their limits, never converted."""
+    # Types that are made when the module runs; type checkers see the fields of `_Choices`.
+    literal: Any = Literal
+    sequence: Any = tuple
+    named = tuple(values_of(hint, Value))
+    if get_origin(hint) is tuple:
+        items = get_args(hint)
+        if items[1] is Ellipsis:
+            return sequence[literal[named], ...]
+        return sequence[tuple(_field_type(item, about) for item in items)]
+    limits: Any = {"ge": about.minimum, "gt": about.above, "le": about.maximum}
+    others = [member for member in members(hint) if get_origin(member) is not Annotated]
+    types: list[Any] = [literal[named]] if named else []
+    for member in others:
+        if member is float:
+            types.append(Annotated[float, Field(strict=True, allow_inf_nan=False, **limits)])
+        elif member is int:
+            types.append(Annotated[int, Field(**limits), BeforeValidator(_number)])
+        else:
+            types.append(member if member is type(None) else _field_type(member, about))
+    return functools.reduce(operator.or_, types)
 
 
-class JobSpec(BaseModel):
+def _field(choice: Choice) -> tuple[Any, Any]:
+    """Type and properties of the field of a choice."""
+    extra: JsonDict | None = {"uniqueItems": True} if choice.kind == "several" else None
+    return _field_type(choice.hint, choice.about), Field(
+        default=choice.default, description=choice.description, json_schema_extra=extra
+    )
+
+
+if TYPE_CHECKING:
+
+    class _Choices(JobChoices, BaseModel, frozen=True):
+        """Fields as type checkers see them; at run time Pydantic checks their values and limits."""
+else:
+    _Choices = create_model("_Choices", **{name: _field(choice) for name, choice in CHOICES.items()})
+
+
+class JobSpec(_Choices, frozen=True):
     """A reconstruction's choices. Unknown fields are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    method: Literal["tracking", "clustering"] = Field(default="tracking", description="How detections become tracks.")
-    detector: Literal["movenet-multipose", "openpose-mobilenet-thin", "human-pose-estimation-0001"] = Field(
-        default="movenet-multipose",
-        description="The 2D joint detector. With `clustering` the latter two give part affinity fields as evidence.",
-    )
-
-    smoothing: Literal["none", "butterworth", "one-euro", "fit"] = Field(
-        default="fit", description="What becomes of the joints' positions."
-    )
-    cutoff_hz: float = Field(
-        default=6.0,
-        strict=True,
-        gt=0.0,
-        le=1000.0,
-        allow_inf_nan=False,
-        description="Of `butterworth`, below half the frame rate.",
-    )
-    feet: Literal["off", "auto", "always"] = Field(
-        default="auto",
-        description="Which feet that stand are held in place: none, where it is likely that they stand, or all.",
-    )
-
-    frame_range: tuple[_FrameNumber, _FrameNumber] | None = Field(
-        default=None,
-        description="The first of the session's output frames, and the one after the last; all without it.",
-    )
-    output_rate_hz: float | None = Field(
-        default=None,
-        strict=True,
-        ge=1.0,
-        le=240.0,
-        allow_inf_nan=False,
-        description="Frame rate of the motion in all files; without it the session's, which metrics are of anyway.",
-    )
-    people: Literal["auto"] | Annotated[int, Field(ge=1, le=1000), BeforeValidator(_number)] = Field(
-        default="auto", description="How many at most: those whom most cameras saw for longest. `auto`: everybody."
-    )
-
-    exports: tuple[Literal["bvh", "glb", "trc", "c3d", "csv"], ...] = Field(
-        default=("bvh",),
-        description="Formats of which each person gets a file, beside `skeletons.json` and `metrics.json`.",
-        json_schema_extra={"uniqueItems": True},
-    )
-
-    bvh: Literal["default", "blender", "unity-humanoid", "unreal", "mixamo"] = Field(
-        default="default", description="What BVH files are to be opened with: their names, axes, unit and rest pose."
-    )
+    model_config = ConfigDict(extra="forbid")
 
     callback_url: str | None = Field(
         default=None,
@@ -120,15 +105,16 @@ class JobSpec(BaseModel):
             found["cutoff_hz"] = "cutoff_range", message
         if self.output_rate_hz is not None:
             num_frames = round((num_frames - 1) * self.output_rate_hz / frame_rate_hz) + 1
-            if num_frames > _MAX_OUTPUT_FRAMES:
+            if num_frames > MAX_OUTPUT_FRAMES:
                 message = (
-                    f"At this rate the session has {num_frames:,} frames; at most {_MAX_OUTPUT_FRAMES:,} are written. "
+                    f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written. "
                     "Ask for a lower rate, or for fewer frames by frame_range."
                 )
                 found["output_rate_hz"] = "too_many_frames", message
-        if "c3d" in self.exports and num_frames > _MAX_C3D_FRAMES:
-            message = f"A C3D file holds {_MAX_C3D_FRAMES} frames at most; these are {num_frames}. Use trc or csv."
-            found["exports"] = "too_long_for_c3d", message
+        for export, limit in too_long_for(self.exports, num_frames):
+            others = " or ".join(unlimited_alternatives(export))
+            message = f"A {export.upper()} file holds {limit} frames at most; these are {num_frames}. Use {others}."
+            found["exports"] = f"too_long_for_{export}", message
         return found
 
     @property
@@ -139,7 +125,7 @@ class JobSpec(BaseModel):
     @property
     def uses_fields(self) -> bool:
         """Whether people are found from part affinity fields, where there are videos."""
-        return self.method == "clustering" and self.detector in _FIELD_DETECTORS
+        return self.method == "clustering" and NETWORKS[self.detector].leaves_fields
 
     def warnings(self, of_keypoints: bool) -> tuple[str, ...]:
         """What a client should know of these choices, a sentence each.

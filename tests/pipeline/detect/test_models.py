@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.config import NETWORKS
 from pipeline.detect import models
 from pipeline.detect.registry import REGISTRY, LooseWeights, PackagedWeights, WeightFile, entry_of
 from pipeline.errors import ModelError
@@ -151,6 +152,15 @@ def test_a_conversion_that_gives_something_else_is_not_installed(
     assert not models.status()[0].installed
 
 
+def test_the_declared_networks_are_those_of_the_registry() -> None:
+    assert tuple(NETWORKS) == tuple(REGISTRY)
+    for name, network in NETWORKS.items():
+        entry = REGISTRY[name]
+        assert entry.name == name
+        assert network.leaves_fields == (entry.fields is not None)
+        assert (network.publisher is None) == isinstance(entry.source, PackagedWeights)
+
+
 LOOSE = "human-pose-estimation-0001"
 
 
@@ -169,7 +179,7 @@ def loose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     whole = b"".join(contents.values())
     entry = dataclasses.replace(
         entry_of(LOOSE),
-        source=LooseWeights(files, "its publisher"),
+        source=LooseWeights(files),
         convert=b"".join,
         sha256=hashlib.sha256(whole).hexdigest(),
         num_bytes=len(whole),
@@ -196,7 +206,9 @@ def test_a_network_of_several_files_is_added(kind: str, loose: Path) -> None:
 
 def test_a_network_that_no_package_holds_says_how_to_get_it(loose: Path) -> None:
     for ask in (models.install, models.path_of, models.verify):
-        with pytest.raises(ModelError, match=r"Get it from its publisher, then run: multicap models add human-pose"):
+        with pytest.raises(
+            ModelError, match=r"Get it from Intel's Open Model Zoo .*, then run: multicap models add human-pose"
+        ):
             ask(LOOSE)
 
 

@@ -4,12 +4,11 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 
-from pipeline.config import Export, ReconstructionConfig
+from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
 from pipeline.data import Reconstruction, Timebase, Track3D
 from pipeline.errors import InputError
 from pipeline.export import csv_table
@@ -21,7 +20,7 @@ from tests.pipeline.export.bvh_readers import read_with_bvhio
 from tests.pipeline.metrics.test_quality import CAMERAS, observe
 from tests.pipeline.skeleton.people import track_of, walker
 
-EXPORTS: tuple[Export, ...] = get_args(Export)
+EXPORTS = tuple(FILE_FORMATS)
 CSV: tuple[Export, ...] = ("csv",)
 LEGS = [index for index, name in enumerate(COCO_17.names) if name.endswith(("knee", "ankle"))]
 

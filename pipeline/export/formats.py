@@ -1,0 +1,84 @@
+"""Formats of people's files: how each is written and read back.
+
+``pipeline.config`` declares their names, labels, media types and limits, which the web API needs too.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.config import Export, Preset
+from pipeline.data import SkeletonMotion, Timebase, Track3D
+from pipeline.export import bvh, c3d_file, csv_table, glb, trc
+from pipeline.export.presets import PRESETS
+from pipeline.joints import JointSet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Person:
+    """Content of a person's file.
+
+    Parameters
+    ----------
+    track
+        Positions of the joints.
+    motion
+        Motion of the skeleton in the same frames.
+    joints, timebase
+        Joints of the track, and clock of its frames.
+    file_name
+        Name that the file will have.
+    preset
+        How BVH files name, turn and scale the skeleton.
+    """
+
+    track: Track3D
+    motion: SkeletonMotion
+    joints: JointSet
+    timebase: Timebase
+    file_name: str
+    preset: Preset
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """Writer and reader of a format.
+
+    Parameters
+    ----------
+    encode
+        Yields the bytes of a person's file, piece by piece.
+    read_xyz_m
+        Yields world positions (frames, joints, 3) in metres of a file that ``encode`` wrote, some frames at a time; of
+        joints that are unknown NaN.
+    """
+
+    encode: Callable[[Person], Iterator[bytes]]
+    read_xyz_m: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ joints 3"]]]
+
+
+FORMATS: Mapping[Export, Format] = MappingProxyType(
+    {
+        "bvh": Format(
+            lambda person: bvh.encode(person.motion, PRESETS[person.preset]),
+            lambda path, preset: bvh.read_xyz_m(path, PRESETS[preset]),
+        ),
+        "glb": Format(lambda person: glb.encode(person.motion), lambda path, _: glb.read_xyz_m(path)),
+        "trc": Format(
+            lambda person: trc.encode(person.track, person.joints, person.timebase, person.file_name),
+            lambda path, _: trc.read_xyz_m(path),
+        ),
+        "c3d": Format(
+            lambda person: c3d_file.encode(person.track, person.joints, person.timebase),
+            lambda path, _: c3d_file.read_xyz_m(path),
+        ),
+        "csv": Format(
+            lambda person: csv_table.encode(person.track, person.joints, person.timebase),
+            lambda path, _: csv_table.read_xyz_m(path),
+        ),
+    }
+)

@@ -1,0 +1,67 @@
+"""Choices are declared once: the spec, the answer to a form, the command line and the page have them alike."""
+
+import pytest
+from pydantic import ValidationError
+
+from api.cli import load
+from api.options_page import PAGE, document, main
+from pipeline.config import CHOICES, ReconstructionConfig, choices_of
+from tests.api.conftest import Live
+from worker.jobs.spec import JobSpec
+
+
+def test_options_describe_every_choice_of_a_job(live: Live) -> None:
+    listed = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
+    properties = live.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
+    assert list(listed) == [name for name in properties if name != "callback_url"]
+    for name in ("method", "detector", "smoothing", "feet", "bvh"):
+        assert [value["name"] for value in listed[name]["values"]] == properties[name]["enum"]
+        assert listed[name]["default"] == properties[name]["default"]
+    assert [value["name"] for value in listed["exports"]["values"]] == properties["exports"]["items"]["enum"]
+    assert listed["exports"]["default"] == properties["exports"]["default"] == ["bvh"]
+    cutoff = listed["cutoff_hz"]
+    assert (cutoff["default"], cutoff["exclusive_minimum"], cutoff["maximum"]) == (6.0, 0.0, 1000.0)
+    assert (listed["output_rate_hz"]["minimum"], listed["output_rate_hz"]["maximum"]) == (1.0, 240.0)
+    assert [one["name"] for one in listed["people"]["values"]] == ["auto"]
+    assert listed["frame_range"]["unset"] == "all frames"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"method": "guessing"},
+        {"cutoff_hz": 0.0},
+        {"cutoff_hz": "6"},
+        {"cutoff_hz": 1000.5},
+        {"frame_range": [-1, 5]},
+        {"frame_range": [1]},
+        {"output_rate_hz": 240.5},
+        {"people": 0},
+        {"people": True},
+        {"people": "many"},
+        {"exports": ["bvh", "bvh"]},
+        {"exports": ["fbx"]},
+    ],
+    ids=str,
+)
+def test_specs_keep_to_the_declared_limits(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        JobSpec.model_validate(wrong)
+
+
+def test_specs_take_what_is_declared() -> None:
+    assert JobSpec().model_dump(exclude={"callback_url"}) == {name: one.default for name, one in CHOICES.items()}
+    spec = JobSpec.model_validate({"people": 2.0, "frame_range": [0, 5], "output_rate_hz": 1})
+    assert (spec.people, spec.frame_range, spec.output_rate_hz) == (2, (0, 5), 1.0)
+
+
+def test_reconstruct_has_an_option_for_every_choice() -> None:
+    options = {option for parameter in load("reconstruct").params for option in parameter.opts}
+    choices = (*CHOICES.values(), *choices_of(ReconstructionConfig))
+    assert {f"--{choice.option}" for choice in choices} <= options
+
+
+def test_page_is_what_the_code_says(capsys: pytest.CaptureFixture[str]) -> None:
+    assert PAGE.read_text(encoding="utf-8") == document()
+    assert main(["--check"]) == 0
+    assert capsys.readouterr().err == ""
