@@ -27,7 +27,7 @@ _NOT_TRACED = "healthz,readyz,metrics"
 
 def main() -> None:
     """Serve until SIGTERM."""
-    parser = argparse.ArgumentParser(prog="python -m api", description="Serve the web API.")
+    parser = argparse.ArgumentParser(prog=f"python -m {__package__}", description="Serve the web API.")
     parser.add_argument("--fd", type=int, help="An inherited socket that listens, instead of MULTICAP_HOST and _PORT.")
     fd = parser.parse_args().fd
     keep_files_private()

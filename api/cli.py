@@ -51,7 +51,7 @@ class LazyGroup(TyperGroup):
 
 def load(name: str) -> Any:
     """Import a command of ``COMMANDS``: a module's group ``app``, or its function ``command``."""
-    module = importlib.import_module(f"api.commands.{name}")
+    module = importlib.import_module(f"{__package__}.commands.{name}")
     if hasattr(module, "app"):
         command: Any = get_group(module.app)
     else:

@@ -1,65 +1,209 @@
-"""A running service from outside, as our own commands use it: start one, send a session, follow the job, download."""
+"""Client of a running service: send a session, wait for its job, download the results."""
 
 import contextlib
 import hashlib
 import json
-import subprocess
+import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Self, TypedDict, cast
 
 import httpx2
 
-from api.commands.serve import READY
-from pipeline.child_processes import module_command
 from pipeline.errors import PipelineError
-from worker.lifeline import tied
 
 Json = Mapping[str, Any]
 
 _POLL_S = 0.25
-_STOP_S = 30.0
-_FINISHED = frozenset({"succeeded", "failed", "canceled", "expired"})
+_ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled", "expired": "expired"}
+
+
+class Stage(TypedDict):
+    """Stage of a job.
+
+    Parameters
+    ----------
+    name
+        Such as ``detect`` or ``fit``.
+    state
+        Of the stage.
+    done, total
+        Steps, such as frames, that are done, and all of them.
+    started_at, finished_at
+        ISO 8601 times, ``None`` before.
+    """
+
+    name: str
+    state: str
+    done: int
+    total: int
+    started_at: str | None
+    finished_at: str | None
+
+
+class Job(TypedDict):
+    """Job as the service describes it. These are the common fields; ``/docs`` of a service has all.
+
+    Parameters
+    ----------
+    id, session_id
+        Ids of the job and of the session that it reconstructs.
+    progress
+        Share of the work that is done, from 0 to 1.
+    queue_position
+        Place in the queue, from 1; ``None`` once the job runs.
+    eta_s
+        Estimated seconds left; ``None`` before any work is done, and at the end.
+    error
+        Why the job failed, with ``code``, ``detail`` and ``hint``; ``None`` if it did not.
+    warnings
+        Sentences about the files, the choices and the result.
+    links
+        Paths of what belongs to the job, by name, such as ``self`` and ``results``.
+    """
+
+    id: str
+    session_id: str
+    state: Literal["queued", "running", "canceling", "succeeded", "failed", "canceled", "expired"]
+    stages: list[Stage]
+    progress: float
+    queue_position: int | None
+    eta_s: float | None
+    error: dict[str, Any] | None
+    warnings: list[str]
+    links: dict[str, Any]
 
 
 class ServiceError(PipelineError):
-    """The service refused, failed or did not start; the text says why."""
+    """The service refused, failed, did not start or did not answer; the text says why."""
 
     code = "service_error"
 
 
 @dataclass(frozen=True, slots=True)
 class Client:
-    """Calls of a service at an address."""
+    """Calls of a service.
+
+    ``Client.connect`` makes one for an address; close it after use, or use it in a ``with`` block.
+
+    Parameters
+    ----------
+    http
+        HTTP client with the service's address, the key if the service wants one, and the time-out of a call.
+
+    Examples
+    --------
+    >>> with Client.connect("http://127.0.0.1:8000") as client:  # doctest: +SKIP
+    ...     job = client.submit("Take 1", [Path("cam01.mp4"), Path("cam02.mp4")], Path("Calib.qca.txt"))
+    ...     job = client.follow(job, lambda job: print(f"{job['progress']:.0%}"), timeout_s=3600)
+    ...     paths = client.download(job, Path("results"))
+    """
 
     http: httpx2.Client
+
+    @classmethod
+    def connect(cls, url: str, key: str | None = None, timeout_s: float = 300.0, *, trust_env: bool = True) -> Self:
+        """Make a client of the service at an address; nothing is sent yet.
+
+        Parameters
+        ----------
+        url
+            Such as ``http://127.0.0.1:8000``.
+        key
+            API key, ``mc_...``; ``None`` for a service without keys.
+        timeout_s
+            Longest time without a byte from the service in a call. An upload is answered once its files are checked.
+        trust_env
+            Whether proxies of the environment (``HTTP_PROXY``) are used.
+
+        Raises
+        ------
+        ServiceError
+            If the address is not one of HTTP.
+        """
+        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        try:
+            http = httpx2.Client(base_url=url, headers=headers, timeout=timeout_s, trust_env=trust_env)
+        except httpx2.InvalidURL as error:
+            raise ServiceError(f"{url!r} is not an address: {error}.") from error
+        if http.base_url.scheme not in {"http", "https"}:
+            raise ServiceError(f"{url!r} is not an address such as http://127.0.0.1:8000.")
+        return cls(http)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self.http.close()
 
     @property
     def url(self) -> str:
         """Where the service is."""
         return str(self.http.base_url)
 
-    def submit(self, name: str, videos: Sequence[Path], calibration: Path) -> Json:
-        """Send a session and have it reconstructed; returns the job."""
-        manifest = ("manifest", (None, json.dumps({"name": name}), "application/json"))
+    def submit(
+        self, name: str, videos: Sequence[Path], calibration: Path, spec: Mapping[str, Any] | None = None
+    ) -> Job:
+        """Send a session of videos and have it reconstructed.
+
+        Parameters
+        ----------
+        name
+            Name of the session.
+        videos
+            One of each camera, named as the cameras in the calibration.
+        calibration
+            Calibration file of any format that ``open_session`` reads.
+        spec
+            Choices of the job, such as ``{"method": "clustering", "exports": ["glb"]}``; ``None``: the defaults.
+
+        Returns
+        -------
+            The job, which waits in the queue or runs.
+
+        Raises
+        ------
+        ServiceError
+            If the service refuses the files, with all problems of all files, or does not answer.
+        OSError
+            If a file can't be read.
+        """
+        texts = {"manifest": {"name": name}, **({} if spec is None else {"spec": spec})}
+        described = [(part, (None, json.dumps(text), "application/json")) for part, text in texts.items()]
         with contextlib.ExitStack() as opened:
             parts = [("videos", path) for path in videos] + [("calibration", calibration)]
             files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
-            return self._call("POST", "/v1/jobs", files=[manifest, *files])
+            return _job(self._call("POST", "/v1/jobs", files=[*described, *files]))
 
     def submit_keypoints(
         self, archives: Mapping[str, bytes], calibration: bytes, timestamps: bytes, spec: Mapping[str, Any]
-    ) -> Json:
-        """Likewise a zip a camera of OpenPose's files, by the cameras' names, and a calibration in our own format."""
+    ) -> Job:
+        """Send a session of 2D joints and have it reconstructed.
+
+        Parameters
+        ----------
+        archives
+            Zip of a camera's OpenPose files, by camera name.
+        calibration
+            In Multicap's own format, JSON.
+        timestamps
+            CSV with the columns camera, frame, time_s.
+        spec
+            Choices of the job.
+        """
         one_each = [("calibration", "calibration.json", calibration), ("timestamps", "timestamps.csv", timestamps)]
         zips = [("keypoints", f"{camera}.zip", content) for camera, content in archives.items()]
         files = [(part, (name, content)) for part, name, content in (*zips, *one_each)]
-        return self._call("POST", "/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))])
+        return _job(self._call("POST", "/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))]))
 
     def get(self, path: str) -> Json:
-        """Read anything."""
+        """Read a path of the service, such as ``job["links"]["self"]``."""
         return self._call("GET", path)
 
     def cancel(self, job: Json) -> None:
@@ -70,21 +214,38 @@ class Client:
         """Delete a job's session."""
         self._call("DELETE", job["links"]["session"])
 
-    def follow(self, job: Json, on_job: Callable[[Json], None] = lambda _: None) -> Json:
-        """Poll a job until it ends; ``on_job`` is called with every answer.
+    def follow(self, job: Json, on_job: Callable[[Job], None] = lambda _: None, timeout_s: float | None = None) -> Job:
+        """Wait until a job succeeds.
+
+        Parameters
+        ----------
+        on_job
+            Called four times a second with the job as it is then: ``progress``, ``eta_s``, ``stages``.
+        timeout_s
+            Longest wait; ``None``: until the job ends. The job goes on after a time-out.
+
+        Returns
+        -------
+            The job at its end.
 
         Raises
         ------
         ServiceError
-            If it does not succeed.
+            If the job fails, is canceled, or does not end in time.
         """
-        while job["state"] not in _FINISHED:
+        deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        now = _job(job)
+        while now["state"] not in _ENDS:
+            if time.monotonic() >= deadline_s:
+                raise ServiceError(
+                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and goes on."
+                )
             time.sleep(_POLL_S)
-            job = self.get(job["links"]["self"])
-            on_job(job)
-        if job["state"] != "succeeded":
-            raise ServiceError(f"The job {job['state']}. {_words(job['error'] or {})}".strip())
-        return job
+            now = _job(self.get(now["links"]["self"]))
+            on_job(now)
+        if now["state"] != "succeeded":
+            raise ServiceError(f"The job {_ENDS[now['state']]}. {_words(now['error'] or {})}".strip())
+        return now
 
     def download(self, job: Json, folder: Path) -> list[Path]:
         """Save all result files of a job into a folder, which is made if it is missing.
@@ -124,52 +285,32 @@ class Client:
             raise ServiceError(f"The service at {self.url} does not answer.") from error
         if answer.is_error:
             raise _refusal(answer)
-        return dict(answer.json()) if answer.content else {}
+        found = _object(answer) if answer.content else {}
+        if found is None:
+            raise ServiceError(f"What answers at {self.url} is not a Multicap service.")
+        return found
+
+
+def _job(answer: Json) -> Job:
+    return cast("Job", answer)
+
+
+def _object(answer: httpx2.Response) -> Json | None:
+    """JSON object in an answer's body; ``None`` if there is none."""
+    try:
+        found = answer.json()
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def _refusal(answer: httpx2.Response) -> ServiceError:
-    return ServiceError(_words(answer.json()))
+    """Error with the service's own words; a proxy before it may answer without."""
+    words = _words(_object(answer) or {})
+    return ServiceError(words or f"The service at {answer.url.host} answered {answer.status_code}.")
 
 
 def _words(problem: Json) -> str:
     """A problem, or a job's error, as sentences."""
     items = [": ".join(filter(None, [item["file"], item["message"]])) for item in problem.get("errors", ())]
     return " ".join(filter(None, [problem.get("detail"), *items, problem.get("hint")]))
-
-
-@contextlib.contextmanager
-def served(data_dir: Path, workers: int) -> Iterator[Client]:
-    """A service of our own on a free port, for the time of the block.
-
-    Raises
-    ------
-    ServiceError
-        If it does not start.
-    """
-    data_dir.mkdir(parents=True, exist_ok=True)
-    command = module_command("api.cli", "serve", "--port", "0")
-    log = data_dir / "serve.log"
-    with (
-        log.open("wb") as output,
-        subprocess.Popen(  # noqa: S603 - the command is ours
-            tied([*command, "--data", str(data_dir), "--workers", str(workers)]),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=output,
-            text=True,
-            start_new_session=True,  # Ctrl-C reaches us alone, and we stop it
-        ) as process,
-    ):
-        try:
-            line = process.stdout.readline() if process.stdout else ""
-            if not line.startswith(READY):
-                raise ServiceError(f"The service did not start. {log.read_text(encoding='utf-8').strip()}")
-            url = line.removeprefix(READY).strip()
-            with httpx2.Client(base_url=url, timeout=300.0, trust_env=False) as http:
-                yield Client(http)
-        finally:
-            process.terminate()
-            try:
-                process.wait(_STOP_S)
-            except subprocess.TimeoutExpired:
-                process.kill()

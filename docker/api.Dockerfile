@@ -4,8 +4,9 @@ WORKDIR /src
 RUN python -m venv /opt/multicap
 COPY docker/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
-COPY pyproject.toml README.md ./
+COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
+COPY multicap multicap
 COPY pipeline pipeline
 COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
@@ -22,4 +23,4 @@ VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=20s \
     CMD ["python", "-P", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
-CMD ["python", "-P", "-m", "api"]
+CMD ["python", "-P", "-m", "multicap.api"]

@@ -4,8 +4,9 @@ WORKDIR /src
 RUN python -m venv /opt/multicap
 COPY docker/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
-COPY pyproject.toml README.md ./
+COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
+COPY multicap multicap
 COPY pipeline pipeline
 COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
@@ -13,7 +14,7 @@ RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 ENV MULTICAP_HOME=/opt/multicap-home
 RUN /opt/multicap/bin/multicap models install movenet-multipose \
     && /opt/multicap/bin/multicap models install openpose-mobilenet-thin \
-    && /opt/multicap/bin/python -P -m pipeline.warm_up
+    && /opt/multicap/bin/python -P -m multicap.pipeline.warm_up
 
 FROM python:3.11-slim-bookworm
 RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
@@ -25,4 +26,4 @@ ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_HOME=/opt/multicap-home
 USER 10001
 VOLUME /data
-CMD ["python", "-P", "-m", "worker", "--workers", "2"]
+CMD ["python", "-P", "-m", "multicap.worker", "--workers", "2"]

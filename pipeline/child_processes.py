@@ -18,10 +18,24 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+# The wheel holds the packages inside of `multicap`; empty in a checkout. See `hatch_build.py`.
+_PARENT = __name__.removesuffix("pipeline.child_processes")
+
+
+def python_command(*arguments: str) -> list[str]:
+    """Command that runs this interpreter without the current directory on its search path."""
+    return [sys.executable, "-P", *arguments]
+
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """Command that runs a module as a program, ``python -m``, without the current directory on its search path."""
-    return [sys.executable, "-P", "-m", module, *arguments]
+    """Command that runs a module of Multicap as a program, ``python -m``.
+
+    Parameters
+    ----------
+    module
+        Its name in a checkout, such as ``pipeline.preflight``.
+    """
+    return python_command("-m", _PARENT + module, *arguments)
 
 
 class ProcessPool(ProcessPoolExecutor):

@@ -2,7 +2,7 @@
 
 The digest covers the function, the statements of its own module that it uses, and all modules of a package that these
 import, directly or indirectly, also inside functions. Comments, docstrings, blank lines and the order of files do not
-change the digest.
+change the digest, nor does it matter whether the code is a checkout's or an installed wheel's.
 """
 
 import ast
@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = "pipeline"
+# The wheel holds the packages inside of `multicap`; empty in a checkout. See `hatch_build.py`.
+_PARENT = __name__.removesuffix("pipeline.code_digest")
 
 
 def function_digest(root: Path, module: str, function: str, package: str = PACKAGE) -> str:
@@ -78,7 +80,11 @@ def _parse(path: Path) -> ast.Module:
 # Stages have most modules in common.
 @functools.lru_cache(maxsize=1024)
 def _parsed(source: bytes) -> ast.Module:
-    return ast.parse(source)
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            node.module = node.module.removeprefix(_PARENT)
+    return tree
 
 
 @functools.lru_cache(maxsize=1024)

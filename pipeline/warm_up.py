@@ -91,7 +91,7 @@ class _Counter(event.Listener):
 
     def on_end(self, event: event.Event) -> None:
         """Count what was compiled, unless it is of numba's own."""
-        if event.data["dispatcher"].py_func.__module__.startswith("pipeline."):
+        if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
             self._done += 1
             self._on_compiled(self._done)
 

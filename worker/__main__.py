@@ -19,7 +19,7 @@ def main() -> None:
     """Work until SIGTERM."""
     keep_files_private()
     raise_descriptor_limit()
-    parser = argparse.ArgumentParser(prog="python -m worker", description="Work on jobs.")
+    parser = argparse.ArgumentParser(prog=f"python -m {__package__}", description="Work on jobs.")
     parser.add_argument("--workers", type=int, default=1, help="Chunks worked on at once, a process each.")
     workers = parser.parse_args().workers
     settings = read_settings(WorkerSettings)

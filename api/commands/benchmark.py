@@ -10,7 +10,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from api.client import Json, served
+from api.client import Json
 from api.commands.benchmark_cancel import cancel
 from api.commands.benchmark_clustering import clustering
 from api.commands.benchmark_export import export
@@ -23,6 +23,7 @@ from api.commands.benchmark_videos import loop_video
 from api.commands.options import DEFAULTS, DetectorOption
 from api.commands.reconstruct import write_results
 from api.console import StageBars, emit, print_table, reporting
+from api.served import served
 from pipeline import samples
 from pipeline.child_processes import ProcessPool
 from pipeline.config import Detector, ReconstructionConfig

@@ -17,9 +17,11 @@ import numpy as np
 import psutil
 import typer
 
-from api.client import Client, Json, ServiceError, served
+from api.client import Client, Json, ServiceError
 from api.console import emit, reporting
+from api.served import served
 from pipeline import samples
+from pipeline.child_processes import module_command
 from pipeline.detect import models
 from pipeline.samples import Sample
 from pipeline.simulation.files import simulation_files
@@ -42,7 +44,8 @@ _SCENE, _SCENE_CAMERAS, _SCENE_S = "store", 6, 20.0
 def worker_processes() -> list[psutil.Process]:
     """The processes that work on chunks: children of the service's worker."""
     ours = psutil.Process().children(recursive=True)
-    workers = [one for one in ours if "worker" in one.cmdline() and "--workers" in one.cmdline()]
+    command = {*module_command("worker", "--workers")}
+    workers = [one for one in ours if command <= {*one.cmdline()}]
     return [child for worker in workers for child in worker.children()]
 
 

@@ -16,9 +16,10 @@ import httpx2
 import numpy as np
 import typer
 
-from api.client import Client, Json, ServiceError, served
+from api.client import Client, Json, ServiceError
 from api.commands.benchmark_videos import loop_video
 from api.console import emit, reporting
+from api.served import served
 from pipeline import samples
 from pipeline.child_processes import ProcessPool
 from pipeline.detect import models

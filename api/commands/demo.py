@@ -14,9 +14,9 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
-from api.client import served
 from api.commands.reconstruct import print_summary
 from api.console import StageBars, console, reporting
+from api.served import served
 from pipeline import samples
 from pipeline.detect import models
 from pipeline.export.overlay import draw_skeletons, encode_png

@@ -18,7 +18,7 @@ from unearth import Link, PackageFinder
 from unearth.auth import MultiDomainBasicAuth
 from unearth.fetchers import Fetcher, PyPIClient
 
-from pipeline.child_processes import module_command
+from pipeline.child_processes import python_command
 from pipeline.errors import ModelError
 from pipeline.packages.download import OnBytes, download, silent
 from pipeline.packages.storage import home, sha256_of
@@ -129,7 +129,7 @@ def pip_settings() -> PipSettings:
 def _pip_options() -> dict[str, str]:
     if importlib.util.find_spec("pip") is None:
         return {}
-    command = module_command("pip", "--disable-pip-version-check", "config", "list")
+    command = python_command("-m", "pip", "--disable-pip-version-check", "config", "list")
     try:
         listing = subprocess.run(  # noqa: S603 (nothing in the command comes from outside)
             command, capture_output=True, text=True, check=True, timeout=_TIMEOUT_S

@@ -1,0 +1,78 @@
+"""The package `multicap`: names load lazily and are the same for type checkers and the interpreter."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hatch_build
+import multicap
+
+SOURCE = Path(multicap.__file__)
+
+
+def typed_references() -> dict[str, str]:
+    """What type checkers take each name for."""
+    found: dict[str, str] = {}
+    for block in ast.parse(SOURCE.read_bytes()).body:
+        if isinstance(block, ast.If):
+            for node in block.body:
+                assert isinstance(node, ast.ImportFrom)
+                found |= {one.asname or one.name: f"{node.module}:{one.name}" for one in node.names}
+    return found
+
+
+def test_types_and_interpreter_agree() -> None:
+    assert typed_references() == multicap._REFERENCES
+    assert sorted(multicap._REFERENCES) == multicap.__all__
+
+
+@pytest.mark.parametrize("name", multicap.__all__)
+def test_every_name_is_there_and_documented(name: str) -> None:
+    assert getattr(multicap, name).__doc__
+    assert name in dir(multicap)
+
+
+def test_unknown_names_are_refused_as_of_any_module() -> None:
+    with pytest.raises(AttributeError, match="module 'multicap' has no attribute 'missing'"):
+        multicap.missing  # noqa: B018
+
+
+def loaded_by(statement: str) -> set[str]:
+    text = f"import sys; before = set(sys.modules)\n{statement}\nprint(*set(sys.modules) - before)"
+    done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
+    return {name.partition(".")[0] for name in done.stdout.split()}
+
+
+def test_the_import_alone_loads_nothing_else() -> None:
+    assert loaded_by("import multicap") - sys.stdlib_module_names - {"__mp_main__"} == {"multicap"}
+
+
+def test_the_client_loads_no_science() -> None:
+    loaded = loaded_by("import multicap; multicap.Client")
+    assert "httpx2" in loaded
+    assert not loaded & {"numpy", "celery", "sqlalchemy", "typer", "worker"}
+
+
+@pytest.mark.parametrize(
+    ("source", "nested"),
+    [
+        (b"from pipeline.data import Camera\n", b"from multicap.pipeline.data import Camera\n"),
+        (b"from api import errors\n", b"from multicap.api import errors\n"),
+        (b"def f():\n    from  worker import (\n        tasks,\n    )\n", None),
+        (b"import numpy\nfrom pipelines.data import Camera\n", b"import numpy\nfrom pipelines.data import Camera\n"),
+        (b'"""From pipeline.data import it."""\n', b'"""From pipeline.data import it."""\n'),
+        (b"x = '\xc3\xa4', 'worker.pool:Pool'\n", b"x = '\xc3\xa4', 'multicap.worker.pool:Pool'\n"),
+        (b"x = 'worker.pool', 'workers.pool:Pool'\n", b"x = 'worker.pool', 'workers.pool:Pool'\n"),
+    ],
+)
+def test_modules_of_the_wheel_import_each_other_inside_of_multicap(source: bytes, nested: bytes | None) -> None:
+    expected = nested or source.replace(b"worker", b"multicap.worker")
+    assert hatch_build.nest(source) == expected
+
+
+def test_imports_that_would_bind_a_plain_name_are_refused() -> None:
+    with pytest.raises(ValueError, match="line 2: write `from"):
+        hatch_build.nest(b"import json\nimport pipeline.data\n")
