@@ -23,11 +23,12 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 # Sources of the compiled kernels: after a `git pull` that changes them the kernels are compiled here, before anything is
 # started. It takes a moment if nothing has changed.
-KERNELS := pipeline/compiled.py pipeline/warm_up.py $(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py))),$(wildcard $(folder)*.py))
+KERNELS := pipeline/data.py pipeline/runtime/jit.py pipeline/runtime/warm_up.py \
+	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py))),$(wildcard $(folder)*.py))
 
 $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
 	@echo "Compiling the numeric kernels; the first time takes about a minute."
-	$(BIN)/python -P -m pipeline.warm_up
+	$(BIN)/python -P -m pipeline.runtime.warm_up
 	touch $@
 
 demo: setup  ## Start the service, send a real four-camera capture, write the results to demo-output/
@@ -90,9 +91,9 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -P -m api.openapi --check
-	$(BIN)/python -P -m api.problem_codes.page --check
-	$(BIN)/python -P -m api.options_page --check
+	$(BIN)/python -P -m api.contract.openapi --check
+	$(BIN)/python -P -m api.contract.problem_codes.page --check
+	$(BIN)/python -P -m api.contract.options_page --check
 	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile

@@ -62,8 +62,8 @@ def nest(source: bytes) -> bytes:
 
     >>> nest(b"from pipeline.data import Camera")
     b'from multicap.pipeline.data import Camera'
-    >>> nest(b"pool = 'worker.pool:PromptPool'")
-    b"pool = 'multicap.worker.pool:PromptPool'"
+    >>> nest(b"pool = 'worker.process.pool:PromptPool'")
+    b"pool = 'multicap.worker.process.pool:PromptPool'"
 
     Raises
     ------

@@ -10,15 +10,15 @@ from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.app import ExposedError, create_app, refuse_strangers, unusable_database
-from api.server import server_config
+from api.http.server import server_config
 from api.settings import Settings
-from worker import tracing
-from worker.jobs.disk import DiskSpace
 from worker.jobs.errors import NewerDatabase
-from worker.jobs.private_files import keep_files_private, make_private
+from worker.jobs.files.disk import DiskSpace
+from worker.jobs.files.private_files import keep_files_private, make_private
 from worker.jobs.store import JobStore
-from worker.logs import configure_logs
 from worker.settings import read_settings
+from worker.telemetry import tracing
+from worker.telemetry.logs import configure_logs
 
 _SWITCH_S = 0.001
 # Those who watch the service ask all the time.

@@ -10,26 +10,28 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
-from api import contract, errors, validation
+from api import errors
+from api.contract import description as contract
 from api.dependencies import Services
 from api.events import JobChanges
-from api.fair_threads import FairThreads
-from api.keys_in_use import KeysInUse, RevokedKeyGuard
+from api.http.keys_in_use import KeysInUse, RevokedKeyGuard
+from api.http.middleware import FailureAnswer, ForeignPageGuard, HeadByGet, RequestContext, SlowClientGuard, TusProtocol
+from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.metrics import RequestMetrics
-from api.middleware import FailureAnswer, ForeignPageGuard, HeadByGet, RequestContext, SlowClientGuard, TusProtocol
-from api.preflight import Preflight
-from api.rates import RATE_HEADERS, Rates, WrongKeys
+from api.requests import validation
+from api.requests.fair_threads import FairThreads
+from api.requests.preflight import Preflight
 from api.routes import callers, events, health, jobs, options, page, results, sessions, uploads
 from api.settings import Settings
-from api.uploads import UploadSpool
+from api.tus.files import UploadSpool
 from worker.jobs.backup.linked import release_abandoned
-from worker.jobs.disk import DiskSpace, is_disk_full
 from worker.jobs.errors import DamagedDatabase
-from worker.jobs.private_files import make_private
+from worker.jobs.files.disk import DiskSpace, is_disk_full
+from worker.jobs.files.private_files import make_private
+from worker.jobs.files.stores import default_data_dir, open_artifacts
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
-from worker.jobs.stores import default_data_dir, open_artifacts
-from worker.stage_code import stage_codes
+from worker.stages.code import stage_codes
 
 _EXPOSED_HEADERS = [
     *("Content-Disposition", "Content-Range", "ETag", "Idempotent-Replayed", "Location", "Retry-After", "X-Request-ID"),

@@ -8,12 +8,12 @@ from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
 
-from api.clients import client_network
 from api.dependencies import Services, ServicesDep
 from api.errors import ApiError
+from api.http.clients import client_network
+from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.model import Actor, Key, Scope
-from worker.jobs.records import Records
-from worker.jobs.tables import DEFAULT_TENANT
+from worker.jobs.repositories.records import Records
 
 COOKIE = "multicap_session"
 

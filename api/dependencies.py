@@ -7,18 +7,18 @@ from typing import Annotated
 from fastapi import Depends, Path, Query, Request
 
 from api.events import JobChanges
-from api.fair_threads import FairThreads
-from api.form import Limits
-from api.keys_in_use import KeysInUse
-from api.preflight import Preflight
-from api.rates import Rates, WrongKeys
+from api.http.keys_in_use import KeysInUse
+from api.http.rates import Rates, WrongKeys
+from api.requests.fair_threads import FairThreads
+from api.requests.form import Limits
+from api.requests.preflight import Preflight
 from api.settings import Settings
-from api.uploads import UploadSpool
-from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.disk import DiskSpace
+from api.tus.files import UploadSpool
+from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
+from worker.jobs.files.artifacts import ArtifactStore
+from worker.jobs.files.disk import DiskSpace
 from worker.jobs.queue import WorkQueue
-from worker.jobs.quotas import Quotas
 from worker.jobs.store import JobStore
 
 _UUID = {"format": "uuid"}

@@ -18,8 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from api.problem_codes import FIELDS
-from worker.jobs.disk import is_disk_full
+from api.contract.problem_codes import FIELDS
 from worker.jobs.errors import (
     ArtifactsUnavailable,
     DamagedArtifact,
@@ -32,6 +31,7 @@ from worker.jobs.errors import (
     NotFound,
     QuotaExceeded,
 )
+from worker.jobs.files.disk import is_disk_full
 
 _log = structlog.get_logger(__name__)
 
@@ -233,7 +233,7 @@ def handle(request: Request, error: Exception) -> Response:
 def install(app: FastAPI) -> None:
     """Make ``handle`` the handler of everything that routes raise on purpose.
 
-    What nobody raised on purpose is caught by ``api.middleware.FailureAnswer``.
+    What nobody raised on purpose is caught by ``api.http.middleware.FailureAnswer``.
     """
     for kind in (ApiError, HTTPException, JobStoreError, ClientDisconnect):
         app.add_exception_handler(kind, handle)

@@ -9,9 +9,9 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from worker.jobs.disk import DiskSpace
+from worker.jobs.database.totals import Total
+from worker.jobs.files.disk import DiskSpace
 from worker.jobs.store import JobStore
-from worker.jobs.totals import Total
 
 _PREFIX = "multicap"
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0, 600.0)

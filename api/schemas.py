@@ -9,6 +9,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from pipeline.config import Choice, Kind
+from worker.jobs.database.quotas import Quotas
 from worker.jobs.model import (
     CANCELABLE,
     Attempt,
@@ -24,7 +25,6 @@ from worker.jobs.model import (
     Usage,
     is_worth_a_retry,
 )
-from worker.jobs.quotas import Quotas
 from worker.jobs.spec import JobSpec
 
 _UUID = {"format": "uuid"}

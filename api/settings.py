@@ -6,10 +6,10 @@ from pathlib import Path
 from pydantic import Field, IPvAnyNetwork
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from pipeline.child_processes import module_command
-from worker.jobs.stores import ARTIFACTS_URL, default_data_dir
-from worker.logs import LogLevel
-from worker.plan import DEFAULT_CHUNK_FRAMES
+from pipeline.runtime.child_processes import module_command
+from worker.jobs.files.stores import ARTIFACTS_URL, default_data_dir
+from worker.stages.plan import DEFAULT_CHUNK_FRAMES
+from worker.telemetry.logs import LogLevel
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
 
@@ -161,7 +161,7 @@ class Settings(BaseSettings):
     chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
 
     preflight_command: tuple[str, ...] = Field(
-        default=tuple(module_command("pipeline.preflight")),
+        default=tuple(module_command("pipeline.capture.preflight")),
         description="Program that checks a session's files in a process of its own.",
     )
     preflight_timeout_s: float = Field(

@@ -14,7 +14,7 @@ RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 ENV MULTICAP_HOME=/opt/multicap-home
 RUN /opt/multicap/bin/multicap models install movenet-multipose \
     && /opt/multicap/bin/multicap models install openpose-mobilenet-thin \
-    && /opt/multicap/bin/python -P -m multicap.pipeline.warm_up
+    && /opt/multicap/bin/python -P -m multicap.pipeline.runtime.warm_up
 
 FROM python:3.11-slim-bookworm
 RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data

@@ -13,8 +13,8 @@ import numpy as np
 
 from pipeline.config import Preset
 from pipeline.data import SkeletonMotion
-from pipeline.export import bvh
 from pipeline.export.presets import PRESETS
+from pipeline.export.writers import bvh
 from pipeline.skeleton.model import SKELETON
 
 STATURE_M = 1.75

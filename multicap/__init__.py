@@ -22,17 +22,17 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from api.client import Client, Job, ServiceError
-    from api.commands.reconstruct import write_results
+    from api.cli.client import Client, Job, ServiceError
+    from api.cli.commands.reconstruct import write_results
+    from pipeline.capture.keypoints import KeypointSession, open_keypoints
+    from pipeline.capture.session import CaptureSession, Recording, open_session
     from pipeline.config import ReconstructionConfig
     from pipeline.data import Reconstruction
     from pipeline.detect.models import install as install_detector
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem
-    from pipeline.keypoints import KeypointSession, open_keypoints
     from pipeline.progress import Progress
-    from pipeline.run import reconstruct, reconstruct_keypoints
-    from pipeline.samples import install as install_sample
-    from pipeline.session import CaptureSession, Recording, open_session
+    from pipeline.runtime.packages.samples import install as install_sample
+    from pipeline.stages.local import reconstruct, reconstruct_keypoints
 
 __all__ = [
     "CaptureSession",
@@ -60,27 +60,27 @@ __all__ = [
 
 # The same as above, for the interpreter; a test compares them.
 _REFERENCES = {
-    "CaptureSession": "pipeline.session:CaptureSession",
+    "CaptureSession": "pipeline.capture.session:CaptureSession",
     "ChildError": "pipeline.errors:ChildError",
-    "Client": "api.client:Client",
+    "Client": "api.cli.client:Client",
     "InputError": "pipeline.errors:InputError",
-    "Job": "api.client:Job",
-    "KeypointSession": "pipeline.keypoints:KeypointSession",
+    "Job": "api.cli.client:Job",
+    "KeypointSession": "pipeline.capture.keypoints:KeypointSession",
     "ModelError": "pipeline.errors:ModelError",
     "PipelineError": "pipeline.errors:PipelineError",
     "Problem": "pipeline.errors:Problem",
     "Progress": "pipeline.progress:Progress",
     "Reconstruction": "pipeline.data:Reconstruction",
     "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
-    "Recording": "pipeline.session:Recording",
-    "ServiceError": "api.client:ServiceError",
+    "Recording": "pipeline.capture.session:Recording",
+    "ServiceError": "api.cli.client:ServiceError",
     "install_detector": "pipeline.detect.models:install",
-    "install_sample": "pipeline.samples:install",
-    "open_keypoints": "pipeline.keypoints:open_keypoints",
-    "open_session": "pipeline.session:open_session",
-    "reconstruct": "pipeline.run:reconstruct",
-    "reconstruct_keypoints": "pipeline.run:reconstruct_keypoints",
-    "write_results": "api.commands.reconstruct:write_results",
+    "install_sample": "pipeline.runtime.packages.samples:install",
+    "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
+    "open_session": "pipeline.capture.session:open_session",
+    "reconstruct": "pipeline.stages.local:reconstruct",
+    "reconstruct_keypoints": "pipeline.stages.local:reconstruct_keypoints",
+    "write_results": "api.cli.commands.reconstruct:write_results",
 }
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from pydantic_settings import BaseSettings
 
-from api.cli import COMMANDS, load
-from api.client import Client
+from api.cli.client import Client
+from api.cli.main import COMMANDS, load
 from api.settings import Settings
 from worker.settings import WorkerSettings
 

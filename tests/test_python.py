@@ -64,8 +64,8 @@ def test_the_client_loads_no_science() -> None:
         (b"def f():\n    from  worker import (\n        tasks,\n    )\n", None),
         (b"import numpy\nfrom pipelines.data import Camera\n", b"import numpy\nfrom pipelines.data import Camera\n"),
         (b'"""From pipeline.data import it."""\n', b'"""From pipeline.data import it."""\n'),
-        (b"x = '\xc3\xa4', 'worker.pool:Pool'\n", b"x = '\xc3\xa4', 'multicap.worker.pool:Pool'\n"),
-        (b"x = 'worker.pool', 'workers.pool:Pool'\n", b"x = 'worker.pool', 'workers.pool:Pool'\n"),
+        (b"x = '\xc3\xa4', 'worker.process.pool:Pool'\n", b"x = '\xc3\xa4', 'multicap.worker.process.pool:Pool'\n"),
+        (b"x = 'worker.process.pool', 'workers.pool:Pool'\n", b"x = 'worker.process.pool', 'workers.pool:Pool'\n"),
     ],
 )
 def test_modules_of_the_wheel_import_each_other_inside_of_multicap(source: bytes, nested: bytes | None) -> None:

@@ -6,13 +6,13 @@ import sys
 
 from worker import tasks
 from worker.app import create_celery
-from worker.compilation import compile_kernels
-from worker.descriptors import raise_descriptor_limit
-from worker.jobs.private_files import keep_files_private
+from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.store import JobStore
-from worker.logs import configure_logs
+from worker.process.compilation import compile_kernels
+from worker.process.descriptors import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
-from worker.stage_code import stage_codes
+from worker.stages.code import stage_codes
+from worker.telemetry.logs import configure_logs
 
 
 def main() -> None:

@@ -19,14 +19,15 @@ from celery.signals import (
     worker_shutting_down,
 )
 
-from pipeline.memory import limit_memory
-from worker import tasks, tracing
+from pipeline.runtime.memory import limit_memory
+from worker import tasks
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME
-from worker.logs import configure_logs
-from worker.niceness import stand_back
-from worker.presence import Presence
-from worker.scratch import remove_abandoned
+from worker.process.presence import Presence
+from worker.process.priorities import stand_back
+from worker.process.scratch import remove_abandoned
 from worker.settings import WorkerSettings
+from worker.telemetry import tracing
+from worker.telemetry.logs import configure_logs
 
 # Longer than the longest chunk: a reduce of hours of capture.
 _TIME_LIMIT_S = 3600
@@ -45,7 +46,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
         task_acks_late=True,
         task_reject_on_worker_lost=True,
         task_time_limit=_TIME_LIMIT_S,
-        worker_pool="worker.pool:PromptPool",
+        worker_pool="worker.process.pool:PromptPool",
         worker_prefetch_multiplier=1,
         # The libraries of science take seconds to load on a busy machine; where compiled kernels can't be kept, every
         # process compiles them first, for minutes.

@@ -1,7 +1,7 @@
 """An exception in the words of a job's problem: what the client may know, and whether another try makes sense."""
 
 from pipeline.errors import ChildError, InputError, ModelError, PipelineError
-from worker.jobs.disk import is_disk_full
+from worker.jobs.files.disk import is_disk_full
 from worker.jobs.model import Problem
 
 

@@ -15,19 +15,19 @@ from collections.abc import Callable
 
 import structlog
 
-from worker.descriptors import raise_descriptor_limit
-from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.disk import DiskSpace
 from worker.jobs.errors import DamagedDatabase
-from worker.jobs.private_files import keep_files_private
+from worker.jobs.files.artifacts import ArtifactStore
+from worker.jobs.files.disk import DiskSpace
+from worker.jobs.files.private_files import keep_files_private
+from worker.jobs.files.removals import remove_files
 from worker.jobs.queue import WorkQueue
-from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
-from worker.logs import configure_logs
-from worker.plan import DEFAULT_CHUNK_FRAMES, plan
+from worker.process.descriptors import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
-from worker.stage_code import stage_codes
-from worker.webhooks import Sender, deliver_forever
+from worker.stages.code import stage_codes
+from worker.stages.plan import DEFAULT_CHUNK_FRAMES, plan
+from worker.telemetry.logs import configure_logs
+from worker.webhooks.sender import Sender, deliver_forever
 
 log = structlog.get_logger()
 

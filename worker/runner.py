@@ -9,17 +9,17 @@ import structlog
 from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
-from worker import tracing
-from worker.execution import DamagedOutputsError, ResultFile, Stages, StoppedError, Work
-from worker.jobs.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
+from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.model import Claim, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
-from worker.presence import process_name
 from worker.problems import problem_of
-from worker.scratch import scratch_folder
-from worker.stage_code import EXPORT, stage_codes
+from worker.process.presence import process_name
+from worker.process.scratch import scratch_folder
+from worker.stages.code import EXPORT, stage_codes
+from worker.stages.execution import DamagedOutputsError, ResultFile, Stages, StoppedError, Work
+from worker.telemetry import tracing
 
 log = structlog.get_logger()
 

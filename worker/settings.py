@@ -10,19 +10,19 @@ from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.jobs.artifacts import ArtifactStore
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
-from worker.jobs.store import JobStore
-from worker.jobs.stores import (
+from worker.jobs.files.artifacts import ArtifactStore
+from worker.jobs.files.stores import (
     ARTIFACTS_URL,
     DEFAULT_CACHE_BYTES,
     DEFAULT_CACHE_HOURS,
     default_data_dir,
     open_artifacts,
 )
-from worker.logs import LogLevel
-from worker.plan import DEFAULT_CHUNK_FRAMES
+from worker.jobs.store import JobStore
 from worker.requirements import Schema, requirement
+from worker.stages.plan import DEFAULT_CHUNK_FRAMES
+from worker.telemetry.logs import LogLevel
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)
 

@@ -11,18 +11,18 @@ import time
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from pipeline.kernel_cache import is_complete
-from worker.compilation import COMPILING
-from worker.jobs.artifacts import ArtifactStore
-from worker.jobs.disk import DiskSpace
+from pipeline.runtime.kernel_cache import is_complete
 from worker.jobs.errors import DamagedDatabase
+from worker.jobs.files.artifacts import ArtifactStore
+from worker.jobs.files.disk import DiskSpace
 from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
-from worker.presence import Presence, forget_lost, process_name
+from worker.process.compilation import COMPILING
+from worker.process.presence import Presence, forget_lost, process_name
 from worker.runner import Runner
 from worker.settings import WorkerSettings
-from worker.stage_code import stage_codes
+from worker.stages.code import stage_codes
 
 log = structlog.get_logger()
 
@@ -75,7 +75,7 @@ def load() -> None:
 def process_runner() -> Runner:
     """Connect this process to the store and load the science, once."""
     # The main process never loads it: its children are forked, and libraries with threads don't survive that.
-    from worker.stages import STAGES, warm_up  # noqa: PLC0415
+    from worker.stages.run import STAGES, warm_up  # noqa: PLC0415
 
     warm_up()
     settings = WorkerSettings()

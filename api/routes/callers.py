@@ -5,9 +5,9 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Request, Response, status
 
 from api.auth import COOKIE, AnyCallerDep, wrong_key
-from api.bodies import SmallBodyRoute
-from api.contract import answer, problems
+from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
+from api.requests.bodies import SmallBodyRoute
 from api.schemas import BrowserSession, CallerOut, QuotasOut
 from worker.jobs.model import Actor
 

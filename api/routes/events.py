@@ -8,9 +8,9 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import AnyCallerDep, RecordsDep
-from api.contract import problems
+from api.contract.description import problems
+from api.contract.examples import EVENT
 from api.dependencies import JobId, Services, ServicesDep
-from api.examples import EVENT
 from api.schemas import JobOut
 from worker.jobs.errors import NotFound
 from worker.jobs.model import FINISHED, Change

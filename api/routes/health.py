@@ -8,17 +8,17 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.auth import AdminDep
-from api.contract import answer, problems
+from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
 from api.errors import ErrorItem, database_damaged, problem_response, service_away
 from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
 from pipeline.config import install_command
-from worker.jobs.disk import DiskSpace
+from worker.jobs.files.disk import DiskSpace
 from worker.jobs.model import WorkerStatus
+from worker.jobs.repositories.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
-from worker.jobs.workers import installed_detectors
 
 router = APIRouter(tags=["health"])
 

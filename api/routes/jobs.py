@@ -6,23 +6,31 @@ from typing import Annotated
 import structlog
 from fastapi import APIRouter, Body, Query, Request, Response, status
 
-from api import examples
 from api.auth import RecordsDep
-from api.bodies import SmallBodyRoute
-from api.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
-from api.contract import RETRY_AFTER, Responses, answer, job_ended_callbacks, location, problems, session_body
+from api.contract import examples
+from api.contract.description import (
+    RETRY_AFTER,
+    Responses,
+    answer,
+    job_ended_callbacks,
+    location,
+    problems,
+    session_body,
+)
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.errors import pointer_to, unprocessable
-from api.idempotency import OnceDep
-from api.intake import MANIFEST, SPEC, NewSession, callback_errors, detector_errors, spec_errors, take_in
+from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.requests.bodies import SmallBodyRoute
+from api.requests.idempotency import OnceDep
+from api.requests.intake import MANIFEST, SPEC, NewSession, callback_errors, detector_errors, spec_errors, take_in
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
-from worker import tracing
+from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobState
-from worker.jobs.receipts import Answer
-from worker.jobs.records import Records
-from worker.jobs.removals import remove_files
+from worker.jobs.repositories.idempotency_keys import Answer
+from worker.jobs.repositories.records import Records
 from worker.jobs.spec import JobSpec
-from worker.plan import is_of_keypoints, plan
+from worker.stages.plan import is_of_keypoints, plan
+from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 # One of these routes takes JSON; the form has its own limits.

@@ -3,12 +3,12 @@
 from fastapi import APIRouter, Response
 
 from api.auth import RecordsDep
-from api.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
-from api.contract import answer
+from api.contract.description import answer
 from api.dependencies import ServicesDep
+from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.schemas import ChoiceOut, DetectorOut, Options
 from pipeline.config import CHOICES, NETWORKS, install_command
-from worker.jobs.workers import installed_detectors
+from worker.jobs.repositories.workers import installed_detectors
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 

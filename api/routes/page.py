@@ -9,7 +9,7 @@ from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
-from api.middleware import SAFE_HEADERS
+from api.http.middleware import SAFE_HEADERS
 
 router = APIRouter(include_in_schema=False)
 

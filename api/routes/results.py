@@ -11,11 +11,11 @@ from starlette.types import Receive, Scope, Send
 from zipstream import ZIP_DEFLATED, ZipStream
 
 from api.auth import RecordsDep
-from api.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
-from api.conditional import NOT_MODIFIED, IfNoneMatch
-from api.contract import answer, location, problems
+from api.contract.description import answer, location, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.errors import ApiError, ErrorItem
+from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
+from api.http.conditional import NOT_MODIFIED, IfNoneMatch
 from api.schemas import ResultList, ResultOut
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result

@@ -3,16 +3,16 @@
 from fastapi import APIRouter, Request, Response, status
 
 from api.auth import RecordsDep
-from api.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
-from api.contract import answer, location, problems, session_body
+from api.contract.description import answer, location, problems, session_body
 from api.dependencies import Cursor, Limit, ServicesDep, SessionId
-from api.idempotency import OnceDep
-from api.intake import MANIFEST, NewSession, take_in
+from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.requests.idempotency import OnceDep
+from api.requests.intake import MANIFEST, NewSession, take_in
 from api.schemas import SessionOut, SessionPage
+from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Session
-from worker.jobs.receipts import Answer
-from worker.jobs.records import Records
-from worker.jobs.removals import remove_files
+from worker.jobs.repositories.idempotency_keys import Answer
+from worker.jobs.repositories.records import Records
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 

@@ -11,16 +11,16 @@ from fastapi import APIRouter, Depends, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
-from api.bodies import announced_bytes, drain
-from api.contract import Responses, location, problems
+from api.contract.description import Responses, location, problems
 from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
-from api.form import name_error, too_large
-from api.idempotency import OnceDep
-from api.uploads import Checksum
+from api.requests.bodies import announced_bytes, drain
+from api.requests.form import name_error, too_large
+from api.requests.idempotency import OnceDep
+from api.tus.files import Checksum
 from worker.jobs.model import Upload
-from worker.jobs.receipts import Answer
-from worker.jobs.records import Records
+from worker.jobs.repositories.idempotency_keys import Answer
+from worker.jobs.repositories.records import Records
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,expiration,checksum"

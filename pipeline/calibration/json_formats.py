@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
+from pipeline.capture.parsing import UnreadableError, read_json
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, read_json
 
 SCHEMA_VERSION = 1
 

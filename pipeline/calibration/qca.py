@@ -12,10 +12,10 @@ import numpy as np
 from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.capture.parsing import UnreadableError, parse
+from pipeline.capture.quantities import Quantity
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, parse
-from pipeline.quantities import Quantity
 
 _SUBPIXELS = 64.0
 # Of every number, whatever it is: what is computed from them here does not overflow.

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
+from pipeline.capture.parsing import UnreadableError, parse, read_numbers
+from pipeline.capture.quantities import ROTATION_VECTOR_RAD
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, parse, read_numbers
-from pipeline.quantities import ROTATION_VECTOR_RAD
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
 # Sections that hold no camera.

@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data import Camera, read_only
-from pipeline.errors import InputError, Problem
-from pipeline.geometry.rigid import Rigid3
-from pipeline.parsing import UnreadableError, read_numbers
-from pipeline.quantities import (
+from pipeline.capture.parsing import UnreadableError, read_numbers
+from pipeline.capture.quantities import (
     DISTORTION,
     FOCAL_LENGTH_PX,
     PRINCIPAL_POINT_PX,
@@ -19,6 +16,9 @@ from pipeline.quantities import (
     SKEW_PX,
     TRANSLATION,
 )
+from pipeline.data import Camera, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.rigid import Rigid3
 
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64

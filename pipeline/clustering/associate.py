@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths, unlimited_lengths
-from pipeline.clustering.candidates import Instant, Seen, SeenBodies
-from pipeline.clustering.clusters import find_joints
-from pipeline.clustering.effort import Effort
+from pipeline.clustering.instant.candidates import Instant, Seen, SeenBodies
+from pipeline.clustering.instant.clusters import find_joints
+from pipeline.clustering.instant.effort import Effort
+from pipeline.clustering.instant.parsing import Poses, parse
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
-from pipeline.clustering.parsing import Poses, parse
 from pipeline.clustering.skeleton import TORSO, Skeleton, skeleton_of
 from pipeline.data import Camera, Detections, FrameTimes, Observations, Poses3D, Timebase, Track3D
 from pipeline.geometry.camera import image_from_world
-from pipeline.geometry.life import Person, number_people, record_life
+from pipeline.geometry.track_assembly import Person, number_people, record_life
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore, split
 

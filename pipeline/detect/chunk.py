@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Int, UInt8
 
+from pipeline.capture.session import CaptureSession
 from pipeline.data import Detections, MapGrid, PafFields, no_frames, read_only
+from pipeline.detect.decoders.fields import ImageFields
+from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.detector import Bodies, Detector
-from pipeline.detect.fields import ImageFields
-from pipeline.detect.openpose import LIMBS
 from pipeline.errors import InputError
-from pipeline.memory import give_pictures_back
-from pipeline.session import CaptureSession
+from pipeline.runtime.memory import give_pictures_back
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
 

@@ -5,10 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Int
 
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import CaptureSession
 from pipeline.data import DamagedVideo
 from pipeline.errors import InputError, Problem
-from pipeline.keypoints import KeypointSession
-from pipeline.session import CaptureSession
 from pipeline.video.timeline import frames_in, session_timebase, span_s
 
 MAX_DAMAGED_SHARE = 0.1

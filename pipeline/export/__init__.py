@@ -1,1 +1,1 @@
-"""Result files: each module encodes a motion or tracks into pieces of a file, and reads positions back out of it."""
+"""Result files of a reconstruction, in the formats of animation and motion analysis software."""

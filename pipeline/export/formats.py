@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from pipeline.config import Export, Preset
 from pipeline.data import SkeletonMotion, Timebase, Track3D
-from pipeline.export import bvh, c3d_file, csv_table, glb, trc
 from pipeline.export.presets import PRESETS
+from pipeline.export.writers import bvh, c3d_file, csv_table, glb, trc
 from pipeline.joints import JointSet
 
 

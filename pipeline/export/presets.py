@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Preset
-from pipeline.export.axes import WORLD, Y_UP_FROM_WORLD
+from pipeline.export.writers.axes import WORLD, Y_UP_FROM_WORLD
 from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
 
 _PARENTS = [INDEX[joint.parent] if joint.parent else 0 for joint in SKELETON]

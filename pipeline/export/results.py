@@ -19,12 +19,12 @@ from pipeline.config import (
 )
 from pipeline.data import Reconstruction, Timebase
 from pipeline.errors import InputError, Problem
-from pipeline.export import skeletons_json
 from pipeline.export.formats import FORMATS, Person
 from pipeline.export.resample import resample, resampled_timebase
-from pipeline.metrics.quality import encode as encode_metrics
-from pipeline.metrics.quality import quality_report
+from pipeline.export.writers import skeletons_json
 from pipeline.progress import OnShare, ignore, part_of, split
+from pipeline.quality.report import encode as encode_metrics
+from pipeline.quality.report import quality_report
 from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports

@@ -5,7 +5,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from pipeline.compiled import kernel, record_dtype
+from pipeline.runtime.jit import kernel, record_dtype
 
 
 @cache

@@ -2,8 +2,8 @@
 
 from typing import no_type_check
 
-from pipeline.compiled import kernel
 from pipeline.data import Source
+from pipeline.runtime.jit import kernel
 
 _ABSENT, _MEASURED, _INTERPOLATED = int(Source.ABSENT), int(Source.MEASURED), int(Source.INTERPOLATED)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.compiled import kernel, record_dtype, round_up, zero_records
+from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
 _NUM_NORMAL = 9
 _MIN_DETERMINANT = 1e-5

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.compiled import round_up, zero_records
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import reprojection_errors
@@ -17,6 +16,7 @@ from pipeline.geometry.kernels import (
     view_dtype,
 )
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
+from pipeline.runtime.jit import round_up, zero_records
 
 # Frames on each side whose median says where a joint should be.
 _REACH = 2

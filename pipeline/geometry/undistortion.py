@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.compiled import zero_records
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import block_dtype, undistort
+from pipeline.runtime.jit import zero_records
 
 # Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
 _MAX_STEPS = 20

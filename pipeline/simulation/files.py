@@ -1,4 +1,4 @@
-"""A simulation as files: what ``pipeline.keypoints`` opens, and the truth beside it.
+"""A simulation as files: what ``pipeline.capture.keypoints`` opens, and the truth beside it.
 
 ::
 

@@ -10,14 +10,14 @@ from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
 from pipeline.errors import InputError, Problem
 from pipeline.joints import COCO_17, JointSet
 from pipeline.simulation.clocks import Clock, frame_times
-from pipeline.simulation.detector import Detector, detect
-from pipeline.simulation.director import Cast, improvise
-from pipeline.simulation.faults import Faults
-from pipeline.simulation.fields import Sketch, sketch
-from pipeline.simulation.occlusion import Box
-from pipeline.simulation.people import joints_at, perform
+from pipeline.simulation.motion.director import Cast, improvise
+from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
-from pipeline.simulation.script import Gesture, Role, Stay, Turn, Walk
+from pipeline.simulation.views.detector import Detector, detect
+from pipeline.simulation.views.faults import Faults
+from pipeline.simulation.views.fields import Sketch, sketch
+from pipeline.simulation.views.occlusion import Box
 
 
 @dataclass(frozen=True, slots=True)

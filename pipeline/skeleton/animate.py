@@ -12,7 +12,7 @@ from pipeline.data import Animation, Camera, FootContact, Observations, Side, Sk
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore, split
 from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, places_of_feet, slide_of, standing_share
-from pipeline.skeleton.fit import SkeletonFit, fit_to_rays, follow
+from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
 from pipeline.skeleton.model import placed
 from pipeline.skeleton.rotations import from_axes
 from pipeline.skeleton.smooth import check_smoothing, smooth_track

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.skeleton.articulation import ARM_HINGES, KNEE_HINGE
+from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
 from pipeline.skeleton.rigid_parts import solve_foot, solve_head

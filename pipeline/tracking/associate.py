@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
 from pipeline.geometry.camera import image_from_world
-from pipeline.geometry.life import number_people, record_life
+from pipeline.geometry.track_assembly import number_people, record_life
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore, part_of
 from pipeline.tracking.observations import Bodies, gather, observations_at, people, undistorted

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from pipeline.tracking.affinity import epipolar_affinity, ray_distance_m
 from pipeline.tracking.assignment import assign, partition
+from pipeline.tracking.kernels.state import MIN_JOINTS, Rig
 from pipeline.tracking.parameters import TrackingParameters
-from pipeline.tracking.state import MIN_JOINTS, Rig
 
 # Detections that are grouped at once: those of a hundred people in five cameras. The simulated scenes have 24.
 _MAX_UNMATCHED = 512

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.tracking.observation_kernels import clear_unfound, sample_observations
+from pipeline.tracking.kernels.observation_kernels import clear_unfound, sample_observations
 from pipeline.tracking.parameters import TrackingParameters
 
 NOBODY = -1

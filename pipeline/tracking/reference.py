@@ -17,9 +17,9 @@ from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate
 from pipeline.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.tracking.assignment import assign
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
+from pipeline.tracking.kernels.state import NUM_RECENT, Frames, Rig
 from pipeline.tracking.observations import NOBODY
 from pipeline.tracking.parameters import TrackingParameters
-from pipeline.tracking.state import NUM_RECENT, Frames, Rig
 
 
 @dataclass(slots=True, eq=False)

@@ -10,11 +10,11 @@ from pipeline.geometry.camera import center_in_world, image_from_world
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore
-from pipeline.tracking import kernels
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
+from pipeline.tracking.kernels import tracking_kernels as kernels
+from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
 from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
-from pipeline.tracking.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
 
 _FIRST_SLOTS = 16
 # Targets at once, tentative ones and lost ones among them. Matching grows with the square of their number.

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.child_processes import module_command, uninterrupted
 from pipeline.errors import Problem
+from pipeline.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, child_error, is_by_the_file
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import beyond_limits, problem_at_once, reading_s

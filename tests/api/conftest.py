@@ -20,9 +20,9 @@ import uvicorn
 
 from api.app import create_app
 from api.dependencies import Services
-from api.server import server_config
+from api.http.server import server_config
 from api.settings import Settings
-from worker.jobs.artifacts import result_key
+from worker.jobs.files.artifacts import result_key
 from worker.jobs.model import Result, ResultWarning
 
 # Says what the real one would: what a video is stands in its first bytes.

@@ -14,12 +14,12 @@ import httpx2
 import pytest
 
 from api.app import ExposedError, create_app, refuse_strangers
-from api.openapi import COMMITTED
+from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.small_disk import fill, small_disk
+from worker.jobs.files.stores import default_data_dir
 from worker.jobs.model import Key, Scope
-from worker.jobs.stores import default_data_dir
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
 OPERATIONS = [
@@ -321,7 +321,7 @@ def test_the_log_says_who_did_what(
     guarded: Guarded, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[dict[str, Any]] = []
-    monkeypatch.setattr("api.middleware._log.info", lambda event, **fields: seen.append(fields), raising=False)
+    monkeypatch.setattr("api.http.middleware._log.info", lambda event, **fields: seen.append(fields), raising=False)
     guarded.ask("GET", "/v1/jobs", guarded.mine)
     guarded.ask("GET", "/v1/jobs", None)
     known, unknown = seen

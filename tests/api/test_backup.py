@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli.main import app
 from tests.worker.jobs.backups import opened_data
-from worker.jobs.database import Database
+from worker.jobs.database.connection import Database
 
 runner = CliRunner()
 

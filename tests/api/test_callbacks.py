@@ -1,4 +1,4 @@
-"""Where clients may have themselves told of a job's end; what is told is in ``tests/worker/test_webhooks.py``."""
+"""Addresses for webhooks of a job's end; messages are tested in ``tests/worker/webhooks/test_sender.py``."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from worker.jobs.tables import DEFAULT_TENANT
+from worker.jobs.database.tables import DEFAULT_TENANT
 
 HOOK = "https://portal.example/hooks/multicap?x=1"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli.main import app
 from api.settings import Settings
 from tests.api.conftest import form, problem_of, running
 from tests.api.processes import serving

@@ -8,7 +8,7 @@ from sqlalchemy.exc import OperationalError
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from worker.jobs.records import Records
+from worker.jobs.repositories.records import Records
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
 

@@ -8,7 +8,7 @@ import httpx2
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from tests.api.test_uploads import Uploader
+from tests.api.tus.test_files import Uploader
 from tests.small_disk import fill, small_disk
 
 TUS = {"Tus-Resumable": "1.0.0", "Upload-Metadata": "filename Y2FtXzAubXA0"}

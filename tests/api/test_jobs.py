@@ -6,7 +6,7 @@ import pytest
 
 from tests.api.conftest import Live, form, problem_of
 from worker.jobs.model import Problem, ResultWarning
-from worker.jobs.records import Records
+from worker.jobs.repositories.records import Records
 
 
 def test_job_from_its_creation_to_its_end(live: Live) -> None:

@@ -3,8 +3,8 @@
 import pytest
 from pydantic import ValidationError
 
-from api.cli import load
-from api.options_page import PAGE, document, main
+from api.cli.main import load
+from api.contract.options_page import PAGE, document, main
 from pipeline.config import CHOICES, ReconstructionConfig, choices_of
 from tests.api.conftest import Live
 from worker.jobs.spec import JobSpec

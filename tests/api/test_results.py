@@ -12,11 +12,11 @@ from urllib.parse import unquote
 import httpx2
 import pytest
 
-from api.client import Client, ServiceError
+from api.cli.client import Client, ServiceError
 from api.settings import Settings
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.s3 import running_s3
-from worker.jobs.artifacts import result_key
+from worker.jobs.files.artifacts import result_key
 from worker.jobs.model import Problem
 from worker.reaper import reap
 

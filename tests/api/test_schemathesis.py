@@ -14,13 +14,13 @@ from schemathesis import GenerationMode
 from schemathesis.core.result import Ok
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
 
-from api.openapi import COMMITTED
+from api.contract.openapi import COMMITTED
 from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
 from pipeline.config import NETWORKS
 from tests.api.conftest import Live, running
 from worker.jobs.model import Scope, WorkerState, WorkerStatus
-from worker.presence import Presence, process_name
+from worker.process.presence import Presence, process_name
 
 schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
 schema = schemathesis.openapi.from_path(COMMITTED)

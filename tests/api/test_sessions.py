@@ -11,8 +11,8 @@ import pytest
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
-from worker.jobs.artifacts import read_artifact, record_key
-from worker.jobs.records import Records
+from worker.jobs.files.artifacts import read_artifact, record_key
+from worker.jobs.repositories.records import Records
 
 
 def test_session_says_what_was_found(live: Live) -> None:

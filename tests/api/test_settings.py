@@ -54,7 +54,7 @@ def test_what_a_variable_must_be(monkeypatch: pytest.MonkeyPatch, name: str, val
 
 def test_the_command_line_says_it_too() -> None:
     wrong = os.environ | {"MULTICAP_ALLOWED_HOSTS": "a,b"}
-    command = [sys.executable, "-m", "api.cli", "keys", "list"]
+    command = [sys.executable, "-m", "api.cli.main", "keys", "list"]
     done = subprocess.run(command, env=wrong, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, "Traceback" in done.stderr) == (2, False)
     assert "MULTICAP_ALLOWED_HOSTS=a,b: must be JSON" in done.stderr
@@ -62,7 +62,7 @@ def test_the_command_line_says_it_too() -> None:
 
 @pytest.mark.parametrize(
     ("program", "status"),
-    [(["api.cli", "keys", "list"], 2), (["api"], 1), (["worker"], 1), (["worker.reaper"], 1)],
+    [(["api.cli.main", "keys", "list"], 2), (["api"], 1), (["worker"], 1), (["worker.reaper"], 1)],
 )
 def test_wrong_variables_are_named(tmp_path: Path, program: list[str], status: int) -> None:
     wrong = {"MULTICAP_ARTIFACTS_URL": "gs://bucket", "MULTICAP_DATA_DIR": str(tmp_path)}

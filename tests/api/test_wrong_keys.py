@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import httpx2
 import pytest
 
-from api.rates import WrongKeys
+from api.http.rates import WrongKeys
 from api.settings import Settings
 from tests.api.conftest import Live, problem_of, running
 from worker.jobs.model import Scope
@@ -94,7 +94,7 @@ def test_others_cannot_name_clients(guarded: tuple[Live, dict[str, str]]) -> Non
 
 def test_a_minute_later_the_count_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(0.0, 25.0)
-    monkeypatch.setattr("api.rates.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("api.http.rates.time.monotonic", lambda: next(clock))
     wrong_keys = WrongKeys(5)
     left = [wrong_keys.count("192.0.2.1")["RateLimit-Remaining"] for _ in range(5)]  # at 0, 25, 50, 75, 100 s
     assert left == ["4", "3", "2", "4", "3"]

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from api.commands.reconstruct import write_results
-from pipeline import samples
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
-from pipeline.run import reconstruct
-from pipeline.samples import Sample
-from pipeline.session import open_session
+from pipeline.runtime.packages import samples
+from pipeline.runtime.packages.samples import Sample
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import NUM_PROCESSES, Served, is_alive, serving
 
 

@@ -15,10 +15,10 @@ from typing import Any
 import httpx2
 import psutil
 
-from api.commands.serve import READY
-from pipeline.samples import Sample
+from api.cli.commands.serve import READY
+from pipeline.runtime.packages.samples import Sample
 
-COMMAND = [sys.executable, "-P", "-m", "api.cli", "serve", "--workers", "2"]
+COMMAND = [sys.executable, "-P", "-m", "api.cli.main", "serve", "--workers", "2"]
 # The supervisor, broker, worker with its two children, reaper and API.
 NUM_PROCESSES = 7
 

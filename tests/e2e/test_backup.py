@@ -15,10 +15,10 @@ import httpx2
 import psutil
 import pytest
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
+from pipeline.stages.local import reconstruct_keypoints
 from tests.e2e.serving import Served, digests, serving, wait_for
 from tests.e2e.test_serve_keypoints import capture, files
 
@@ -41,7 +41,7 @@ SPECS: list[dict[str, Any]] = [
 
 def multicap(*arguments: str | Path) -> dict[str, Any]:
     """The object that a command of the command line prints."""
-    command = [sys.executable, "-m", "api.cli", *map(str, arguments), "--json"]
+    command = [sys.executable, "-m", "api.cli.main", *map(str, arguments), "--json"]
     answer = subprocess.run(command, check=False, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stdout + answer.stderr
     return dict(json.loads(answer.stdout))

@@ -14,8 +14,8 @@ from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
 from tests.e2e.serving import Served
 from tests.hostile.keypoints import archive, keypoint_files
+from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
-from tests.pipeline.test_session import calibration
 
 pytestmark = pytest.mark.xdist_group("sample")
 

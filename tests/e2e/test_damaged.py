@@ -12,7 +12,7 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli.main import app
 from pipeline.calibration.write import encode
 from pipeline.detect import models
 from pipeline.errors import ModelError

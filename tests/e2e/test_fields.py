@@ -9,15 +9,15 @@ import av
 import numpy as np
 import pytest
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.session import open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.detect import models
 from pipeline.joints import COCO_18
-from pipeline.metrics.quality import all_checks, reprojection_error_px
-from pipeline.run import reconstruct
-from pipeline.samples import Sample
-from pipeline.session import open_session
+from pipeline.quality.report import all_checks, reprojection_error_px
+from pipeline.runtime.packages.samples import Sample
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
 
 pytestmark = pytest.mark.xdist_group("sample")

@@ -14,10 +14,10 @@ from typing import Any
 
 import httpx2
 
-from api.commands.serve import READY
+from api.cli.commands.serve import READY
 from pipeline.detect import models
-from pipeline.samples import Sample
-from pipeline.warm_up import NUM_COMPILED
+from pipeline.runtime.packages.samples import Sample
+from pipeline.runtime.warm_up import NUM_COMPILED
 from tests.api.test_upload_clients import free_port
 from tests.e2e.serving import COMMAND, wait_for
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
+from pipeline.stages.local import reconstruct_keypoints
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.serving import Served, digests, serving, wait_for
 from tests.e2e.test_serve_keypoints import files

@@ -14,11 +14,11 @@ import pytest
 
 from pipeline.detect import models
 from pipeline.errors import ModelError
-from pipeline.export import bvh
 from pipeline.export.presets import PRESETS
+from pipeline.export.writers import bvh
 from tests.e2e.captures import keypoint_capture, video_capture
 
-COMMAND = [sys.executable, "-m", "api.cli", "reconstruct"]
+COMMAND = [sys.executable, "-m", "api.cli.main", "reconstruct"]
 
 # Runs the command, and interrupts itself where ``{where}`` is called for the second time.
 AT = """
@@ -31,7 +31,7 @@ def interrupted(*arguments):
         os.kill(os.getpid(), signal.{signal})
     return original(*arguments)
 module.{name} = interrupted
-from api.cli import main
+from api.cli.main import main
 sys.argv = ["multicap", *sys.argv[1:]]
 main()
 """
@@ -109,7 +109,7 @@ def test_children_end_and_it_is_said(
 @pytest.mark.parametrize(("number", "as_json"), [(signal.SIGINT, False), (signal.SIGTERM, True)])
 def test_files_that_have_their_names_are_whole(tmp_path: Path, number: signal.Signals, as_json: bool) -> None:
     out = tmp_path / "out"
-    program = AT.format(module="pipeline.export.bvh", name="encode", signal=number.name)
+    program = AT.format(module="pipeline.export.writers.bvh", name="encode", signal=number.name)
     options = [*keypoint_capture(tmp_path / "capture"), f"--out={out}", *(["--json"] if as_json else [])]
     command = [sys.executable, "-c", program, "reconstruct", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
@@ -128,10 +128,10 @@ WHILE_LOADING = """
 import os, signal, sys
 class Finder:
     def find_spec(self, name, *_):
-        if name == "api.commands":
+        if name == "api.cli.commands":
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Finder())
-from api.start import main
+from api.cli.start import main
 main()
 """
 

@@ -7,14 +7,14 @@ from typing import Any
 import httpx2
 import pytest
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.session import Recording, open_session
 from pipeline.config import ReconstructionConfig
-from pipeline.run import reconstruct
-from pipeline.samples import Sample
-from pipeline.session import Recording, open_session
+from pipeline.runtime.packages.samples import Sample
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
+from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
-from tests.pipeline.test_session import calibration
 
 pytestmark = pytest.mark.xdist_group("sample")
 

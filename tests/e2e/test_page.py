@@ -17,7 +17,7 @@ from playwright.sync_api import Page, expect, sync_playwright
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
-from pipeline.samples import Sample
+from pipeline.runtime.packages.samples import Sample
 from tests.e2e.serving import Served, digests, serving
 
 pytestmark = pytest.mark.xdist_group("sample")
@@ -157,7 +157,7 @@ def test_detectors_that_are_not_installed_cannot_be_chosen(page: Page, served: S
 
 
 def make_key(data_dir: Path, *options: str) -> str:
-    command = [sys.executable, "-m", "api.cli", "keys", "create", "portal", "--tenant", "studio", "--json"]
+    command = [sys.executable, "-m", "api.cli.main", "keys", "create", "portal", "--tenant", "studio", "--json"]
     made = subprocess.run([*command, "--data", str(data_dir), *options], capture_output=True, text=True, check=True)
     return str(json.loads(made.stdout)["key"])
 

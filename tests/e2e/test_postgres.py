@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
+from pipeline.stages.local import reconstruct_keypoints
 from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import capture, files
 from tests.postgres import Postgres, running_postgres

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli.main import app
 
 FOLDER = Path(os.environ.get("MULTICAP_RENDERED", Path(__file__).parents[3] / "shared" / "data" / "rendered"))
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli.main import app
 from pipeline.data import Reconstruction
-from pipeline.samples import Sample
+from pipeline.runtime.packages.samples import Sample
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 

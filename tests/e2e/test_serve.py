@@ -11,8 +11,8 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from api.commands.serve import READY
-from pipeline.samples import Sample
+from api.cli.commands.serve import READY
+from pipeline.runtime.packages.samples import Sample
 from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests, is_alive, wait_for
 
 pytestmark = pytest.mark.xdist_group("sample")
@@ -113,7 +113,7 @@ def test_the_command_that_a_refusal_names_lets_the_service_start(tmp_path: Path)
     assert refused.returncode == 2
     (named,) = re.findall(r"`multicap (keys create NAME.*?)`", refused.stderr)
     assert shlex.split(named)[-2:] == ["--data", str(data)]
-    create = [sys.executable, "-m", "api.cli", *shlex.split(named), "--json"]
+    create = [sys.executable, "-m", "api.cli.main", *shlex.split(named), "--json"]
     subprocess.run(create, capture_output=True, timeout=120, check=True)
     with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as process:
         try:

@@ -15,13 +15,13 @@ from typing import Any
 
 import pytest
 
-from api.commands.reconstruct import write_results
-from api.openapi import COMMITTED
+from api.cli.commands.reconstruct import write_results
+from api.contract.openapi import COMMITTED
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.local import reconstruct_keypoints
 from tests.e2e.serving import Served, digests
 
 pytestmark = pytest.mark.xdist_group("sample")

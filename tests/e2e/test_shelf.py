@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from api.cli import app
+from api.cli.main import app
 
 FOLDER = Path(os.environ.get("MULTICAP_SHELF", Path(__file__).parents[3] / "shared" / "data" / "shelf"))
 
@@ -35,7 +35,7 @@ def test_shelf_by_clustering() -> None:
     command = [
         sys.executable,
         "-m",
-        "api.cli",
+        "api.cli.main",
         "evaluate",
         "shelf",
         f"--data={FOLDER}",
@@ -54,7 +54,7 @@ def test_shelf_by_clustering() -> None:
 @pytest.mark.skipif(not FOLDER.is_dir(), reason="no Shelf benchmark at hand (MULTICAP_SHELF names its folder)")
 def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
     # In a process of its own: checking the shapes of everything takes four times as long as the work.
-    command = [sys.executable, "-m", "api.cli", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]
+    command = [sys.executable, "-m", "api.cli.main", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]
     command.append("--smoothing=none")  # the ablation is of what comes before
     result = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
     scores = json.loads(result.stdout)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
+from pipeline.evaluation.simulated import score_simulated
+from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.joints import COCO_17, COCO_18
-from pipeline.metrics.mpjpe import BODY_JOINTS, accuracy, select_joints
-from pipeline.metrics.simulated import score_simulated
-from pipeline.metrics.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.tracking.associate import reconstruct_tracks
@@ -69,7 +69,7 @@ def test_clustering_from_keypoint_files(tmp_path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     command = [
-        *(sys.executable, "-m", "api.cli", "reconstruct", "--json", "--method", "clustering"),
+        *(sys.executable, "-m", "api.cli.main", "reconstruct", "--json", "--method", "clustering"),
         *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
         *("--calibration", str(tmp_path / "calibration.json"), "--out", str(tmp_path / "out")),
     ]
@@ -90,7 +90,7 @@ def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
         path.write_bytes(content)
     out = tmp_path / "out"
     command = [
-        *(sys.executable, "-m", "api.cli", "reconstruct", "--json"),
+        *(sys.executable, "-m", "api.cli.main", "reconstruct", "--json"),
         *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
         *("--calibration", str(tmp_path / "calibration.json"), "--out", str(out)),
         *("--smoothing", "none"),

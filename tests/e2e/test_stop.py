@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from api.commands.serve import READY
+from api.cli.commands.serve import READY
 from tests.e2e.serving import COMMAND, NUM_PROCESSES, wait_for
 
 pytestmark = pytest.mark.xdist_group("faults")

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from api.commands.serve import READY
-from pipeline.packages.storage import home
+from api.cli.commands.serve import READY
+from pipeline.runtime.packages.storage import home
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import archives
-from worker.stage_code import stage_codes
+from worker.stages.code import stage_codes
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -90,7 +90,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory, programs: Path) -> str:
     """A home with this one's networks, and the kernels of the wheel, which are compiled once."""
     folder = tmp_path_factory.mktemp("home")
     (folder / "models").symlink_to(home() / "models")
-    run(programs / "python", "-P", "-m", "multicap.pipeline.warm_up", cwd=folder, MULTICAP_HOME=str(folder))
+    run(programs / "python", "-P", "-m", "multicap.pipeline.runtime.warm_up", cwd=folder, MULTICAP_HOME=str(folder))
     return str(folder)
 
 
@@ -104,7 +104,7 @@ def test_the_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
 
 
 def test_stages_have_the_codes_of_the_checkout(programs: Path, foreign: Path) -> None:
-    text = "import json; from multicap.worker.stage_code import stage_codes; print(json.dumps({**stage_codes()}))"
+    text = "import json; from multicap.worker.stages.code import stage_codes; print(json.dumps({**stage_codes()}))"
     assert json.loads(run(programs / "python", "-c", text, cwd=foreign)) == {**stage_codes()}
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from api.commands.reconstruct import write_results
+from api.cli.commands.reconstruct import write_results
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.keypoints import open_keypoints
-from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.local import reconstruct_keypoints
 from tests.e2e.serving import digests
 
 METHODS: tuple[Method, ...] = ("tracking", "clustering")

@@ -117,7 +117,7 @@ def back_up_and_restore_elsewhere(service: Service, chance: random.Random, job_i
     """The restored service ends the job, too, with the same files."""
     folder = service.disk.parent / "elsewhere"
     folder.mkdir()
-    command = [sys.executable, "-P", "-m", "api.cli", "backup"]
+    command = [sys.executable, "-P", "-m", "api.cli.main", "backup"]
     environment = os.environ | service.environment()
     create = [*command, "create", str(folder / "backup"), "--data", str(service.data_dir)]
     subprocess.run(create, check=True, env=environment, capture_output=True)

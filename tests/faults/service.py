@@ -16,9 +16,9 @@ from pathlib import Path
 from standardwebhooks import Webhook
 
 from tests.e2e.serving import Served, serving
+from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.store import JobStore
-from worker.jobs.tables import DEFAULT_TENANT
-from worker.stage_code import stage_codes
+from worker.stages.code import stage_codes
 
 ROOT = Path(__file__).parents[2]
 CLOCK_FOLDER = Path(__file__).parent / "clock"

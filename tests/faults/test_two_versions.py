@@ -20,7 +20,7 @@ from tests.e2e.serving import Served, serving, wait_for
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
-from worker.embedded import Place
+from worker.process.embedded import Place
 
 pytestmark = pytest.mark.xdist_group("faults")
 

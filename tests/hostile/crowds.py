@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
-from pipeline.keypoints import KeypointSession
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 
 RATE_HZ = 25.0

@@ -9,15 +9,15 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-from pipeline.association import link, locate_people, measure_bones, track
-from pipeline.clustering.effort import Effort
+from pipeline.capture.keypoints import MAX_PEOPLE, KeypointSession
+from pipeline.clustering.instant.effort import Effort
 from pipeline.config import ReconstructionConfig
 from pipeline.data import People
-from pipeline.keypoints import MAX_PEOPLE, KeypointSession
 from pipeline.simulation.clocks import Clock
-from pipeline.simulation.director import Cast
+from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, record
+from pipeline.stages.association import link, locate_people, measure_bones, track
 from tests.hostile.crowds import hostile_crowds
 
 CLUSTERING = ReconstructionConfig(method="clustering")

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from pipeline import preflight
 from pipeline.calibration.registry import read_calibration
+from pipeline.capture import preflight
 from pipeline.simulation.scenes import Simulation
 from tests.hostile.calibrations import in_every_format, spoilt_calibrations
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints

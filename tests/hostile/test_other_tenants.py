@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.write import encode
+from pipeline.capture.keypoints import MAX_PEOPLE
 from pipeline.data import Detections
-from pipeline.keypoints import MAX_PEOPLE
 from tests.e2e.serving import Served, serving, wait_for
 from tests.hostile.crowds import hostile_crowds
 from tests.hostile.keypoints import archive, keypoint_files, simulate

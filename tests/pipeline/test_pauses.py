@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import Detections, FrameTimes, Timebase
-from pipeline.keypoints import KeypointSession
 from pipeline.progress import Progress
-from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.local import reconstruct_keypoints
 
 
 def two_takes(pause_s: float) -> KeypointSession:

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.association import restrict
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError
-from pipeline.keypoints import KeypointSession, open_keypoints
-from pipeline.run import reconstruct_keypoints
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.association import restrict
+from pipeline.stages.local import reconstruct_keypoints
 
 
 @pytest.fixture(scope="module")

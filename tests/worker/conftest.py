@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from worker.execution import Outcome, ResultFile, Work
-from worker.jobs.artifacts import LocalArtifacts
+from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
-from worker.plan import plan
 from worker.runner import Runner
-from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.stages.execution import Outcome, ResultFile, Work
+from worker.stages.plan import plan
 
 NUM_FRAMES, CHUNK_FRAMES = 40, 10
 

@@ -13,12 +13,12 @@ from types import ModuleType
 
 from tests.worker.conftest import associate, detect, export, fit
 from worker import __main__ as worker_main
-from worker import embedded
-from worker.execution import Outcome, Work
 from worker.jobs.store import JobStore
+from worker.process import embedded
+from worker.process.supervisor import Supervisor
 from worker.settings import WorkerSettings
-from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT
-from worker.supervisor import Supervisor
+from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.stages.execution import Outcome, Work
 
 
 def slow_detect(work: Work) -> Outcome:
@@ -30,10 +30,10 @@ def slow_detect(work: Work) -> Outcome:
 
 
 def run_worker() -> None:
-    stages = ModuleType("worker.stages")
+    stages = ModuleType("worker.stages.run")
     stages.STAGES = {DETECT: slow_detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}  # type: ignore[attr-defined]
     stages.warm_up = lambda: None  # type: ignore[attr-defined]
-    sys.modules["worker.stages"] = stages
+    sys.modules["worker.stages.run"] = stages
     worker_main.main()
 
 

@@ -13,9 +13,9 @@ import psutil
 import pytest
 
 from tests.worker.conftest import RESULT, Bench, open_bench
-from worker import embedded
 from worker.jobs.model import FINISHED, Job, JobState
 from worker.jobs.queue import WorkQueue
+from worker.process import embedded
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents, and looks into /proc")
 

@@ -6,16 +6,16 @@ import pytest
 import sqlalchemy as sa
 
 from tests.worker.conftest import Bench
-from worker.jobs.artifacts import record_key, result_key, stage_key
-from worker.jobs.database import Database
-from worker.jobs.disk import DiskSpace
+from worker.jobs.database.connection import Database
+from worker.jobs.database.tables import removals
 from worker.jobs.errors import Conflict
+from worker.jobs.files.artifacts import record_key, result_key, stage_key
+from worker.jobs.files.disk import DiskSpace
+from worker.jobs.files.removals import remove_files
 from worker.jobs.model import JobState
-from worker.jobs.removals import remove_files
 from worker.jobs.store import JobStore
-from worker.jobs.tables import removals
 from worker.reaper import reap
-from worker.stage_code import DETECT
+from worker.stages.code import DETECT
 
 LEASE_S = 20.0
 

@@ -13,13 +13,13 @@ import pytest
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
-from worker.execution import Outcome, Work
-from worker.jobs.artifacts import stage_key
-from worker.jobs.leases import MAX_ATTEMPTS
+from worker.jobs.files.artifacts import stage_key
 from worker.jobs.model import ChunkState, JobState, ResultWarning
+from worker.jobs.repositories.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
-from worker.plan import plan
-from worker.stage_code import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.stages.execution import Outcome, Work
+from worker.stages.plan import plan
 
 
 def fail_with(error: Exception) -> Any:

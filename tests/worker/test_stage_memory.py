@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.data import Detections, FrameTimes, Timebase
-from pipeline.keypoints import KeypointSession
-from pipeline.records_npz import encode_keypoints
-from pipeline.simulation.director import Cast
+from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import find_scene, record
-from worker import stages
-from worker.execution import Work
-from worker.jobs.artifacts import LocalArtifacts, record_key
+from pipeline.stages.records_npz import encode_keypoints
+from worker.jobs.files.artifacts import LocalArtifacts, record_key
 from worker.jobs.model import Claim, InputFile, Session
 from worker.jobs.spec import JobSpec
+from worker.stages import run as stages
+from worker.stages.execution import Work
 
 SESSION_ID = "0190"
 MAX_BYTES_A_JOINT = 70  # a worker of 25 million joints then takes less than 1.7 GiB beside code and kernels

@@ -95,7 +95,10 @@ class Actor:
 
 @dataclass(frozen=True, slots=True)
 class Deed:
-    """What somebody did to a session, a job or a key, whose id is ``subject``. ``act`` as in ``worker.jobs.audit``."""
+    """What somebody did to a session, a job or a key, whose id is ``subject``.
+
+    Values of ``act``: ``worker.jobs.repositories.audit``.
+    """
 
     done_at: datetime
     tenant: str
@@ -130,9 +133,9 @@ class Upload:
 class Session:
     """A capture session: its files, and what the preflight found in them.
 
-    ``preflight`` is the JSON object that ``python -m pipeline.preflight`` printed (see there): cameras, timebase,
-    warnings. ``record_sha256`` is the digest of the record that the preflight wrote for the workers; ``None`` for
-    sessions of older versions.
+    ``preflight`` is the JSON object that ``python -m pipeline.capture.preflight`` printed (see there): cameras,
+    timebase, warnings. ``record_sha256`` is the digest of the record that the preflight wrote for the workers;
+    ``None`` for sessions of older versions.
     """
 
     id: str
@@ -161,11 +164,11 @@ class StagePlan:
     Parameters
     ----------
     name
-        As in ``worker.plan``.
+        As in ``worker.stages.plan``.
     chunks
         One at least; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
     code_sha256
-        Digest of the code that can run them, as in ``worker.stage_code``.
+        Digest of the code that can run them, as in ``worker.stages.code``.
     """
 
     name: str
@@ -335,7 +338,7 @@ class Figures:
     Parameters
     ----------
     totals
-        Sums that only grow, by name and label; see ``worker.jobs.totals``.
+        Sums that only grow, by name and label; see ``worker.jobs.database.totals``.
     jobs, chunks
         How many there are by state; chunks of unfinished jobs only.
     longest_queued_s

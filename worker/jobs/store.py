@@ -3,19 +3,19 @@
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.jobs.audit import Audit
-from worker.jobs.database import Database
-from worker.jobs.deliveries import Deliveries
-from worker.jobs.keys import Keys
-from worker.jobs.leases import MAX_ATTEMPTS, Leases
+from worker.jobs.database.connection import Database
+from worker.jobs.database.quotas import Quotas
+from worker.jobs.database.tables import sessions
+from worker.jobs.database.totals import read_figures
+from worker.jobs.files.removals import Removals
 from worker.jobs.model import Actor, Figures
-from worker.jobs.plans import Plans
-from worker.jobs.quotas import Quotas
-from worker.jobs.records import Records
-from worker.jobs.removals import Removals
-from worker.jobs.tables import sessions
-from worker.jobs.totals import read_figures
-from worker.jobs.workers import Workers
+from worker.jobs.repositories.audit import Audit
+from worker.jobs.repositories.deliveries import Deliveries
+from worker.jobs.repositories.keys import Keys
+from worker.jobs.repositories.leases import MAX_ATTEMPTS, Leases
+from worker.jobs.repositories.plans import Plans
+from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.workers import Workers
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 

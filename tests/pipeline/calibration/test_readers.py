@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline import samples
 from pipeline.calibration.registry import MAX_BYTES, Units, read_calibration
 from pipeline.calibration.write import encode
 from pipeline.data import Camera
@@ -16,6 +15,7 @@ from pipeline.errors import InputError
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
+from pipeline.runtime.packages import samples
 from pipeline.tracking.parameters import viewed_point_m
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

@@ -7,17 +7,17 @@ import pytest
 
 from pipeline.clustering.associate import find_poses, reconstruct_by_clustering
 from pipeline.clustering.bone_lengths import LimbLengths, unknown_lengths
-from pipeline.clustering.candidates import Instant
-from pipeline.clustering.clusters import find_joints
-from pipeline.clustering.effort import Effort
-from pipeline.clustering.evidence import Membership
-from pipeline.clustering.hypotheses import Candidates
+from pipeline.clustering.instant.candidates import Instant
+from pipeline.clustering.instant.clusters import find_joints
+from pipeline.clustering.instant.effort import Effort
+from pipeline.clustering.instant.evidence import Membership
+from pipeline.clustering.instant.hypotheses import Candidates
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, Track3D
+from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import image_from_world
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
-from pipeline.metrics.simulated import score_simulated
 from pipeline.simulation.scenes import SCENES, Simulation, record
 
 SKELETON = skeleton_of(COCO_17)

@@ -6,12 +6,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from pipeline.association import link, locate_people, measure_bones
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Detections, FrameTimes, Observations, People, Track3D
 from pipeline.detect.chunk import bodies_in
-from pipeline.keypoints import KeypointSession
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.association import link, locate_people, measure_bones
 from pipeline.video.timeline import chunk_ranges, frames_in, span_s
 
 CONFIG = ReconstructionConfig(method="clustering")

@@ -4,12 +4,12 @@ import av
 import numpy as np
 import pytest
 
-from pipeline import samples
 from pipeline.detect import models
 from pipeline.detect.detector import Detector, open_detector
 from pipeline.detect.registry import Head, NetworkInput
 from pipeline.errors import ModelError
 from pipeline.joints import COCO_17
+from pipeline.runtime.packages import samples
 
 # In the last four, rounded sizes make the axes' scales differ.
 SIZES = [(1920, 1080), (1024, 768), (1088, 1920), (333, 517), (1279, 719), (97, 41)]

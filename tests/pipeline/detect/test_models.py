@@ -13,8 +13,8 @@ from pipeline.config import NETWORKS
 from pipeline.detect import models
 from pipeline.detect.registry import REGISTRY, LooseWeights, PackagedWeights, WeightFile, entry_of
 from pipeline.errors import ModelError
-from pipeline.packages.index import fetch_package
-from pipeline.packages.storage import sha256_of
+from pipeline.runtime.packages.index import fetch_package
+from pipeline.runtime.packages.storage import sha256_of
 
 NAME = "movenet-multipose"
 

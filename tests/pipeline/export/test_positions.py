@@ -12,7 +12,7 @@ import pytest
 from trc import TRCData
 
 from pipeline.data import Timebase, Track3D
-from pipeline.export import c3d_file, csv_table, trc
+from pipeline.export.writers import c3d_file, csv_table, trc
 from pipeline.joints import COCO_17
 from tests.pipeline.skeleton.people import track_of, walker
 

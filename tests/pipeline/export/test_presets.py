@@ -7,11 +7,11 @@ import pytest
 
 from pipeline.config import Preset
 from pipeline.data import SkeletonMotion
-from pipeline.export import bvh
 from pipeline.export.presets import PRESETS
+from pipeline.export.writers import bvh
 from pipeline.skeleton.model import SKELETON, forward_kinematics
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
-from tests.pipeline.export.test_bvh import encoded, walk
+from tests.pipeline.export.writers.test_bvh import encoded, walk
 
 SOME_NAMES: dict[Preset, set[str]] = {
     "default": {"Hips", "Chest", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot"},

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.export.resample import _slerp, resample
 from pipeline.export.results import write_results
-from pipeline.keypoints import KeypointSession
-from pipeline.run import reconstruct_keypoints
 from pipeline.skeleton.model import forward_kinematics
+from pipeline.stages.local import reconstruct_keypoints
 from tests.pipeline.test_restrict import session
 
 __all__ = ["session"]

@@ -11,13 +11,13 @@ import pytest
 from pipeline.config import FILE_FORMATS, Export, ReconstructionConfig
 from pipeline.data import Reconstruction, Timebase, Track3D
 from pipeline.errors import InputError
-from pipeline.export import csv_table
 from pipeline.export.results import write_results
+from pipeline.export.writers import csv_table
 from pipeline.joints import COCO_17
 from pipeline.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
-from tests.pipeline.metrics.test_quality import CAMERAS, observe
+from tests.pipeline.quality.test_report import CAMERAS, observe
 from tests.pipeline.skeleton.people import track_of, walker
 
 EXPORTS = tuple(FILE_FORMATS)

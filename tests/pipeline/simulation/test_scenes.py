@@ -8,9 +8,9 @@ import pytest
 from pipeline.errors import InputError
 from pipeline.geometry.camera import project
 from pipeline.simulation.clocks import Clock, frame_times
-from pipeline.simulation.detector import NOBODY, PERFECT
-from pipeline.simulation.director import Cast
+from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import SCENES, Simulation, record, simulate
+from pipeline.simulation.views.detector import NOBODY, PERFECT
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",

@@ -9,15 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.config import Feet, ReconstructionConfig, Smoothing
 from pipeline.data import Animation, Observations, SkeletonMotion, Source, Timebase, Track3D
+from pipeline.evaluation.simulated_feet import score_feet
 from pipeline.geometry.camera import project
 from pipeline.joints import BODY_25, COCO_17
-from pipeline.metrics.simulated_feet import score_feet
-from pipeline.simulation.detector import Detector
-from pipeline.simulation.faults import Faults
 from pipeline.simulation.scenes import Simulation, find_scene, record
-from pipeline.skeleton import windows
+from pipeline.simulation.views.detector import Detector
+from pipeline.simulation.views.faults import Faults
 from pipeline.skeleton.animate import animate
-from pipeline.skeleton.articulation import ARM_HINGES, KNEE_HINGE
+from pipeline.skeleton.fitting import windows
+from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, placed
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data import SkeletonMotion
 from pipeline.joints import COCO_17, JointSet
-from pipeline.skeleton.fit import SkeletonFit
+from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.skeleton.people import (
     EARS_ABOVE_SHOULDERS_M,

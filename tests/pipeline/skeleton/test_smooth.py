@@ -8,9 +8,9 @@ import pytest
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Camera, Observations, Timebase, Track3D
 from pipeline.errors import InputError
+from pipeline.evaluation.simulated import score_simulated
 from pipeline.geometry.camera import project
 from pipeline.joints import JointSet
-from pipeline.metrics.simulated import score_simulated
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.skeleton.smooth import butterworth, check_smoothing, one_euro, smooth_track
 from pipeline.tracking.associate import reconstruct_tracks

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.worker.jobs.conftest import LEASE_S, PREFLIGHT, UNITS
-from worker.jobs.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
 from worker.jobs.backup.contents import Report
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.restore import restore_backup
+from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
+from worker.jobs.files.removals import remove_files
 from worker.jobs.model import ChunkPlan, InputFile, Job, Result, StagePlan
-from worker.jobs.removals import remove_files
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 

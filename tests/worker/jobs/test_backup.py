@@ -19,18 +19,18 @@ import uuid_utils
 from alembic import command
 
 from tests.worker.jobs.backups import Data, ignore, opened_data, restored
-from tests.worker.jobs.test_migrations import CONFIG
-from worker import embedded
-from worker.jobs.artifacts import record_key, result_key, stage_key
+from tests.worker.jobs.database.test_migrations import CONFIG
 from worker.jobs.backup.archive import ArchiveWriter
 from worker.jobs.backup.contents import DATABASE, MANIFEST, PROBLEMS
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
 from worker.jobs.backup.linked import held_files
 from worker.jobs.backup.restore import verify_backup
-from worker.jobs.database import Database, schema_revisions
+from worker.jobs.database.connection import Database, schema_revisions
 from worker.jobs.errors import NewerDatabase
+from worker.jobs.files.artifacts import record_key, result_key, stage_key
 from worker.jobs.model import JobState, Scope
+from worker.process import embedded
 
 UPLOAD = "01900000-0000-7000-8000-000000000001"
 

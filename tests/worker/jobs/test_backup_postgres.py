@@ -13,8 +13,8 @@ from tests.worker.jobs.conftest import postgres_database
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
 from worker.jobs.backup.restore import verify_backup
+from worker.jobs.database.tables import metadata
 from worker.jobs.model import JobState, Scope
-from worker.jobs.tables import metadata
 
 
 @pytest.fixture

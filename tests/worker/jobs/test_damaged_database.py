@@ -14,7 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from tests.worker.jobs.backups import ignore, opened_data
 from tests.worker.jobs.damage import DAMAGES, copy_of, middle, overwrite
 from worker.jobs.backup.create import create_backup
-from worker.jobs.database import Database
+from worker.jobs.database.connection import Database
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import Scope
 from worker.jobs.store import JobStore

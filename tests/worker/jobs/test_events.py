@@ -5,8 +5,8 @@ from alembic import command
 from alembic.config import Config
 
 from tests.worker.jobs.conftest import LEASE_S, Bench, stages
+from worker.jobs.database.tables import events, metadata
 from worker.jobs.model import Problem
-from worker.jobs.tables import events, metadata
 
 
 def noted(jobs: Bench, job_id: str) -> list[tuple[str, str]]:
@@ -74,7 +74,7 @@ def test_jobs_from_before_there_were_events_have_one(jobs: Bench) -> None:
     jobs.finish_all()
     engine = sa.create_engine(jobs.url)
     config = Config()
-    config.set_main_option("script_location", "worker.jobs:migrations")
+    config.set_main_option("script_location", "worker.jobs.database:migrations")
     with engine.begin() as connection:
         config.attributes["connection"] = connection
         command.downgrade(config, "0001")

@@ -8,10 +8,10 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, TypeAdapter
 from sqlalchemy import Connection, func, select
 
-from worker.jobs.artifacts import record_key, require_key, stage_key
 from worker.jobs.backup.errors import BackupError
+from worker.jobs.database.tables import artifacts, jobs, results, sessions, uploads
+from worker.jobs.files.artifacts import record_key, require_key, stage_key
 from worker.jobs.model import JobState
-from worker.jobs.tables import artifacts, jobs, results, sessions, uploads
 
 MANIFEST = "manifest.json"
 DATABASE = "multicap.db"

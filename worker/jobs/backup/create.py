@@ -36,8 +36,8 @@ from worker.jobs.backup.snapshot import (
     remove_database,
     take_snapshot,
 )
-from worker.jobs.database import schema_revisions, sqlite_path
-from worker.jobs.disk import DiskSpace, sync
+from worker.jobs.database.connection import schema_revisions, sqlite_path
+from worker.jobs.files.disk import DiskSpace, sync
 
 # Sessions that are deleted between snapshot and links make another snapshot necessary; links are kept, so that each
 # one needs few new ones.

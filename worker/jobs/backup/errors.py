@@ -7,8 +7,8 @@ from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.jobs.disk import is_disk_full
 from worker.jobs.errors import DamagedDatabase
+from worker.jobs.files.disk import is_disk_full
 
 
 class BackupError(Exception):

@@ -12,7 +12,6 @@ from typing import BinaryIO
 
 from filelock import FileLock, Timeout
 
-from worker.jobs.artifacts import is_key
 from worker.jobs.backup.archive import ArchiveReader, Member
 from worker.jobs.backup.contents import (
     DATABASE,
@@ -36,9 +35,10 @@ from worker.jobs.backup.snapshot import (
     remove_database,
     require_empty,
 )
-from worker.jobs.database import sqlite_path
-from worker.jobs.disk import sync
+from worker.jobs.database.connection import sqlite_path
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
+from worker.jobs.files.artifacts import is_key
+from worker.jobs.files.disk import sync
 
 OnProgress = Callable[[int, int], None]
 

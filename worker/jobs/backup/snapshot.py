@@ -23,7 +23,7 @@ from sqlalchemy import (
 )
 
 from worker.jobs.backup.errors import BackupError, BackupUsageError
-from worker.jobs.database import (
+from worker.jobs.database.connection import (
     Database,
     damage_of,
     require_content,
@@ -31,8 +31,8 @@ from worker.jobs.database import (
     schema_revisions,
     sqlite_path,
 )
+from worker.jobs.database.tables import Moment, metadata
 from worker.jobs.errors import DamagedDatabase
-from worker.jobs.tables import Moment, metadata
 
 _ROWS_AT_ONCE = 50
 _BUSY_S = 30.0

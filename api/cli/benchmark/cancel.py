@@ -1,0 +1,163 @@
+"""`multicap benchmark cancel`: how long after a cancel processes still work on the job."""
+
+import contextlib
+import io
+import itertools
+import random
+import tempfile
+import time
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import psutil
+import typer
+
+from api.cli.client import Client, Json, ServiceError
+from api.cli.console import emit, reporting
+from api.cli.served import served
+from pipeline.detect import models
+from pipeline.runtime.child_processes import module_command
+from pipeline.runtime.packages import samples
+from pipeline.runtime.packages.samples import Sample
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import find_scene, record
+from worker.jobs.spec import JobSpec
+
+_WORKERS = 2
+_LOOK_S = 0.1
+# A process that uses less of a core than this only waits.
+_IDLE_CORES = 0.2
+# So many looks in a row without work: it has ended.
+_IDLE_LOOKS = 5
+_LONGEST_S = 60.0
+_START_S = 120.0
+# Jobs run for longer: a cancel comes in any of their stages.
+_LATEST_CANCEL_S = 12.0
+_SCENE, _SCENE_CAMERAS, _SCENE_S = "store", 6, 20.0
+
+
+def worker_processes() -> list[psutil.Process]:
+    """The processes that work on chunks: children of the service's worker."""
+    ours = psutil.Process().children(recursive=True)
+    command = {*module_command("worker", "--workers")}
+    workers = [one for one in ours if command <= {*one.cmdline()}]
+    return [child for worker in workers for child in worker.children()]
+
+
+def busy_until(processes: Sequence[psutil.Process], is_canceled: Callable[[], bool]) -> float:
+    """Watch processes until the job is canceled and all of them rest or are gone; when the last one still worked."""
+    last_s = time.monotonic()
+    deadline_s = last_s + _LONGEST_S
+    used = {one: _cpu_s(one) for one in processes}
+    quiet, canceled = 0, False
+    while quiet < _IDLE_LOOKS:
+        looked_s = time.monotonic()
+        time.sleep(_LOOK_S)
+        now_s = time.monotonic()
+        if now_s > deadline_s:
+            raise ServiceError(f"{_LONGEST_S:.0f} s after a cancel there is still work on the job.")
+        busy = False
+        for one, before_s in used.items():
+            used[one] = _cpu_s(one)
+            busy |= used[one] - before_s > _IDLE_CORES * (now_s - looked_s)
+        if not canceled and not (canceled := is_canceled()):
+            busy = True
+        quiet = 0 if busy else quiet + 1
+        last_s = now_s if busy else last_s
+    return last_s
+
+
+def _cpu_s(process: psutil.Process) -> float:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        times = process.cpu_times()
+        return float(times.user + times.system)
+    return 0.0
+
+
+def archives(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """A zip a camera of the keypoints among a simulation's files."""
+    zips: dict[str, io.BytesIO] = {}
+    for camera in sorted({Path(name).parent.name for name in files if name.startswith("keypoints/")}):
+        zips[camera] = io.BytesIO()
+        with zipfile.ZipFile(zips[camera], "w", zipfile.ZIP_DEFLATED) as entries:
+            for name, content in files.items():
+                if Path(name).parent == Path("keypoints", camera):
+                    entries.writestr(f"{camera}/{Path(name).name}", content)
+    return {camera: content.getvalue() for camera, content in zips.items()}
+
+
+def measure(sample: Sample, folder: Path, cancels: int, seed: int) -> dict[str, Any]:
+    """Cancel jobs of videos and of keypoints at random moments."""
+    chance = random.Random(seed)  # noqa: S311 - no secret
+    files = dict(simulation_files(record(replace(find_scene(_SCENE), duration_s=_SCENE_S), seed, _SCENE_CAMERAS)))
+    keypoints = (archives(files), files["calibration.json"], files["timestamps.csv"], {"method": "clustering"})
+    seconds: list[float] = []
+    stages: Counter[str] = Counter()
+    with served(folder / "service", _WORKERS) as client:
+        for turn in itertools.count():
+            if turn % 2 == 0:
+                job = client.submit("Videos", list(sample.videos.values()), sample.calibration)
+            else:
+                job = client.submit_keypoints(*keypoints)
+            stage = _stage_after(client, job, chance.uniform(0.0, _LATEST_CANCEL_S))
+            if stage is not None:
+                stages[stage] += 1
+                seconds.append(_cancel(client, job))
+            else:
+                client.follow(job)
+            client.delete_session(job)
+            if len(seconds) == cancels:
+                break
+    p50, p95 = (float(value) for value in np.percentile(seconds, [50, 95]))
+    return {"cancels": cancels, "p50_s": p50, "p95_s": p95, "max_s": max(seconds), "stages": dict(stages)}
+
+
+def _cancel(client: Client, job: Json) -> float:
+    """Cancel a job; seconds until nobody works on it."""
+
+    def is_canceled() -> bool:
+        return bool(client.get(job["links"]["self"])["state"] == "canceled")
+
+    processes = worker_processes()
+    asked_s = time.monotonic()
+    client.cancel(job)
+    return busy_until(processes, is_canceled) - asked_s
+
+
+def _stage_after(client: Client, job: Json, then_s: float) -> str | None:
+    """Wait until a job runs, and some seconds more; in which stage it is then, ``None`` if it has ended before."""
+    deadline_s = time.monotonic() + _START_S
+    while job["state"] == "queued":
+        if time.monotonic() > deadline_s:
+            raise ServiceError("The workers do not begin.")
+        time.sleep(_LOOK_S)
+        job = client.get(job["links"]["self"])
+    time.sleep(then_s)
+    job = client.get(job["links"]["self"])
+    if job["state"] != "running":
+        return None
+    return next((stage["name"] for stage in job["stages"] if stage["state"] == "running"), "between stages")
+
+
+def cancel(
+    cancels: Annotated[int, typer.Option(min=1, max=1000, help="Jobs to cancel.")] = 40,
+    seed: Annotated[int, typer.Option(help="Of the moments.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time how long processes still work on jobs that are canceled at random moments."""
+    with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        models.install(JobSpec().detector)
+        result = measure(samples.install(), Path(folder), cancels, seed)
+    if as_json:
+        emit(result)
+        return
+    stages = ", ".join(f"{number} in {stage}" for stage, number in sorted(result["stages"].items()))
+    typer.echo(
+        f"{cancels} cancels ({stages}): median {result['p50_s']:.1f} s, p95 {result['p95_s']:.1f}, "
+        f"longest {result['max_s']:.1f} until nobody works on the job"
+    )

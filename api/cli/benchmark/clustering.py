@@ -1,0 +1,65 @@
+"""`multicap benchmark clustering`: frames a second of the 3D stage, from peaks and fields in memory to poses."""
+
+import time
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from api.cli.console import reporting, show_sizes
+from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
+from pipeline.clustering.instant.candidates import SeenFields
+from pipeline.clustering.instant.effort import Effort
+from pipeline.clustering.parameters import derive_parameters
+from pipeline.clustering.skeleton import skeleton_of
+from pipeline.geometry.camera import image_from_world
+from pipeline.joints import COCO_18
+from pipeline.runtime.warm_up import warm_up
+from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.simulation.views.fields import GRID, render
+
+# Scenes (of 4 and of 7 people) and numbers of cameras.
+_SIZES = (("noisy", 5), ("crowd", 12))
+_DURATION_S = 2.0
+_REPEATS = 3
+
+
+def _poses_s(simulation: Simulation) -> float:
+    """Seconds for all frames with everybody's bone lengths known, the shortest of several times."""
+    cameras, timebase = simulation.cameras, simulation.timebase
+    parameters = derive_parameters(cameras, GRID.tau2)
+    skeleton = skeleton_of(COCO_18)
+    projections = np.array([image_from_world(camera) for camera in cameras])
+    fields = render(simulation.sketches, simulation.times, (-np.inf, np.inf))
+    seen = SeenFields(cameras, simulation.times, fields, timebase, skeleton, parameters)
+    sampled = [(seen, sampled_frames(timebase, parameters))]
+    lengths = first_lengths(cameras, sampled, timebase, skeleton, parameters)
+    instants = [seen.at(frame) for frame in range(timebase.num_frames)]
+    best_s = np.inf
+    for _ in range(_REPEATS):
+        started_s = time.perf_counter()
+        for one in instants:
+            find_poses(projections, one, skeleton, lengths, parameters, Effort())
+        best_s = min(best_s, time.perf_counter() - started_s)
+    return best_s
+
+
+def measure_sizes() -> list[dict[str, Any]]:
+    """Frames a second at each size; a frame counts when all cameras were updated once."""
+    sizes = []
+    for scene, num_cameras in _SIZES:
+        simulation = record(replace(SCENES[scene], duration_s=_DURATION_S), 0, num_cameras)
+        fps = simulation.timebase.num_frames / _poses_s(simulation)
+        sizes.append({"cameras": num_cameras, "people": len(simulation.truth_m), "fps": fps})
+    return sizes
+
+
+def clustering(
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time clustering on one core, from peaks and fields in memory to poses in memory; simulated people."""
+    with reporting(as_json):
+        warm_up()
+        sizes = measure_sizes()
+    show_sizes(sizes, as_json)

@@ -1,0 +1,112 @@
+"""`multicap benchmark export`: speed and memory of all result files of a long take, written and read back."""
+
+import tempfile
+import time
+from collections import Counter, defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.cli.benchmark.takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
+from api.cli.console import emit, print_table, reporting
+from pipeline.config import FILE_FORMATS, ReconstructionConfig
+from pipeline.data import Animation, Reconstruction, SkeletonMotion, Timebase, Track3D
+from pipeline.export.results import write_results
+from pipeline.runtime.warm_up import warm_up
+from pipeline.simulation.scenes import SCENES, record
+from pipeline.skeleton.animate import animate
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+_SCENE, _NUM_CAMERAS, _DURATION_S = "room", 4, 20.0
+
+
+def long_take(num_people: int, num_frames: int) -> Reconstruction:
+    """People who do again and again, to and fro, what the simulated person does who is there longest."""
+    simulation = record(replace(SCENES[_SCENE], duration_s=_DURATION_S), 0, _NUM_CAMERAS)
+    cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
+    found = reconstruct_tracks(
+        cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
+    )
+    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    animation = animate([track], [seen], cameras, simulation.timebase, simulation.joints, ReconstructionConfig())
+    numbers = range(1, num_people + 1)
+
+    def everybody(one: Track3D) -> tuple[Track3D, ...]:
+        return tuple(replace(longer_track(one, num_frames), track_id=number, start_frame=0) for number in numbers)
+
+    return Reconstruction(
+        cameras,
+        simulation.joints,
+        Timebase(0.0, rate_hz, num_frames),
+        everybody(track),
+        tuple(replace(longer_observations(seen, num_frames), track_id=number) for number in numbers),
+        Animation(
+            everybody(animation.tracks[0]),
+            tuple(_longer_motion(animation.motions[0], number, num_frames) for number in numbers),
+            animation.floor,
+        ),
+    )
+
+
+def _longer_motion(motion: SkeletonMotion, number: int, num_frames: int) -> SkeletonMotion:
+    return replace(
+        motion,
+        track_id=number,
+        name=f"person-{number}",
+        start_frame=0,
+        root_m=to_and_fro(motion.root_m, num_frames),
+        parent_from_joint=to_and_fro(motion.parent_from_joint, num_frames),
+    )
+
+
+def measure(num_people: int, num_frames: int) -> dict[str, Any]:
+    """Seconds by kind of file, and the peak memory of the whole process before and after."""
+    take = long_take(num_people, num_frames)
+    before_mib = peak_rss_mib()
+    seconds: defaultdict[str, float] = defaultdict(float)
+    num_bytes: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        last_s = started_s = time.perf_counter()
+        for path in write_results(take, Path(folder), tuple(FILE_FORMATS)):
+            now_s = time.perf_counter()
+            kind = path.suffix.removeprefix(".") if path.stem.startswith("person-") else path.stem
+            seconds[kind] += now_s - last_s
+            num_bytes[kind] += path.stat().st_size
+            last_s = now_s
+    return {
+        "people": num_people,
+        "frames": num_frames,
+        "wall_s": last_s - started_s,
+        "peak_rss_mib": peak_rss_mib(),
+        "peak_rss_before_mib": before_mib,
+        "seconds": dict(seconds),
+        "bytes": dict(num_bytes),
+    }
+
+
+def export(
+    people: Annotated[int, typer.Option(min=1, max=100, help="How many of them.")] = 10,
+    frames: Annotated[int, typer.Option(min=2, max=1_000_000, help="How long the take is.")] = 10_000,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time all formats of a long take, from memory to files that were read back; simulated people, four cameras."""
+    with reporting(as_json):
+        warm_up()
+        result = measure(people, frames)
+    if as_json:
+        emit(result)
+        return
+    print_table(
+        ("files", "seconds", "MiB"),
+        (
+            (kind, f"{seconds:.1f}", f"{result['bytes'][kind] / 2**20:.1f}")
+            for kind, seconds in result["seconds"].items()
+        ),
+    )
+    typer.echo(
+        f"{people} people x {frames} frames in {result['wall_s']:.1f} s; peak memory {result['peak_rss_mib']:.0f} MiB, "
+        f"{result['peak_rss_before_mib']:.0f} MiB of it before the first file"
+    )

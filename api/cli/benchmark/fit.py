@@ -1,0 +1,97 @@
+"""`multicap benchmark fit`: speed and memory of the fit, from tracks in memory to motions in memory."""
+
+import time
+import tracemalloc
+from dataclasses import fields, replace
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from api.cli.benchmark.takes import longer_observations, longer_track
+from api.cli.console import emit, reporting, show_sizes
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Observations, SkeletonMotion, Timebase, Track3D
+from pipeline.runtime.warm_up import warm_up
+from pipeline.simulation.scenes import SCENES, record
+from pipeline.skeleton.animate import animate
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+# Scenes, of 3 and of 4 people, and numbers of cameras.
+_SIZES = (("room", 4), ("store", 12))
+_DURATION_S = 20.0
+_REPEATS = 3
+_MINUTES = (3.0, 30.0)
+_MIB = 2**20
+
+
+def measure_sizes() -> list[dict[str, Any]]:
+    """Person-frames a second at each size, the best of several times."""
+    sizes = []
+    for scene, num_cameras in _SIZES:
+        simulation = record(replace(SCENES[scene], duration_s=_DURATION_S), 0, num_cameras)
+        cameras, timebase = simulation.cameras, simulation.timebase
+        parameters = derive_parameters(cameras, timebase.frame_rate_hz)
+        found = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
+        best_s = np.inf
+        for _ in range(_REPEATS):
+            started_s = time.perf_counter()
+            animate(*found, cameras, timebase, simulation.joints, ReconstructionConfig())
+            best_s = min(best_s, time.perf_counter() - started_s)
+        person_frames = sum(track.num_frames for track in found[0])
+        sizes.append(
+            {"cameras": num_cameras, "people": len(simulation.truth_m), "person_frames_per_s": person_frames / best_s}
+        )
+    return sizes
+
+
+def measure_memory() -> list[dict[str, float]]:
+    """What the fit of one person takes at its peak beside what it is given and what it gives, by the take's length."""
+    simulation = record(replace(SCENES["room"], duration_s=_DURATION_S), 0, _SIZES[0][1])
+    cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
+    found = reconstruct_tracks(
+        cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
+    )
+    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    figures = []
+    for minutes in _MINUTES:
+        num_frames = round(60 * minutes * rate_hz)
+        long_track, long_seen = longer_track(track, num_frames), longer_observations(seen, num_frames)
+        timebase = Timebase(0.0, rate_hz, num_frames)
+        tracemalloc.start()
+        animation = animate([long_track], [long_seen], cameras, timebase, simulation.joints, ReconstructionConfig())
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        given, made = _arrays(long_track, long_seen), _arrays(*animation.tracks, *animation.motions)
+        # What a track takes over from the one before it is not made.
+        num_new = sum(array.nbytes for key, array in made.items() if key not in given)
+        num_all = sum(array.nbytes for array in (given | made).values())
+        figures.append({"minutes": minutes, "records_mib": num_all / _MIB, "working_mib": (peak - num_new) / _MIB})
+    return figures
+
+
+def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.ndarray]:
+    """All arrays of records, by identity."""
+    values = (getattr(one, field.name) for one in records for field in fields(one))
+    return {id(value): value for value in values if isinstance(value, np.ndarray)}
+
+
+def fit(
+    memory: Annotated[bool, typer.Option("--memory", help="Also the memory of long takes; some minutes.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time the fit of skeletons to whole tracks on one core; simulated people, detected in whole bodies."""
+    with reporting(as_json):
+        warm_up()
+        sizes = measure_sizes()
+        figures = {"memory": measure_memory()} if memory else {}
+    if as_json:
+        emit({"sizes": sizes} | figures)
+        return
+    show_sizes(sizes, as_json)
+    for figure in figures.get("memory", ()):
+        typer.echo(
+            f"{figure['minutes']:g} minutes of one person: {figure['working_mib']:.0f} MiB beside "
+            f"{figure['records_mib']:.0f} MiB of records"
+        )

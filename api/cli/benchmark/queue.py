@@ -1,0 +1,129 @@
+"""`multicap benchmark queue`: what polling and claiming cost with few and with many jobs in the queue."""
+
+import contextlib
+import os
+import random
+import socket
+import subprocess
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Any
+
+import httpx2
+import typer
+
+from api.cli.client import ServiceError
+from api.cli.console import emit, reporting
+from pipeline.runtime.child_processes import module_command
+from worker.jobs.model import InputFile
+from worker.jobs.spec import JobSpec
+from worker.jobs.store import JobStore
+from worker.process.lifeline import tied
+from worker.stages.plan import DEFAULT_CHUNK_FRAMES, plan
+
+_FEW = 20
+_CAMERAS, _NUM_FRAMES, _RATE_HZ = 4, 3000, 25.0
+_START_S = 60.0
+
+
+def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
+    """A store with jobs in the queue, two minutes of four cameras each; their ids, the first one first."""
+    data_dir.mkdir()
+    store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
+    store.migrate()
+    cameras = [f"cam_{number}" for number in range(_CAMERAS)]
+    preflight = {
+        "cameras": [{"name": name, "frame_rate_hz": _RATE_HZ} for name in cameras],
+        "timebase": {"start_time_s": 0.0, "frame_rate_hz": _RATE_HZ, "num_frames": _NUM_FRAMES},
+        "warnings": [],
+    }
+    files = [InputFile(f"{name}.mp4", "video", f"inputs/{name}.mp4", 1, "0" * 64) for name in cameras]
+    session = store.create_session("take", files, preflight, store.announce_session())
+    stages = plan(session, JobSpec(), DEFAULT_CHUNK_FRAMES)
+    return store, [store.create_job(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
+
+
+@contextlib.contextmanager
+def api(data_dir: Path) -> Iterator[httpx2.Client]:
+    """The web API alone on a data folder."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        fd, port = listening.fileno(), listening.getsockname()[1]
+        environment = os.environ | {"MULTICAP_DATA_DIR": str(data_dir)}
+        command = tied(module_command("api", "--fd", str(fd)))
+        with (
+            (data_dir / "api.log").open("wb") as log,
+            subprocess.Popen(command, env=environment, pass_fds=[fd], stderr=log) as process,  # noqa: S603 - ours
+            httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=_START_S, trust_env=False) as client,
+        ):
+            try:
+                yield client
+            finally:
+                process.terminate()
+
+
+def _seconds(act: Callable[[], object]) -> float:
+    started_s = time.perf_counter()
+    act()
+    return time.perf_counter() - started_s
+
+
+def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
+    """Median milliseconds of an answer and of a claim beside few jobs and beside many, in turns."""
+    seconds: defaultdict[tuple[str, int], list[float]] = defaultdict(list)
+    chance = random.Random(0)  # noqa: S311 - no secret
+    with contextlib.ExitStack() as stack:
+        queues = []
+        for number in (_FEW, num_jobs):
+            store, ids = fill(folder / str(number), number)
+            stack.callback(store.close)
+            queues.append((number, store, ids, stack.enter_context(api(folder / str(number)))))
+
+        def ask(client: httpx2.Client, job_id: str) -> None:
+            if client.get(f"/v1/jobs/{job_id}").json()["state"] not in {"queued", "running"}:
+                raise ServiceError("A job is not in the queue.")
+
+        def claim(store: JobStore) -> None:
+            found = store.claim("benchmark", 60.0)
+            if found is None:
+                raise ServiceError("There is nothing to claim.")
+            held.append((store, found.chunk_id, found.lease_token))
+
+        held: list[tuple[JobStore, int, str]] = []
+        for turn in range(rounds + 1):
+            for number, store, ids, client in queues:
+                polled = _seconds(lambda client=client, ids=ids: ask(client, chance.choice(ids)))  # type: ignore[misc]
+                claimed = _seconds(lambda store=store: claim(store))  # type: ignore[misc]
+                if turn > 0:  # the first ones open connections
+                    seconds["poll", number].append(polled)
+                    seconds["claim", number].append(claimed)
+            for store, chunk_id, token in held:
+                store.release(chunk_id, token)
+            held.clear()
+    result: dict[str, Any] = {"jobs": [_FEW, num_jobs]}
+    for what in ("poll", "claim"):
+        few, many = (median(seconds[what, number]) * 1e3 for number in (_FEW, num_jobs))
+        result[what] = {"few_ms": few, "many_ms": many, "ratio": many / few}
+    return result
+
+
+def queue(
+    jobs: Annotated[int, typer.Option(min=21, max=100_000, help="Jobs in the long queue.")] = 2000,
+    rounds: Annotated[int, typer.Option(min=10, max=10_000, help="Measurements of each kind.")] = 500,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Time polling and claiming beside many queued jobs and beside few."""
+    with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        result = measure(Path(folder), jobs, rounds)
+    if as_json:
+        emit(result)
+        return
+    for what in ("poll", "claim"):
+        figures = result[what]
+        typer.echo(
+            f"{what}: {figures['few_ms']:.2f} ms beside {_FEW} jobs, {figures['many_ms']:.2f} ms beside {jobs}: "
+            f"{figures['ratio']:.2f} times"
+        )

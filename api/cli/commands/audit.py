@@ -1,0 +1,48 @@
+"""`multicap audit`: who did what."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from api.cli.console import emit, print_table
+from api.cli.store import store_in
+
+
+def command(
+    tenant: Annotated[str | None, typer.Option(help="Entries of one tenant; without it of all tenants.")] = None,
+    limit: Annotated[
+        int, typer.Option(min=1, max=1_000_000, help="Largest number of entries; the last ones are listed.")
+    ] = 100,
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """List creations, changes and deletions in the service with their tenant and key, the latest first."""
+    with store_in(data) as store:
+        deeds = store.deeds(tenant, limit)
+        names = {key.id: key.name for key in store.list_keys()}
+    if as_json:
+        listed = [
+            {
+                "done_at": deed.done_at.isoformat(),
+                "tenant": deed.tenant,
+                "key_id": deed.actor.key_id,
+                "request_id": deed.actor.request_id,
+                "act": deed.act,
+                "subject": deed.subject,
+            }
+            for deed in deeds
+        ]
+        emit({"deeds": listed})
+        return
+    rows = (
+        (
+            f"{deed.done_at:%Y-%m-%d %H:%M:%S} UTC",
+            deed.tenant,
+            names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else "",
+            deed.act,
+            deed.subject,
+        )
+        for deed in deeds
+    )
+    print_table(("when", "tenant", "key", "did", "to"), rows)

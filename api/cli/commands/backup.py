@@ -1,0 +1,137 @@
+"""`multicap backup`: everything that a service keeps, in one file."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, byte_bar, console, emit
+from api.cli.store import settings_in
+from api.settings import Settings
+from worker.jobs.backup.contents import Report
+from worker.jobs.backup.create import create_backup
+from worker.jobs.backup.errors import BackupError, BackupUsageError
+from worker.jobs.backup.restore import restore_backup, verify_backup
+from worker.jobs.errors import DamagedDatabase, NewerDatabase
+
+app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]
+
+# More lines than that nobody reads; --json has all.
+_MAX_LINES = 20
+
+
+@app.command()
+def create(
+    archive: Annotated[Path, typer.Argument(metavar="FILE", help="New backup file; it must not exist.")],
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Back up a service; it may run meanwhile."""
+    settings = settings_in(data)
+    with _reported(as_json), byte_bar("Back up", visible=not as_json) as on_progress:
+        report = create_backup(
+            settings.data_dir, settings.resolved_database_url, settings.artifacts_url, archive, on_progress
+        )
+    _finish(report, f"Backed up to {archive}:", archive, as_json)
+
+
+@app.command()
+def restore(
+    archive: Archive,
+    data: Annotated[Path, typer.Option(help="Data folder of the restored service: new or empty.")],
+    as_json: AsJson = False,
+) -> None:
+    """Restore a service from a backup, into a new folder and, with MULTICAP_DATABASE_URL, an empty database."""
+    settings = Settings(data_dir=data)
+    with _reported(as_json), byte_bar("Restore", visible=not as_json) as on_progress:
+        report = restore_backup(
+            archive, settings.data_dir, settings.resolved_database_url, settings.artifacts_url, on_progress
+        )
+    _finish(report, f"Restored to {data}:", archive, as_json)
+
+
+@app.command()
+def verify(archive: Archive, as_json: AsJson = False) -> None:
+    """Check all of a backup as `restore` does, without writing it."""
+    with _reported(as_json), byte_bar("Verify", visible=not as_json) as on_progress:
+        report = verify_backup(archive, on_progress)
+    _finish(report, f"{archive} is damaged:" if report.faults else f"{archive} is whole:", archive, as_json)
+
+
+@contextlib.contextmanager
+def _reported(as_json: bool) -> Iterator[None]:
+    """Turn what went wrong into sentences and the documented exit codes."""
+    try:
+        yield
+    except (BackupError, DamagedDatabase, NewerDatabase) as error:
+        code, faults = _code_and_faults(error)
+        is_usage = isinstance(error, BackupUsageError)
+        if as_json:
+            emit({"problems": [{"code": code, "message": fault} for fault in faults]})
+        else:
+            _list("error", "bold red", faults)
+        raise typer.Exit(EXIT_BAD_INPUT if is_usage else EXIT_FAILED) from error
+
+
+def _code_and_faults(error: BackupError | DamagedDatabase | NewerDatabase) -> tuple[str, tuple[str, ...]]:
+    match error:
+        case BackupUsageError():
+            return "bad_usage", error.faults
+        case BackupError():
+            return "backup_failed", error.faults
+        case DamagedDatabase():
+            return "database_damaged", (f"{error}\n{error.instructions()}",)
+        case _:
+            return "backup_failed", (str(error),)
+
+
+def _finish(report: Report, sentence: str, archive: Path, as_json: bool) -> None:
+    """Say what is in a backup, and end with an exit code that says whether that is all."""
+    if as_json:
+        emit(
+            {
+                "path": str(archive),
+                "archive_bytes": report.archive_bytes,
+                **report.manifest.model_dump(mode="json"),
+                "faults": list(report.faults),
+                "file_problems": [problem.model_dump() for problem in report.problems],
+            }
+        )
+    else:
+        _describe(report, sentence)
+    if report.faults or report.lost:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _describe(report: Report, sentence: str) -> None:
+    manifest = report.manifest
+    jobs = ", ".join(f"{number} {state}" for state, number in manifest.rows.jobs.items())
+    console.print(
+        f"{sentence} {manifest.rows.sessions} sessions, {sum(manifest.rows.jobs.values())} jobs"
+        f"{f' ({jobs})' if jobs else ''}, {manifest.rows.uploads} uploads, {manifest.files} files, "
+        f"{report.archive_bytes / 1e6:,.1f} MB; as of {manifest.created_at:%Y-%m-%d %H:%M:%S} UTC, "
+        f"Multicap {manifest.multicap_version}.",
+        markup=False,
+        soft_wrap=True,
+    )
+    if manifest.artifacts_url:
+        sentence = (
+            f"Artifacts are not in the backup: they stay in {manifest.artifacts_url}. Use the bucket's versioning."
+        )
+        console.print(sentence, markup=False, soft_wrap=True)
+    _list("error", "bold red", report.faults)
+    _list("warning", "yellow", [f"{lost.path} is {lost.problem}: it can't be restored." for lost in report.lost])
+    others = [problem for problem in report.problems if not problem.needed]
+    _list("note", "dim", [f"{other.path} is {other.problem}; it is made or sent again." for other in others])
+
+
+def _list(label: str, style: str, sentences: tuple[str, ...] | list[str]) -> None:
+    for sentence in sentences[:_MAX_LINES]:
+        console.print(Text.assemble((f"{label} ", style), sentence), soft_wrap=True)
+    if len(sentences) > _MAX_LINES:
+        console.print(Text.assemble((f"{label} ", style), f"{len(sentences) - _MAX_LINES} more; --json lists all."))

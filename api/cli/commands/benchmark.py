@@ -1,0 +1,178 @@
+"""`multicap benchmark`: speed and memory, as ratios within one run."""
+
+import tempfile
+import time
+from collections.abc import Mapping
+from datetime import datetime
+from itertools import repeat
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from api.cli.benchmark.cancel import cancel
+from api.cli.benchmark.clustering import clustering
+from api.cli.benchmark.export import export
+from api.cli.benchmark.fit import fit
+from api.cli.benchmark.load import load
+from api.cli.benchmark.queue import queue
+from api.cli.benchmark.takes import peak_rss_mib
+from api.cli.benchmark.tracking import tracking
+from api.cli.benchmark.videos import loop_video
+from api.cli.client import Json
+from api.cli.commands.reconstruct import write_results
+from api.cli.console import StageBars, emit, print_table, reporting
+from api.cli.options import DEFAULTS, DetectorOption
+from api.cli.served import served
+from pipeline.capture.session import CaptureSession, open_session
+from pipeline.config import Detector, ReconstructionConfig
+from pipeline.detect import models
+from pipeline.detect.detector import open_detector
+from pipeline.runtime.child_processes import ProcessPool
+from pipeline.runtime.packages import samples
+from pipeline.runtime.packages.samples import Sample
+from pipeline.runtime.warm_up import warm_up
+from pipeline.stages.local import reconstruct
+from pipeline.video.decode import decode
+from worker.jobs.spec import JobSpec
+
+app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
+app.command()(cancel)
+app.command()(clustering)
+app.command()(export)
+app.command()(fit)
+app.command()(load)
+app.command()(queue)
+app.command()(tracking)
+
+
+@app.callback()
+def _group() -> None:
+    """Speed and memory."""
+
+
+def network_seconds(session: CaptureSession, detector_name: str) -> float:
+    """Seconds that the network alone takes for all frames of a session, on one thread."""
+    detector = open_detector(detector_name)
+    total_s = 0.0
+    for video in session.videos:
+        for _, image_rgb in decode(video, 0, video.num_frames):
+            tensor, _ = detector.prepare(image_rgb)
+            started_s = time.perf_counter()
+            detector.run_network(tensor)
+            total_s += time.perf_counter() - started_s
+    return total_s
+
+
+@app.command()
+def pipeline(
+    loops: Annotated[int, typer.Option(min=1, max=100, help="How many times the sample is played.")] = 1,
+    detector: DetectorOption = DEFAULTS.detector,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Time the sample capture from videos to result files in one process, beside the network alone."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
+        models.install(detector)
+        sample = samples.install()
+        videos = list(sample.videos.values())
+        if loops > 1:
+            looped = [Path(folder) / path.name for path in videos]
+            # In a process of its own: its memory is not the pipeline's.
+            with ProcessPool(1) as pool:
+                list(pool.map(loop_video, videos, looped, repeat(loops)))
+            videos = looped
+        warm_up()
+        started_s = time.perf_counter()
+        session = open_session(videos, sample.calibration)
+        opened_s = time.perf_counter()
+        reconstruction = reconstruct(session, ReconstructionConfig(detector=cast(Detector, detector)), bars.update)
+        reconstructed_s = time.perf_counter()
+        num_bytes = sum(path.stat().st_size for path in write_results(reconstruction, Path(folder) / "results"))
+        ended_s = time.perf_counter()
+        peak_mib = peak_rss_mib()
+        network_s = network_seconds(session, detector)
+    wall_s = ended_s - started_s
+    stages = {"open": opened_s - started_s, **bars.seconds, "export": ended_s - reconstructed_s}
+    result = {
+        "frames": sum(video.num_frames for video in session.videos),
+        "stages": stages,
+        "network_s": network_s,
+        "wall_s": wall_s,
+        "overhead": wall_s / network_s,
+        "peak_rss_mib": peak_mib,
+        "result_bytes": num_bytes,
+    }
+    if as_json:
+        emit(result)
+        return
+    print_table(("stage", "seconds"), ((name, f"{seconds:.2f}") for name, seconds in stages.items()))
+    typer.echo(
+        f"{result['frames']} frames in {wall_s:.1f} s, the network alone {network_s:.1f} s: "
+        f"overhead {wall_s / network_s:.3f}, peak memory {peak_mib:.0f} MiB"
+    )
+
+
+def stage_seconds(job: Json) -> dict[str, float]:
+    """From the start of each stage's first chunk to the end of its last one."""
+    return {
+        stage["name"]: (
+            datetime.fromisoformat(stage["finished_at"]) - datetime.fromisoformat(stage["started_at"])
+        ).total_seconds()
+        for stage in job["stages"]
+    }
+
+
+def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
+    """Time a session through a fresh service: from the upload's first byte to the last download's last byte."""
+    with served(folder / "service", workers) as client:
+        started_s = time.perf_counter()
+        job = client.submit("Sample capture", list(sample.videos.values()), sample.calibration)
+        submitted_s = time.perf_counter()
+        job = client.follow(job)
+        followed_s = time.perf_counter()
+        client.download(job, folder / "results")
+        ended_s = time.perf_counter()
+    return {
+        "wall_s": ended_s - started_s,
+        "submit_s": submitted_s - started_s,
+        "job_s": followed_s - submitted_s,
+        "download_s": ended_s - followed_s,
+        "stages": stage_seconds(job),
+    }
+
+
+def time_library(sample: Sample, folder: Path) -> float:
+    """Time the library on one process, from the videos to the files on disk."""
+    started_s = time.perf_counter()
+    session = open_session(list(sample.videos.values()), sample.calibration)
+    write_results(reconstruct(session, ReconstructionConfig()), folder)
+    return time.perf_counter() - started_s
+
+
+@app.command()
+def service(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Time the sample through the service with one worker and with two, beside the library."""
+    with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        models.install(JobSpec().detector)
+        sample = samples.install()
+        warm_up()
+        library_s = time_library(sample, Path(folder) / "library")
+        one, two = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
+    result: Mapping[str, Any] = {
+        "library_s": library_s,
+        "one_worker": one,
+        "two_workers": two,
+        "added_s": one["wall_s"] - library_s,
+        "speedup": one["job_s"] / two["job_s"],
+        "detect_speedup": one["stages"]["detect"] / two["stages"]["detect"],
+    }
+    if as_json:
+        emit(result)
+        return
+    typer.echo(
+        f"Library {library_s:.1f} s; service with one worker {one['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
+        f"with two {two['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
+        f"detection {result['detect_speedup']:.2f} times"
+    )

@@ -1,0 +1,88 @@
+"""`multicap demo`: a real four-camera capture through the service, from POST to animations on disk."""
+
+import contextlib
+import json
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from jaxtyping import Float
+
+from api.cli.commands.reconstruct import print_summary
+from api.cli.console import StageBars, console, reporting
+from api.cli.served import served
+from pipeline.capture.session import CaptureSession, open_session
+from pipeline.detect import models
+from pipeline.export.overlay import draw_skeletons, encode_png
+from pipeline.joints import COCO_17
+from pipeline.runtime.packages import samples
+from pipeline.video.decode import decode
+from pipeline.video.timeline import frames_in
+from worker.jobs.spec import JobSpec
+
+
+def people_at(skeletons: Mapping[str, Any], frame: int) -> dict[int, Float[np.ndarray, "joints 3"]]:
+    """Joint positions of an output frame by person, from a parsed ``skeletons.json``."""
+    unseen = [np.nan] * 3
+    return {
+        track["id"]: np.array([xyz or unseen for xyz in track["positions_m"][frame - track["start_frame"]]])
+        for track in skeletons["tracks"]
+        if 0 <= frame - track["start_frame"] < len(track["positions_m"])
+    }
+
+
+def write_overlays(session: CaptureSession, skeletons: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Draw everybody over the middle frame of every camera."""
+    frame = skeletons["num_frames"] // 2
+    people_m = people_at(skeletons, frame)
+    start_s = skeletons["start_time_s"] + frame / skeletons["frame_rate_hz"]
+    half_s = 0.5 / skeletons["frame_rate_hz"]
+    paths = []
+    for camera, video in zip(session.cameras, session.videos, strict=True):
+        nearest = frames_in(session.times[camera.name], start_s - half_s, start_s + half_s)
+        for _, image_rgb in decode(video, nearest.start, nearest.stop):
+            path = folder / f"overlay-{video.path.stem}.png"
+            path.write_bytes(encode_png(draw_skeletons(image_rgb, camera, people_m, COCO_17)))
+            paths.append(path)
+    return paths
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo-output"),
+    keep: Annotated[bool, typer.Option("--keep", help="Leave the service running until Ctrl-C.")] = False,
+) -> None:
+    """Start the service, send it the sample capture, download BVH, JSON and metrics, and draw pictures."""
+    started_s = time.monotonic()
+    with reporting(as_json=False), tempfile.TemporaryDirectory(prefix="multicap-") as data_dir:
+        models.install(JobSpec().detector)
+        sample = samples.install()
+        console.print(sample.attribution)
+        videos = list(sample.videos.values())
+        with served(Path(data_dir), workers=os.cpu_count() or 1) as client:
+            console.print(f"The service runs at {client.url}. Sending {len(videos)} videos.")
+            job = client.submit("Sample capture", videos, sample.calibration)
+            with StageBars(visible=True) as bars:
+                job = client.follow(job, bars.update_job)
+            paths = client.download(job, out)
+            skeletons, metrics = (json.loads((out / name).read_bytes()) for name in ("skeletons.json", "metrics.json"))
+            paths += write_overlays(open_session(videos, sample.calibration), skeletons, out)
+            print_summary(metrics)
+            console.print(f"{len(videos)} cameras, {time.monotonic() - started_s:.0f} s in all.")
+            console.print(f"Results are in {out}/:")
+            for path in paths:
+                console.print(f"  {path.name}")
+            if keep:
+                typer.echo(f"The service goes on at {client.url}. Ctrl-C stops it.")
+                _wait_for_ctrl_c()
+
+
+def _wait_for_ctrl_c() -> None:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.pause()

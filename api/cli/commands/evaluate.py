@@ -1,0 +1,315 @@
+"""`multicap evaluate`: accuracy against a known truth."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from api.cli.console import StageBars, emit, print_table, reporting
+from api.cli.options import (
+    DEFAULTS,
+    DetectorOption,
+    FeetOption,
+    MethodOption,
+    SmoothingOption,
+    known_feet,
+    known_method,
+    known_smoothing,
+)
+from pipeline.capture.session import open_session
+from pipeline.clustering.associate import reconstruct_by_clustering
+from pipeline.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.config import Detector, Method, ReconstructionConfig
+from pipeline.data import Animation
+from pipeline.errors import InputError, Problem
+from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
+from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
+from pipeline.evaluation.datasets.shelf_ablation import ablate
+from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
+from pipeline.evaluation.simulated import score_simulated
+from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
+from pipeline.evaluation.simulated_feet import score_feet
+from pipeline.joints import COCO_17, COCO_18, JointSet
+from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
+from pipeline.runtime.warm_up import warm_up
+from pipeline.simulation.scenes import SCENES, Simulation, find_scene, simulate
+from pipeline.skeleton.animate import animate
+from pipeline.stages.local import reconstruct
+from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+# As in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
+_ABLATION_VIEWS = 12
+
+app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Accuracy against a known truth."""
+
+
+@app.command()
+def rendered(
+    data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
+    detector: DetectorOption = DEFAULTS.detector,
+    method: MethodOption = DEFAULTS.method,
+    smoothing: SmoothingOption = DEFAULTS.smoothing,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        truth = load_rendered(data)
+        session = open_session(data / "videos", data / "calibration.toml")
+        config = ReconstructionConfig(
+            known_method(method), cast(Detector, detector), smoothing=known_smoothing(smoothing)
+        )
+        reconstruction = reconstruct(session, config, bars.update)
+        scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
+    if as_json:
+        emit(scores)
+        return
+    print_table(("measure", "value"), ((name, _shown(value)) for name, value in scores.items()))
+
+
+@app.command()
+def shelf(
+    data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
+    method: MethodOption = DEFAULTS.method,
+    smoothing: SmoothingOption = DEFAULTS.smoothing,
+    detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
+    every: Annotated[
+        int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
+    ] = 1,
+    ablation: Annotated[
+        bool, typer.Option(help="Also measure what the parts of the method are worth (half a minute).")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
+    with reporting(as_json):
+        checked_method = known_method(method)
+        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing))
+        whole = load_shelf(data, detections)
+        _refuse_ablation(checked_method, ablation)
+        benchmark, kept = thin(whole, every)
+        warm_up()
+        started_s = time.perf_counter()
+        views = (benchmark.cameras, benchmark.times, benchmark.detections)
+        identities = None
+        if checked_method == "clustering":
+            parameters = clustering_parameters(benchmark.cameras)
+            found = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
+        else:
+            limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
+            identities = associate(*views, limits)
+            found = locate_people(*views, identities, benchmark.timebase, limits)
+        tracks = animate(*found, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
+        elapsed_s = time.perf_counter() - started_s
+        result = {
+            "method": checked_method,
+            **score_shelf(tracks, benchmark),
+            # Clustering gives joints to people, not detections.
+            "association_accuracy": None if identities is None else association_accuracy(identities, kept)["all"],
+            **score_tracking(tracks, benchmark),
+            "bone_std_cm": bone_length_std_cm(tracks, COCO_17),
+            "jitter_m_s2": mean_jitter_m_s2(tracks, benchmark.timebase.frame_rate_hz),
+            "fps": benchmark.timebase.num_frames / elapsed_s,
+        }
+        if ablation:
+            result["ablation"] = ablate(whole)
+    if as_json:
+        emit(result)
+        return
+    _print_shelf(result)
+    if ablation:
+        _print_ablation(result["ablation"])
+
+
+def _print_shelf(result: dict[str, Any]) -> None:
+    pcp = result["pcp"]
+    parts = [*pcp["parts"].items(), ("all", pcp["actors"])]
+    columns = ["part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS))]
+    print_table(columns, ([name, *(f"{value:.2f}" for value in values)] for name, values in parts))
+    rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
+    typer.echo(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
+    if result["association_accuracy"] is not None:
+        typer.echo(f"Association accuracy {result['association_accuracy']:.4f}")
+    typer.echo(
+        f"Identity switches {result['switches']}, ghost tracks {result['ghost_tracks']}, standard deviation of bone "
+        f"lengths {result['bone_std_cm']:.2f} cm, {result['fps']:.0f} frames a second"
+    )
+    print_table(
+        ("camera", "MOTA", "IDF1", "false positives", "missed"),
+        (
+            [
+                name,
+                *(f"{result[metric][name]:.4f}" for metric in ("mota", "idf1")),
+                *(str(result[metric][name]) for metric in ("false_positives", "missed")),
+            ]
+            for name in result["mota"]
+        ),
+    )
+    typer.echo("Actors are annotated in some images only: a track that matches none counts as false near one.")
+
+
+def _print_ablation(ablation: dict[str, Any]) -> None:
+    for title, first, rows in (
+        ("Association accuracy, frame by frame", "matched by", ablation["association"]),
+        ("PCP by triangulation", "triangulation", ablation["triangulation"]),
+        ("A tracker that sees one camera", "measure", ablation["single_view"]),
+    ):
+        columns = list(next(iter(rows.values())))
+        cells = ([name, *(f"{values[column]:.4g}" for column in columns)] for name, values in rows.items())
+        print_table([first, *columns], cells, title)
+    for title, rows in (
+        ("Weights of correspondence", ablation["weights"]),
+        ("PCP, every n-th image", ablation["every"]),
+    ):
+        print_table(list(rows[0]), ([f"{value:.4g}" for value in row.values()] for row in rows), title)
+
+
+@app.command()
+def simulated(
+    scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same scene.")] = 0,
+    method: MethodOption = DEFAULTS.method,
+    smoothing: SmoothingOption = DEFAULTS.smoothing,
+    feet: FeetOption = DEFAULTS.feet,
+    evidence: Annotated[
+        str | None,
+        typer.Option(
+            help="Evidence: `fields` (part affinity fields; default of clustering) or `bodies` (whole bodies; the "
+            "default of tracking)."
+        ),
+    ] = None,
+    views: Annotated[
+        str | None,
+        typer.Option(help="Numbers of cameras, such as 4,8. Default: all; with --ablation at most the paper's 12."),
+    ] = None,
+    ablation: Annotated[
+        bool,
+        typer.Option(help="Also measure what the constraints of clustering are worth (the paper's table 3; minutes)."),
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Simulated people with exact truth, from what a faulty detector sees of them."""
+    by_views: dict[int, dict[str, Any]] = {}
+    with reporting(as_json):
+        checked_method = known_method(method)
+        checked_evidence = _known_evidence(evidence, checked_method, ablation)
+        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing), feet=known_feet(feet))
+        if ablation and views is None:
+            views = str(min(_ABLATION_VIEWS, find_scene(scene).rig.num_cameras))
+        for num_views in _numbers(views):
+            simulation = simulate(scene, seed, num_views)
+            warm_up()
+            scores = (
+                _score_fields(simulation, config, ablation)
+                if checked_evidence == "fields"
+                else _score_bodies(simulation, config)
+            )
+            by_views[len(simulation.cameras)] = scores
+    if as_json:
+        emit(
+            {
+                "scene": scene,
+                "seed": seed,
+                "method": checked_method,
+                "evidence": checked_evidence,
+                "by_views": by_views,
+            }
+        )
+        return
+    _print_simulated({f"{num_views} cameras": scores for num_views, scores in by_views.items()})
+    if ablation:
+        for num_views, scores in by_views.items():
+            typer.echo(f"\nClustering's parts, {num_views} cameras (see docs/clustering.md)")
+            _print_simulated(scores["ablation"])
+
+
+def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str:
+    """What people are found from, the method's own by default."""
+    chosen = evidence or ("fields" if method == "clustering" else "bodies")
+    problems = []
+    if chosen not in {"fields", "bodies"}:
+        problems.append(Problem("unknown_evidence", f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
+    elif chosen == "fields" and method != "clustering":
+        problems.append(
+            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Omit --evidence, or use clustering.")
+        )
+    if ablation and chosen != "fields":
+        hint = "Omit --ablation, or evaluate clustering of fields."
+        problems.append(Problem("no_ablation", "There is an ablation of clustering of fields only.", hint=hint))
+    if problems:
+        raise InputError(problems)
+    return chosen
+
+
+def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> dict[str, Any]:
+    return score_simulated(animation.tracks, simulation, joints) | score_feet(
+        animation.tracks, animation.motions, simulation, joints
+    )
+
+
+def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[str, Any]:
+    views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
+    started_s = time.perf_counter()
+    if config.method == "clustering":
+        parameters = clustering_parameters(simulation.cameras)
+        found = reconstruct_by_clustering(*views, simulation.joints, parameters)
+    else:
+        limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
+        found = reconstruct_tracks(*views, limits)
+    animation = animate(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
+    fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
+    return _score(animation, simulation, simulation.joints) | {"fps": fps}
+
+
+def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
+    with drawn_fields(simulation) as files:
+        started_s = time.perf_counter()
+        found = cluster_fields(simulation, files)
+        animation = animate(*found, simulation.cameras, simulation.timebase, COCO_18, config)
+        fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
+        scores = _score(animation, simulation, COCO_18)
+        parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}
+    return scores | {"fps": fps} | parts
+
+
+def _print_simulated(columns: Mapping[str, Mapping[str, Any]]) -> None:
+    """One column of scores each; the errors of joints below the rest."""
+    first = next(iter(columns.values()))
+    rows = [
+        [name, *(_shown(scores.get(name)) for scores in columns.values())]
+        for name in first
+        if not isinstance(first[name], dict)
+    ]
+    for joint in first["mpjpe_by_joint_mm"]:
+        errors = (scores["mpjpe_by_joint_mm"][joint] for scores in columns.values())
+        rows.append([f"mpjpe_mm of the {joint}", *(_shown(error) for error in errors)])
+    print_table(["measure", *columns], rows)
+
+
+def _shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _refuse_ablation(method: Method, ablation: bool) -> None:
+    if ablation and method != "tracking":
+        problem = Problem(
+            "no_ablation", f"There is no ablation of the method '{method}' here.", hint="Omit --ablation."
+        )
+        raise InputError([problem])
+
+
+def _numbers(views: str | None) -> list[int | None]:
+    if views is None:
+        return [None]
+    try:
+        return [int(number) for number in views.split(",")]
+    except ValueError:
+        problem = Problem("wrong_number_of_views", f"{views!r} is no list of numbers.", hint="Write them as 4,8,16.")
+        raise InputError([problem]) from None

@@ -1,0 +1,101 @@
+"""`multicap keys`: who may use the service, as which tenant, and for what."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.cli.console import console, emit, print_table, refusal, shown_time
+from api.cli.store import opened_store, settings_in, store_in
+from worker.jobs.database.tables import DEFAULT_TENANT
+from worker.jobs.errors import NotFound
+from worker.jobs.files.disk import DiskSpace
+from worker.jobs.model import Key, Scope
+
+app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
+
+_DAY_S = 86_400.0
+
+
+def _document(key: Key) -> dict[str, Any]:
+    times = {name: getattr(key, name) for name in ("created_at", "expires_at", "revoked_at")}
+    return {
+        "id": key.id,
+        "tenant": key.tenant,
+        "name": key.name,
+        "scopes": sorted(key.scopes),
+        **{name: moment.isoformat() if moment else None for name, moment in times.items()},
+    }
+
+
+@app.command()
+def create(
+    name: Annotated[str, typer.Argument(help="Name of the key for people, such as its user.")],
+    tenant: Annotated[
+        str,
+        typer.Option(help="Tenant whose sessions and jobs the key sees; what was made without keys is `default`'s."),
+    ] = (DEFAULT_TENANT),
+    scope: Annotated[
+        list[Scope], typer.Option(help="What the key allows; give it several times for several scopes.")
+    ] = [  # noqa: B006
+        Scope.READ,
+        Scope.WRITE,
+    ],
+    days: Annotated[
+        float | None,
+        typer.Option(min=1 / 1440, help="Days until the key expires; without it the key is valid until it is revoked."),
+    ] = None,
+    data: Data = None,
+    as_json: AsJson = False,
+) -> None:
+    """Create a key and print it; it can't be read again. After the first key every request needs one."""
+    if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
+        raise refusal("A name has 1 to 200 characters, a tenant's 1 to 64. Choose others.")
+    with store_in(data) as store:
+        key, secret = store.create_key(tenant, name, set(scope), None if days is None else days * _DAY_S)
+    if as_json:
+        emit({**_document(key), "key": secret})
+        return
+    console.print(f"Key {key.id} of {key.tenant}. Keep it; it is not shown again:")
+    typer.echo(secret)
+
+
+@app.command("list")
+def list_(data: Data = None, as_json: AsJson = False) -> None:
+    """List all keys, without their secrets."""
+    with store_in(data) as store:
+        found = store.list_keys()
+    if as_json:
+        emit({"keys": [_document(key) for key in found]})
+        return
+    now = datetime.now(UTC)
+    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in found)
+    print_table(("id", "tenant", "name", "scopes", "until"), rows)
+
+
+def _until(key: Key, now: datetime) -> str:
+    """How long a key is valid, or since when it no longer is."""
+    if key.revoked_at is not None:
+        return f"revoked {shown_time(key.revoked_at)}"
+    if key.expires_at is None:
+        return "no end"
+    return f"{'expired ' if key.expires_at <= now else ''}{shown_time(key.expires_at)}"
+
+
+@app.command()
+def revoke(
+    key_id: Annotated[str, typer.Argument(metavar="ID", help="ID of the key, from `multicap keys list`.")],
+    data: Data = None,
+) -> None:
+    """Revoke a key, at once and for good."""
+    settings = settings_in(data)
+    with opened_store(settings) as store:
+        try:
+            # A key in the wrong hands must go, also where the disk is full.
+            key = DiskSpace(settings.data_dir).using_reserve(lambda: store.revoke_key(key_id))
+        except NotFound:
+            raise refusal("There is no such key. `multicap keys list` lists all keys.") from None
+    console.print(f"Key {key.id} ({key.name}) is revoked.")

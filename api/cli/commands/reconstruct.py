@@ -1,0 +1,229 @@
+"""`multicap reconstruct`: videos, or 2D joints of another program, to people in motion; no service needed."""
+
+import json
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.cli.console import StageBars, emit, print_table, reporting, warn
+from api.cli.options import checked, known_units, with_choices
+from pipeline.calibration.registry import UNITS_M
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.session import Recording, open_session
+from pipeline.config import Export, Preset, ReconstructionConfig
+from pipeline.data import Reconstruction
+from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.export import results
+from pipeline.export.results import DEFAULT_EXPORTS, check_exports
+from pipeline.quality.report import all_checks
+from pipeline.stages.association import Views, restrict
+from pipeline.stages.local import reconstruct, reconstruct_keypoints
+
+
+def write_results(
+    reconstruction: Reconstruction,
+    folder: Path,
+    exports: Collection[Export] = DEFAULT_EXPORTS,
+    preset: Preset = "default",
+    frame_rate_hz: float | None = None,
+) -> list[Path]:
+    """Write all result files into a folder, as ``pipeline.export.results`` does.
+
+    Raises
+    ------
+    PipelineError
+        If the folder can't be written to or the disk is full.
+    """
+    return list(_written(reconstruction, folder, exports, preset, frame_rate_hz))
+
+
+def _written(
+    reconstruction: Reconstruction,
+    folder: Path,
+    exports: Collection[Export],
+    preset: Preset,
+    frame_rate_hz: float | None,
+) -> Iterator[Path]:
+    """Write the result files; yields each as soon as it is there."""
+    try:
+        yield from results.write_results(reconstruction, folder, exports, preset, frame_rate_hz)
+    except OSError as error:
+        raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
+
+
+def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
+    if not paths:
+        return "No result was written."
+    return f"Some results are missing: of the files in {folder} these are new, and whole: " + (
+        ", ".join(path.name for path in paths) + "."
+    )
+
+
+def print_summary(metrics: Mapping[str, Any]) -> None:
+    """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong."""
+
+    def shown(value: float | None, unit: str, digits: int) -> str:
+        return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
+
+    print_table(
+        ("person", "frames", "reprojection error", "cameras a joint", "coverage", "stature"),
+        (
+            (
+                f"person-{person['id']}",
+                f"{person['start_frame']} - {person['start_frame'] + person['num_frames'] - 1}",
+                shown(person["reprojection_error_px"], "px", 1),
+                shown(person["views_per_joint"], "", 1),
+                shown(100 * person["coverage"], "%", 1),
+                shown(person["stature_m"], "m", 2),
+            )
+            for person in metrics["people"]
+        ),
+    )
+    typer.echo(
+        f"{metrics['num_frames']} frames at {metrics['frame_rate_hz']:g} Hz; "
+        f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}"
+    )
+    before_and_after = (
+        ("bone length deviation", "cm", metrics["bone_length_std_before_cm"], metrics["bone_length_std_cm"]),
+        ("jitter", "m/s\u00b2", metrics["jitter_before_m_s2"], metrics["jitter_m_s2"]),
+        ("slide of standing feet", "cm", metrics["feet"]["slide_before_cm"], metrics["feet"]["slide_after_cm"]),
+    )
+    print_table(
+        ("measure", "as located", "final"),
+        ((name, shown(before, unit, 2), shown(after, unit, 2)) for name, unit, before, after in before_and_after),
+    )
+    for check in all_checks(metrics):
+        warn(check["message"])
+
+
+def _check_sources(
+    videos: list[Path] | None,
+    keypoints: Path | None,
+    timestamps: Path | None,
+    frame_rate: float | None,
+    offsets: Mapping[str, float],
+) -> None:
+    problems = []
+    if (videos is None) == (keypoints is None):
+        problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
+    if keypoints is None and (timestamps is not None or frame_rate is not None):
+        message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps and --frame-rate."))
+    if keypoints is not None and offsets:
+        message = "Offsets belong to videos; keypoints have timestamps."
+        problems.append(Problem("sources", message, hint="Omit --offset."))
+    if problems:
+        raise InputError(problems)
+
+
+def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
+    """NAME=VALUE pairs as numbers by name."""
+    changes: dict[str, float] = {}
+    problems = []
+    for text in said:
+        name, _, value = text.partition("=")
+        try:
+            changes[name.strip()] = float(value)
+        except ValueError:
+            hint = f"Write it as {example}."
+            problems.append(Problem("parameter_unreadable", f"{text!r} is not NAME=NUMBER.", hint=hint))
+    if problems:
+        raise InputError(problems)
+    return changes
+
+
+@with_choices
+def command(
+    *,
+    calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
+    videos: Annotated[
+        list[Path] | None, typer.Option(help="Folder with one video of each camera, or the videos.", show_default=False)
+    ] = None,
+    more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
+    offset: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAMERA=SECONDS",
+            help="Time of a video's first frame on the common clock; repeatable.",
+        ),
+    ] = None,
+    units: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
+        ),
+    ] = "m",
+    keypoints: Annotated[
+        Path | None,
+        typer.Option(help="Instead of videos: folder with a folder of OpenPose JSON files for each camera."),
+    ] = None,
+    timestamps: Annotated[
+        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+    ] = None,
+    frame_rate: Annotated[
+        float | None,
+        typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default."),
+    ] = None,
+    chosen: Mapping[str, Any],
+    tracking: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Parameter of tracking, see docs/tracking.md; repeatable."),
+    ] = None,
+    clustering: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see docs/clustering.md; repeatable."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Reconstruct all people in synchronised videos, or in keypoint files, of calibrated cameras."""
+    started_s = time.monotonic()
+    paths: list[Path] = []
+    with reporting(as_json, lambda: _what_is_left(paths, out)), StageBars(visible=not as_json) as bars:
+        choices = checked(chosen)
+        config = replace(
+            ReconstructionConfig.of(choices),
+            tracking=_parameters(tracking or [], "alpha_3d_m=0.2"),
+            clustering=_parameters(clustering or [], "tau2=0.25"),
+            chunk_frames=chosen["chunk_frames"],
+            processes=chosen["processes"],
+        )
+        offsets = _parameters(offset or [], "cam_2=0.48")
+        _check_sources(videos, keypoints, timestamps, frame_rate, offsets)
+        session: Views
+        if keypoints is not None:
+            session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
+        else:
+            named = [*(videos or []), *(more_videos or [])]
+            recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
+            session = open_session(named[0] if len(named) == 1 else named, calibration, recordings, known_units(units))
+        check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
+        for warning in session.warnings:
+            warn(warning)
+        if isinstance(session, KeypointSession):
+            reconstruction = reconstruct_keypoints(session, config, bars.update)
+        else:
+            reconstruction = reconstruct(session, config, bars.update)
+        paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
+    metrics = json.loads((out / "metrics.json").read_bytes())
+    if as_json:
+        emit(
+            {
+                "tracks": [
+                    {"id": track.track_id, "start_frame": track.start_frame, "num_frames": track.num_frames}
+                    for track in reconstruction.tracks
+                ],
+                "metrics": metrics,
+                "files": [str(path) for path in paths],
+                "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
+                "warnings": list(reconstruction.warnings),
+            }
+        )
+        return
+    print_summary(metrics)
+    for path in paths:
+        typer.echo(f"  {path}")

@@ -1,0 +1,33 @@
+"""`multicap samples`: a real capture to try things on."""
+
+from typing import Annotated
+
+import typer
+
+from api.cli.console import console, emit, reporting
+from pipeline.runtime.packages import samples
+
+app = typer.Typer(help="A real four-camera capture of two people.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """A real four-camera capture of two people."""
+
+
+@app.command()
+def install(as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False) -> None:
+    """Download the sample capture and check it."""
+    with reporting(as_json):
+        sample = samples.install()
+    if as_json:
+        emit(
+            {
+                "path": str(sample.path),
+                "videos": {camera: str(path) for camera, path in sample.videos.items()},
+                "calibration": str(sample.calibration),
+            }
+        )
+        return
+    console.print(f"{len(sample.videos)} videos and a calibration in {sample.path}")
+    console.print(sample.attribution)

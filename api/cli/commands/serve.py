@@ -1,0 +1,139 @@
+"""`multicap serve`: the whole service on this machine, as one tree of processes."""
+
+import os
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Annotated
+
+import httpx2
+import typer
+from rich.text import Text
+
+from api.app import ExposedError, refuse_strangers
+from api.cli.console import console, refusal, reporting
+from api.cli.store import opened_store
+from api.settings import Settings
+from pipeline.detect import models
+from pipeline.runtime.child_processes import module_command
+from worker.jobs.files.private_files import keep_files_private
+from worker.jobs.repositories.keys import Keys
+from worker.jobs.spec import JobSpec
+from worker.process import embedded
+from worker.process.descriptors import raise_descriptor_limit
+from worker.process.presence import forget_lost
+from worker.process.supervisor import Program, Supervisor
+
+# What it prints, before its address, as soon as it can be used.
+READY = "Multicap is ready at "
+
+# A start with everything in place takes less; a longer one is explained.
+_POLL_S = 0.2
+_QUIET_S = 2.0
+_SAY_EVERY_S = 5.0
+
+# Who listens everywhere is reached here.
+_LOOPBACK_OF = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - a table of names
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A socket that listens; it is kept here, so a restart of the API neither loses the port nor refuses a client."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=512)
+    except OSError as error:
+        sentence = f"Port {port} can't be had on {host}: {error.strerror}. Choose another one with --port."
+        raise refusal(sentence) from error
+
+
+def _url(host: str, port: int) -> str:
+    """Where this machine reaches the service."""
+    name = _LOOPBACK_OF.get(host, host)
+    return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
+
+
+def _api(place: embedded.Place, host: str, listening: socket.socket) -> Program:
+    fd = listening.fileno()
+    command = module_command("api", "--fd", str(fd))
+    return Program("api", command, place.environment() | {"MULTICAP_HOST": host}, pass_fds=[fd])
+
+
+def _announce(url: str) -> None:
+    """Print the address as soon as a worker could start; until then, now and then, what that waits for."""
+    say_at_s, said = time.monotonic() + _QUIET_S, ""
+    with httpx2.Client(base_url=url, timeout=5.0, trust_env=False) as client:
+        while (waiting_for := _missing(client)) != "":
+            if waiting_for not in {None, said} and time.monotonic() >= say_at_s:
+                console.print(waiting_for, markup=False, highlight=False, soft_wrap=True)
+                say_at_s, said = time.monotonic() + _SAY_EVERY_S, waiting_for
+            time.sleep(_POLL_S)
+    typer.echo(f"{READY}{url}")
+    console.print("Ctrl-C stops it.")
+
+
+def _missing(client: httpx2.Client) -> str | None:
+    """Sentences that say why the service is not ready; empty when it is, ``None`` if it does not answer."""
+    try:
+        answer = client.get("/readyz")
+        if answer.is_success:
+            return ""
+        problem = answer.json()
+        items = [" ".join(filter(None, [item["message"], item["hint"]])) for item in problem["errors"]]
+        return " ".join(items) or str(problem["detail"])
+    except (httpx2.TransportError, ValueError, KeyError):
+        return None
+
+
+def command(
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = 8000,
+    host: Annotated[str, typer.Option(help="Address to listen on; other than loopback only with keys.")] = "127.0.0.1",
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service; made if it is missing.")] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=256,
+            help="Number of worker processes. Default: the number of processors, and one more if several tenants have "
+            "keys.",
+        ),
+    ] = None,
+) -> None:
+    """Run the service on this machine: web API, workers, broker and database, until Ctrl-C."""
+    settings = Settings(host=host) if data is None else Settings(host=host, data_dir=data)
+    keep_files_private()
+    raise_descriptor_limit()
+    with reporting(as_json=False):
+        models.verify(JobSpec().detector)
+    try:
+        with embedded.occupy(settings.data_dir) as place:
+            with opened_store(settings) as store:
+                refuse_strangers(settings, store)
+                forget_lost(store)
+                default_workers = _default_workers(store)
+            _serve(settings, place, port, workers or default_workers)
+    except (embedded.DataFolderError, ExposedError) as error:
+        raise refusal(str(error)) from error
+    console.print("Stopped.")
+
+
+def _default_workers(store: Keys) -> int:
+    # One worker stays free for the other tenants, see `worker.jobs.repositories.turns`.
+    return (os.cpu_count() or 1) + (store.count_tenants() > 1)
+
+
+def _serve(settings: Settings, place: embedded.Place, port: int, workers: int) -> None:
+    with _listen(settings.host, port) as listening:
+        url = _url(settings.host, listening.getsockname()[1])
+        threading.Thread(target=_announce, args=[url], daemon=True).start()
+        programs = [
+            embedded.broker(place),
+            embedded.worker(place, workers),
+            embedded.reaper(place),
+            _api(place, settings.host, listening),
+        ]
+        Supervisor(programs, place.logs_dir, _warn).run()
+
+
+def _warn(sentence: str) -> None:
+    console.print(Text.assemble(("warning ", "yellow"), sentence), soft_wrap=True)

@@ -1,0 +1,39 @@
+"""`multicap simulate`: simulated people as keypoint files with their exact truth."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from api.cli.console import console, emit, reporting
+from pipeline.errors import PipelineError
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import SCENES, simulate
+
+
+def command(
+    scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files; made if it is missing.")],
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
+    views: Annotated[int | None, typer.Option(help="Number of the scene's cameras; all by default.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Write a simulated scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""
+    with reporting(as_json):
+        simulation = simulate(scene, seed, views)
+        try:
+            for name, content in simulation_files(simulation):
+                path = out / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+        except OSError as error:
+            raise PipelineError(f"The files can't be written to {out}: {error.strerror}.") from error
+    if as_json:
+        emit({"path": str(out)})
+        return
+    console.print(f"{len(simulation.cameras)} cameras, {len(simulation.truth_m)} people in {out}/.")
+    console.print(
+        f"multicap reconstruct --keypoints {out / 'keypoints'} --calibration {out / 'calibration.json'} "
+        f"--timestamps {out / 'timestamps.csv'} --out RESULTS",
+        soft_wrap=True,
+    )

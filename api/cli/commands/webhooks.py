@@ -1,0 +1,64 @@
+"""`multicap webhooks`: what signs them, and what has not arrived."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from api.cli.console import console, emit, print_table, refusal, shown_time
+from api.cli.store import store_in
+from worker.jobs.database.tables import DEFAULT_TENANT
+
+app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
+Tenant = Annotated[str, typer.Option(help="Tenant whose webhooks the secret signs.")]
+
+_HOUR_S = 3600.0
+
+
+@app.command()
+def rotate(
+    tenant: Tenant = DEFAULT_TENANT,
+    keep_hours: Annotated[
+        float, typer.Option(min=0, max=720, help="Hours in which the earlier secret still signs.")
+    ] = 24.0,
+    data: Data = None,
+    as_json: AsJson = False,
+) -> None:
+    """Create the secret that signs a tenant's webhooks, and print it."""
+    if not 0 < len(tenant) <= 64:
+        raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
+    with store_in(data) as store:
+        secret = store.rotate_webhook_secret(tenant, keep_hours * _HOUR_S)
+    if as_json:
+        emit({"tenant": tenant, "secret": secret})
+        return
+    console.print(f"Secret of {tenant}. Receivers of its webhooks verify them with it:")
+    typer.echo(secret)
+
+
+@app.command("list")
+def list_(data: Data = None, as_json: AsJson = False) -> None:
+    """List undelivered messages, the oldest first."""
+    with store_in(data) as store:
+        left = store.deliveries()
+    if as_json:
+        listed = [
+            {
+                "message_id": one.message_id,
+                "job_id": one.job_id,
+                "tenant": one.tenant,
+                "url": one.url,
+                "due_at": one.due_at.isoformat(),
+                "tries": one.tries,
+                "problem": one.problem,
+            }
+            for one in left
+        ]
+        emit({"deliveries": listed})
+        return
+    rows = (
+        (one.job_id, one.tenant, one.url, str(one.tries), shown_time(one.due_at), one.problem or "") for one in left
+    )
+    print_table(("job", "tenant", "to", "tries", "next", "problem"), rows)

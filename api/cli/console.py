@@ -1,0 +1,218 @@
+"""Output of the command line.
+
+A command's product goes to stdout: tables and figures for a person, or one JSON object for a program. Progress,
+warnings and errors go to stderr.
+"""
+
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+import typer
+from rich.cells import cell_len
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    MofNCompleteColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as ProgressBars
+from rich.text import Text
+
+from pipeline.errors import InputError, PipelineError
+from pipeline.progress import Progress
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+
+console = Console(stderr=True, highlight=False, markup=False, emoji=False)
+
+_LABELS = {
+    "detect": "Detect 2D joints",
+    "lengths": "Measure bones",
+    "poses": "Find people",
+    "associate": "Track people",
+    "fit": "Fit skeletons",
+    "export": "Write files",
+}
+
+
+def emit(value: Mapping[str, Any]) -> None:
+    """Print one JSON object on stdout."""
+    sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def show_sizes(sizes: Sequence[Mapping[str, Any]], as_json: bool) -> None:
+    """Print what was measured at each size, a column a key."""
+    if as_json:
+        emit({"sizes": sizes})
+        return
+    columns = [name.replace("_", " ") for name in sizes[0]]
+    print_table(columns, ([f"{value:.4g}" for value in size.values()] for size in sizes))
+
+
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str = "") -> None:
+    """Print a table on stdout, a line a row, columns two spaces apart; nothing is cut or wrapped.
+
+    Names come from clients: characters that a terminal would obey are shown as escapes. An empty cell is a dash.
+    """
+    lines = [[_visible(cell) or "-" for cell in row] for row in (columns, *rows)]
+    widths = [max(map(cell_len, column)) for column in zip(*lines, strict=True)]
+    if title:
+        typer.echo(f"\n{title}")
+    for number, line in enumerate(lines):
+        text = "  ".join(cell + " " * (width - cell_len(cell)) for cell, width in zip(line, widths, strict=True))
+        typer.echo(typer.style(text.rstrip(), bold=True) if number == 0 else text.rstrip())
+
+
+def _visible(text: str) -> str:
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+
+
+def shown_time(moment: datetime) -> str:
+    """A time as people read it, in UTC."""
+    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
+
+
+def warn(sentence: str) -> None:
+    """Print a warning on stderr."""
+    console.print(Text.assemble(("warning ", "yellow"), sentence), soft_wrap=True)
+
+
+def _print_error(sentence: str) -> None:
+    console.print(Text.assemble(("error ", "bold red"), sentence), soft_wrap=True)
+
+
+class _Interruption(KeyboardInterrupt):
+    """SIGINT or SIGTERM."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise ``_Interruption`` at SIGINT and SIGTERM, once: nothing interrupts the cleaning up."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, _: object) -> None:
+        for each in numbers:
+            signal.signal(each, signal.SIG_IGN)
+        raise _Interruption(number)
+
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is interrupt:
+                signal.signal(number, handler)
+
+
+@contextmanager
+def reporting(as_json: bool, what_is_left: Callable[[], str] = str) -> Iterator[None]:
+    """Turn errors of the pipeline, and interruptions, into clear words and the documented exit codes.
+
+    Bad input lists its problems, one a line or as ``{"problems": [...]}``.
+
+    Parameters
+    ----------
+    what_is_left
+        Says after an interruption what the command has left on disk, in a sentence.
+    """
+    try:
+        with _interruptible():
+            yield
+    except _Interruption as error:
+        sentence = f"Interrupted by {signal.Signals(error.number).name}. {what_is_left()}".strip()
+        if as_json:
+            emit({"problems": [{"code": "interrupted", "message": sentence}]})
+        else:
+            _print_error(sentence)
+        raise typer.Exit(128 + error.number) from error
+    except InputError as error:
+        if as_json:
+            emit({"problems": [asdict(problem) for problem in error.problems]})
+        else:
+            for problem in error.problems:
+                _print_error(str(problem))
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except PipelineError as error:
+        if as_json:
+            emit({"problems": [{"code": error.code, "message": str(error)}]})
+        else:
+            _print_error(str(error))
+        raise typer.Exit(EXIT_FAILED) from error
+
+
+@contextmanager
+def byte_bar(label: str, visible: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar of bytes, until the end of the block; to be told how many are done, of how many."""
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with ProgressBars(*columns, console=console, disable=not visible) as bars:
+        task = bars.add_task(label, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+class StageBars:
+    """Progress bars by stage, with frames a second and the time left; keeps each stage's seconds."""
+
+    def __init__(self, visible: bool) -> None:
+        self._bars = ProgressBars(
+            TextColumn("{task.description:<18}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not visible,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._started_s: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}
+
+    def __enter__(self) -> "StageBars":
+        self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
+
+    def update_job(self, job: Mapping[str, Any]) -> None:
+        """Take in a job of the service as it is now."""
+        for stage in job["stages"]:
+            if stage["started_at"]:
+                self.update(Progress(stage["name"], stage["done"], stage["total"]))
+
+    def update(self, progress: Progress) -> None:
+        """Take in a step of ``pipeline.stages.local.reconstruct``."""
+        now_s = time.monotonic()
+        if progress.stage not in self._tasks:
+            self._started_s[progress.stage] = now_s
+            self._tasks[progress.stage] = self._bars.add_task(_LABELS[progress.stage], total=progress.total, rate="")
+        elapsed_s = now_s - self._started_s[progress.stage]
+        self.seconds[progress.stage] = elapsed_s
+        rate = f"{progress.done / elapsed_s:.1f} frames/s" if progress.stage == "detect" and elapsed_s > 1 else ""
+        self._bars.update(self._tasks[progress.stage], completed=progress.done, rate=rate)
+
+
+def refusal(sentence: str) -> typer.Exit:
+    """Say what is wrong and what to do; raise what is returned."""
+    _print_error(sentence)
+    return typer.Exit(EXIT_BAD_INPUT)

@@ -1,0 +1,116 @@
+"""`multicap`, the command line."""
+
+import atexit
+import gc
+import importlib
+import importlib.metadata
+import sys
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command, get_group
+
+from api.cli.start import end_interrupted
+from pipeline.runtime.memory import keep_freed_memory
+
+# Commands, named as their modules, with their lines in the help: `multicap --help` imports no module.
+COMMANDS: Mapping[str, str] = {
+    "demo": "Reconstruct the sample capture through a service of its own: BVH, JSON, metrics and pictures.",
+    "serve": "Run the service on this machine: web API, workers, broker and database.",
+    "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
+    "models": "Detector networks: list, install, add from a file, verify.",
+    "samples": "Sample capture of two people by four cameras: install.",
+    "keys": "API keys of the service: create, list, revoke.",
+    "webhooks": "Webhooks of the service: secrets and undelivered messages.",
+    "audit": "List who created, changed or deleted what in the service.",
+    "backup": "Backups of the service: create, restore, verify.",
+    "simulate": "Write a simulated scene: keypoints, timestamps, calibration and the truth.",
+    "evaluate": "Accuracy against a known truth.",
+    "benchmark": "Speed and memory.",
+}
+
+
+class LazyGroup(TyperGroup):
+    """Group of ``COMMANDS`` that imports a command's module when the command is used."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        for name, sentence in COMMANDS.items():
+            self.add_command(TyperCommand(name, callback=None, help=sentence))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Find the command by the first word and import it."""
+        name, _, rest = super().resolve_command(ctx, args)
+        try:
+            return name, None if name is None else load(name), rest
+        except KeyboardInterrupt:
+            end_interrupted()
+
+
+def load(name: str) -> Any:
+    """Import a command of ``COMMANDS``: a module's group ``app``, or its function ``command``."""
+    module = importlib.import_module(f"{__package__}.commands.{name}")
+    if hasattr(module, "app"):
+        command: Any = get_group(module.app)
+    else:
+        alone = typer.Typer(add_completion=False)
+        alone.command()(module.command)
+        command = get_command(alone)
+    command.name = name
+    return command
+
+
+app = typer.Typer(
+    name="multicap",
+    cls=LazyGroup,
+    no_args_is_help=True,
+    pretty_exceptions_show_locals=False,
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"multicap {importlib.metadata.version('multicap')}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Markerless motion capture of several people from calibrated cameras."""
+
+
+def main() -> None:
+    """Run the command line."""
+    keep_freed_memory()
+    # Skip the collection of garbage at exit: among all loaded libraries it takes two seconds.
+    atexit.register(gc.freeze)
+    try:
+        app()
+    except ValueError as error:
+        _refuse_settings(error)
+        raise
+
+
+def _refuse_settings(error: ValueError) -> None:
+    """End the program with a sentence a setting if the error is one of the service's settings."""
+    from pydantic import ValidationError  # noqa: PLC0415 - only after an error, so that the help answers at once
+    from pydantic_settings import SettingsError  # noqa: PLC0415
+
+    from api.cli.console import EXIT_BAD_INPUT, refusal  # noqa: PLC0415
+    from api.settings import Settings  # noqa: PLC0415
+    from worker.settings import explain  # noqa: PLC0415
+
+    if isinstance(error, SettingsError) or (isinstance(error, ValidationError) and error.title == Settings.__name__):
+        for sentence in explain(Settings, error):
+            refusal(sentence)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+if __name__ == "__main__":
+    main()

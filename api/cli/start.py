@@ -1,0 +1,29 @@
+"""Entry point of `multicap`: Ctrl-C ends it with a sentence while modules are imported, too."""
+
+import json
+import signal
+import sys
+from typing import NoReturn
+
+
+def main() -> None:
+    """Import the command line and run it."""
+    try:
+        from api.cli.main import main as run  # noqa: PLC0415 - may be interrupted
+    except KeyboardInterrupt:
+        end_interrupted()
+    run()
+
+
+def end_interrupted() -> NoReturn:
+    """End a program that was interrupted before its work began."""
+    sentence = "Interrupted by SIGINT. Nothing was done."
+    if "--json" in sys.argv:
+        sys.stdout.write(json.dumps({"problems": [{"code": "interrupted", "message": sentence}]}) + "\n")
+    else:
+        sys.stderr.write(f"error {sentence}\n")
+    sys.exit(128 + signal.SIGINT)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""The service's job store, for commands that stand beside it."""
+
+import contextlib
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from api.app import unusable_database
+from api.cli.console import refusal
+from api.settings import Settings
+from worker.jobs.errors import NewerDatabase
+from worker.jobs.files.disk import DiskSpace
+from worker.jobs.files.private_files import keep_files_private, make_private
+from worker.jobs.store import JobStore
+
+
+@contextlib.contextmanager
+def opened_store(settings: Settings) -> Iterator[JobStore]:
+    """The store, its schema up to date, for the time of the block; without it the command ends with a sentence."""
+    keep_files_private()
+    try:
+        make_private(settings.data_dir)
+        store = JobStore(settings.resolved_database_url)
+        DiskSpace(settings.data_dir).using_reserve(store.migrate)  # to open a database takes room, too
+    except (SQLAlchemyError, ImportError, OSError) as error:  # of another database there is no driver
+        raise refusal(unusable_database(settings, error)) from error
+    except NewerDatabase as error:
+        raise refusal(str(error)) from error
+    try:
+        yield store
+    except SQLAlchemyError as error:
+        raise refusal(unusable_database(settings, error)) from error
+    finally:
+        store.close()
+
+
+def settings_in(data: Path | None) -> Settings:
+    """Settings of the service in a folder; ``None``: in the usual one."""
+    return Settings() if data is None else Settings(data_dir=data)
+
+
+def store_in(data: Path | None) -> AbstractContextManager[JobStore]:
+    """The store of the service in a folder; ``None``: in the usual one."""
+    return opened_store(settings_in(data))

@@ -1,0 +1,1 @@
+"""The contract: OpenAPI, its examples, problem codes, documentation made from the code."""

@@ -1,0 +1,94 @@
+"""``python -m api.contract.options_page``: write ``docs/options.md``, or with ``--check`` compare it with the code."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from pipeline.config import CHOICES, Choice, ReconstructionConfig, choices_of
+
+PAGE = Path(__file__).parents[2] / "docs" / "options.md"
+
+_INTRODUCTION = """\
+# Options of a reconstruction
+
+This page lists the choices of a reconstruction with their values, limits and defaults.
+
+A job's `spec` has the fields of the first column ([API](../openapi/openapi.json)). `multicap reconstruct` has the
+options of the second column. `GET /v1/options` lists the same choices for a form, and the detectors that are installed.
+
+This page is made from the code: `python -m api.contract.options_page` writes it.
+"""
+_LOCAL = """\
+## Options of the command line alone
+
+Results do not depend on these options.
+"""
+
+
+def document() -> str:
+    """Write the page as Markdown."""
+    local = [choice for choice in choices_of(ReconstructionConfig) if choice.name not in CHOICES]
+    lines = [
+        _INTRODUCTION,
+        "| field of a job | option | meaning | values | default |",
+        "| --- | --- | --- | --- | --- |",
+        *(f"| `{choice.name}` {_row(choice)}" for choice in CHOICES.values()),
+        "",
+        *(line for choice in CHOICES.values() if choice.kind in {"one", "several"} for line in _values(choice)),
+        _LOCAL,
+        "| option | meaning | values | default |",
+        "| --- | --- | --- | --- |",
+        *map(_row, local),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(choice: Choice) -> str:
+    """Cells of a table from the option on."""
+    return f"| `--{choice.option}` | {choice.about.sentence} | {_kind(choice)} | {_default(choice)} |"
+
+
+def _kind(choice: Choice) -> str:
+    about = choice.about
+    names = ", ".join(f"`{name}`" for name in choice.values)
+    if choice.kind in {"one", "several"}:
+        return names if choice.kind == "one" else f"a list of {names}"
+    limits = [
+        f"{words} {limit:g}"
+        for words, limit in (("at least", about.minimum), ("more than", about.above), ("at most", about.maximum))
+        if limit is not None
+    ]
+    noun = {"number": "a number", "whole_number": "a whole number", "frame_range": "two whole numbers"}[choice.kind]
+    return f"{', or '.join(filter(None, (names, noun)))}, {' and '.join(limits)}"
+
+
+def _default(choice: Choice) -> str:
+    if choice.default is None:
+        return str(choice.about.unset)
+    if choice.kind == "several":
+        return ", ".join(f"`{name}`" for name in choice.default)
+    return f"`{choice.default}`" if isinstance(choice.default, str) else f"{choice.default:g}"
+
+
+def _values(choice: Choice) -> Iterator[str]:
+    yield from (f"## Values of `{choice.name}`", "", "| value | meaning |", "| --- | --- |")
+    yield from (f"| `{name}` | {value.label} |" for name, value in choice.values.items())
+    yield ""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Write or compare the page, and return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m api.contract.options_page", description="The page of options.")
+    parser.add_argument("--check", action="store_true", help="Compare with the file; 1 if it differs.")
+    if not parser.parse_args(words).check:
+        PAGE.write_text(document(), encoding="utf-8")
+        return 0
+    if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == document():
+        return 0
+    sys.stderr.write("docs/options.md differs from the code. Run: python -m api.contract.options_page\n")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

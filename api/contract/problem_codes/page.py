@@ -1,0 +1,56 @@
+"""``python -m api.contract.problem_codes.page``: write ``docs/problems.md``, or compare it (``--check``)."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from api.contract.problem_codes import GROUPS, CodeGroup
+
+PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
+
+_INTRODUCTION = """\
+# Problem codes
+
+This page lists every code of a problem or warning, what it means, and what to do.
+
+Codes are stable; sentences may change. Answers of the API are `application/problem+json` (RFC 9457): `code` names the
+problem, `errors` lists everything that is wrong with the request, `retryable` says whether the same request may succeed
+later, and `request_id` is in the service's log. The column *where* says where a code appears: a number is the HTTP
+status of the answer; `job` is the error of a job, `attempt` a failed attempt at one of its chunks, `readyz` an entry of
+`/readyz`, `command` the command line, `warning` a warning of a result.
+
+This page is made from the code: `python -m api.contract.problem_codes.page` writes it.
+"""
+
+
+def document() -> str:
+    """Write the page as Markdown."""
+    return "\n".join([_INTRODUCTION, *(line for group in GROUPS for line in _section(group))])
+
+
+def _section(group: CodeGroup) -> Iterator[str]:
+    yield from (f"## {group.title}", "", group.introduction, "")
+    yield from ("| code | where | meaning | what to do |", "| --- | --- | --- | --- |")
+    for code in group.codes:
+        yield f"| `{code.name}` | {', '.join(code.where)} | {code.meaning} | {code.remedy} |"
+    yield ""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Write or compare the page, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m api.contract.problem_codes.page", description="The page of problem codes."
+    )
+    parser.add_argument("--check", action="store_true", help="Compare with the file; 1 if it differs.")
+    if not parser.parse_args(words).check:
+        PAGE.write_text(document(), encoding="utf-8")
+        return 0
+    if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == document():
+        return 0
+    sys.stderr.write("docs/problems.md differs from the code. Run: python -m api.contract.problem_codes.page\n")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

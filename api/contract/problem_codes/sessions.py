@@ -1,0 +1,222 @@
+"""Codes of the files of a session: calibration, videos, keypoints, and the times of frames."""
+
+from api.contract.problem_codes.model import CodeGroup, ProblemCode
+
+# The check of a session refuses it, and so does ``multicap reconstruct``.
+_FILES = ("422", "command")
+# Also found when the frames are decoded.
+_FRAMES = ("422", "job", "command")
+
+CALIBRATIONS = CodeGroup(
+    "Calibration",
+    "Formats and limits are in [formats](formats.md#calibration).",
+    (
+        ProblemCode("calibration_missing", _FILES, "There is no such file.", "Check the path."),
+        ProblemCode("calibration_unreadable", _FILES, "The file is damaged or not of its format.", "Export it again."),
+        ProblemCode(
+            "calibration_format",
+            _FILES,
+            "The format is not known.",
+            "Use Qualisys QCA (XML), Caliscope / anipose TOML or JSON.",
+        ),
+        ProblemCode(
+            "calibration_too_large",
+            _FILES,
+            "The file is larger than a calibration may be.",
+            "Check that it is a calibration.",
+        ),
+        ProblemCode("calibration_empty", _FILES, "The calibration has no camera.", "Export it with its cameras."),
+        ProblemCode(
+            "calibration_units",
+            _FILES,
+            "The format states its own unit of length; `units` contradicts it.",
+            "Omit `units`.",
+        ),
+        ProblemCode("unknown_version", _FILES, "`schema_version` is not one that is read.", "Write version 1."),
+        ProblemCode("too_many_cameras", _FILES, "The calibration has more cameras than allowed.", "Remove some."),
+        ProblemCode("duplicate_camera", _FILES, "Two cameras have the same name.", "Rename one."),
+        ProblemCode("invalid_name", _FILES, "A camera has no usable name.", "Name the camera."),
+        ProblemCode(
+            "invalid_size", _FILES, "The image size is not two whole numbers within the limits.", "Correct it."
+        ),
+        ProblemCode("invalid_matrix", _FILES, "The camera matrix is not one, or not plausible.", "Calibrate again."),
+        ProblemCode(
+            "invalid_distortion",
+            _FILES,
+            "Distortion does not have 0, 4, 5, 8 or 12 plausible coefficients.",
+            "Correct them.",
+        ),
+        ProblemCode("invalid_rotation", _FILES, "The rotation is not a rotation.", "Correct it, or calibrate again."),
+        ProblemCode(
+            "invalid_translation", _FILES, "The translation is not three plausible numbers.", "Correct it or its unit."
+        ),
+        ProblemCode(
+            "invalid_number", _FILES, "An attribute of the QCA file is missing or no number.", "Export it again."
+        ),
+        ProblemCode(
+            "unsupported_lens",
+            _FILES,
+            "The lens model is fisheye, or has skew.",
+            "Undistort the videos, or calibrate with the standard model.",
+        ),
+    ),
+)
+
+VIDEOS = CodeGroup(
+    "Videos and cameras",
+    "Formats and limits are in [formats](formats.md#videos).",
+    (
+        ProblemCode("too_few_videos", _FILES, "There are fewer than two videos.", "Give one video of each camera."),
+        ProblemCode("duplicate_video", _FILES, "Two videos have the same name but for the ending.", "Rename one."),
+        ProblemCode(
+            "video_without_camera", _FILES, "No camera of the calibration has the video's name.", "Rename the video."
+        ),
+        ProblemCode(
+            "camera_without_video",
+            _FILES,
+            "No video has the name of this camera.",
+            "Add the video, or remove the camera from the calibration.",
+        ),
+        ProblemCode(
+            "video_doubled",
+            _FILES,
+            "Two videos belong to one camera, by their names or by the manifest.",
+            "Remove one, or state its camera.",
+        ),
+        ProblemCode("recording_camera_unknown", _FILES, "The manifest names an unknown camera.", "Correct the name."),
+        ProblemCode("recording_doubled", _FILES, "The manifest names a camera twice.", "Name each camera once."),
+        ProblemCode("recording_file_unknown", _FILES, "The manifest names an unknown video.", "Correct the name."),
+        ProblemCode(
+            "recording_file_doubled",
+            _FILES,
+            "The manifest gives one video to two cameras.",
+            "Give each camera its video.",
+        ),
+        ProblemCode(
+            "size_mismatch",
+            _FILES,
+            "The video and its calibration have different sizes in pixels.",
+            "Calibrate at the size of the videos.",
+        ),
+        ProblemCode("video_missing", _FILES, "There is no such file.", "Check the path."),
+        ProblemCode("video_empty", _FILES, "The file has no bytes.", "Copy it again."),
+        ProblemCode(
+            "video_unreadable",
+            _FRAMES,
+            "The file is not a readable video, or decoding exceeded the limits on time or memory.",
+            "Convert it to H.264 in MP4; record or export it again if its index is missing.",
+        ),
+        ProblemCode("no_video_stream", _FILES, "The file has no video stream that can be decoded.", "Check the file."),
+        ProblemCode(
+            "unsupported_codec", _FILES, "The codec is not supported.", "Convert the video, for example to H.264."
+        ),
+        ProblemCode("no_frames", _FILES, "The video has no frame that can be decoded.", "Record or export it again."),
+        ProblemCode("no_keyframes", _FILES, "The video has no keyframe.", "Convert it again."),
+        ProblemCode("video_too_large", _FILES, "The frames have too many pixels.", "Scale the video down."),
+        ProblemCode("video_too_long", _FILES, "The video has too many frames.", "Cut the video."),
+        ProblemCode("video_truncated", _FILES, "The file ends before its last frame.", "Copy it again."),
+        ProblemCode(
+            "video_changes_size", _FRAMES, "The size of the frames changes within the video.", "Cut the video there."
+        ),
+        ProblemCode(
+            "video_times",
+            _FRAMES,
+            "Times of frames are missing, go back, or repeat in more than 10 % of the frames.",
+            "Convert the video, for example to MP4.",
+        ),
+        ProblemCode(
+            "video_damaged",
+            ("job", "command"),
+            "Frames can't be decoded, or more than 10 % of the used frames are damaged.",
+            "Copy the file again, or cut the damaged part away.",
+        ),
+    ),
+)
+
+KEYPOINTS = CodeGroup(
+    "Keypoints",
+    "Formats and limits are in [formats](formats.md#keypoints).",
+    (
+        ProblemCode(
+            "keypoints_archive",
+            _FILES,
+            "The archive is damaged or not allowed.",
+            "Send a zip of JSON files for each camera.",
+        ),
+        ProblemCode("keypoints_missing", _FILES, "There is no such folder.", "Check the path."),
+        ProblemCode("too_few_folders", _FILES, "There are fewer than two folders.", "Give a folder for each camera."),
+        ProblemCode(
+            "folder_without_camera", _FILES, "No camera of the calibration has the folder's name.", "Rename the folder."
+        ),
+        ProblemCode(
+            "camera_without_folder",
+            _FILES,
+            "No folder has the name of this camera.",
+            "Add the folder, or remove the camera from the calibration.",
+        ),
+        ProblemCode("folder_doubled", _FILES, "Two folders belong to one camera.", "Remove one of them."),
+        ProblemCode(
+            "keypoints_none",
+            _FILES,
+            "The folder has no keypoint file.",
+            "Name the files `..._000000000123_keypoints.json`.",
+        ),
+        ProblemCode("keypoints_duplicate", _FILES, "Two files have the same frame number.", "Remove one of them."),
+        ProblemCode(
+            "keypoints_unreadable",
+            _FILES,
+            "A file is not a keypoint file of OpenPose.",
+            "Write the file again, or remove it: a missing file is a dropped frame.",
+        ),
+        ProblemCode(
+            "keypoints_mixed",
+            _FILES,
+            "The files have different numbers of joints.",
+            "Use one set of joints for all files.",
+        ),
+        ProblemCode("keypoints_empty", _FILES, "No file has a person.", "Check the detector's output."),
+        ProblemCode("too_many_people", _FILES, "A frame has too many people.", "Omit the people with low scores."),
+    ),
+)
+
+TIMES = CodeGroup(
+    "Times of frames",
+    "Limits are in [formats](formats.md#limits-of-the-clock).",
+    (
+        ProblemCode("frame_rate", _FILES, "A frame rate is too low or too high.", "State the true frame rate."),
+        ProblemCode(
+            "offset_range",
+            _FILES,
+            "An offset is too far from the start of the capture.",
+            "Count from the start of the capture.",
+        ),
+        ProblemCode(
+            "no_overlap", _FILES, "The camera recorded while no other camera did.", "Check offsets and timestamps."
+        ),
+        ProblemCode(
+            "session_too_long",
+            _FILES,
+            "A camera or the session lasts longer than Multicap or the operator allows.",
+            "Check the times, or cut the session into several.",
+        ),
+        ProblemCode(
+            "too_many_frames",
+            _FILES,
+            "The session has too many output frames.",
+            "Use a lower output rate or fewer frames.",
+        ),
+        ProblemCode("too_few_frames", _FILES, "No camera has two frames.", "Send at least two frames of a camera."),
+        ProblemCode("two_clocks", _FILES, "Both timestamps and a frame rate were given.", "Give one of them."),
+        ProblemCode(
+            "timestamps_invalid", _FILES, "The timestamps can't be read, or a row is wrong.", "Correct the CSV."
+        ),
+        ProblemCode("timestamps_missing", _FILES, "Frames of a camera have no time.", "Add rows for these frames."),
+        ProblemCode("timestamps_order", _FILES, "Times do not ascend from frame to frame.", "Correct the times."),
+        ProblemCode(
+            "timestamps_start",
+            _FILES,
+            "The times do not count from the start of the capture.",
+            "Subtract the first time.",
+        ),
+    ),
+)

@@ -1,0 +1,164 @@
+"""Codes of specs and jobs, of the service's readiness, and of warnings."""
+
+from api.contract.problem_codes.model import CodeGroup, ProblemCode
+from pipeline.config import FILE_FORMATS, unlimited_alternatives
+
+_SPEC = ("422", "command")
+_WARNING = ("warning",)
+_READYZ = ("readyz",)
+
+SPECS = CodeGroup(
+    "Spec of a job",
+    "Codes in `errors`, and of the options of `multicap reconstruct`.",
+    (
+        ProblemCode(
+            "frame_range", _SPEC, "The session does not have these output frames.", "Ask for frames that it has."
+        ),
+        ProblemCode("cutoff_range", _SPEC, "The cutoff is not below half of the frame rate.", "Use 6 Hz."),
+        *(
+            ProblemCode(
+                f"too_long_for_{name}",
+                _SPEC,
+                f"A {name.upper()} file holds at most {one.max_frames:,} frames.",
+                f"Use {' or '.join(f'`{other}`' for other in unlimited_alternatives(name))}.",
+            )
+            for name, one in FILE_FORMATS.items()
+            if one.max_frames is not None
+        ),
+        ProblemCode(
+            "detector_not_installed",
+            ("422",),
+            "Not every ready worker has the detector.",
+            "The operator runs the command in `hint` on the workers' machine.",
+        ),
+        ProblemCode("callback_invalid", ("422",), "`callback_url` has an impossible host or port.", "Correct it."),
+        ProblemCode("callback_not_https", ("422",), "`callback_url` is not https.", "Use https."),
+        ProblemCode(
+            "callback_not_public", ("422",), "`callback_url` is not a public address.", "Use a public address."
+        ),
+        ProblemCode(
+            "webhook_secret_missing",
+            ("422",),
+            "The tenant has no secret that signs webhooks.",
+            "The operator runs `multicap webhooks rotate`.",
+        ),
+    ),
+)
+
+JOBS = CodeGroup(
+    "Errors of jobs",
+    "The field `error.code` of a failed job, and of a failed attempt in `GET /v1/jobs/{id}/attempts`. Problems of "
+    "videos marked `job` above can be a job's error too. `retryable` says whether another attempt may succeed.",
+    (
+        ProblemCode(
+            "worker_lost",
+            ("job", "attempt"),
+            "A worker stopped answering while it had a chunk, most often for lack of memory.",
+            "Run fewer workers, then retry the job.",
+        ),
+        ProblemCode(
+            "memory_limit",
+            ("job",),
+            "A chunk needs more memory than a worker may use.",
+            "Use fewer frames, or have the operator raise `MULTICAP_MEMORY_BYTES`.",
+        ),
+        ProblemCode(
+            "input_damaged",
+            ("job",),
+            "The service's copy of an input file is damaged or missing.",
+            "Send the session again, or restore the file from a backup and retry the job.",
+        ),
+        ProblemCode(
+            "output_damaged",
+            ("job", "attempt"),
+            "A stored output of a stage was damaged.",
+            "The operator checks the disk; then retry the job.",
+        ),
+        ProblemCode(
+            "input_error", ("job",), "More than one thing is wrong with the input.", "Correct all that `detail` lists."
+        ),
+        ProblemCode(
+            "model_error",
+            ("job", "command"),
+            "A detector network or the sample capture can't be installed or used.",
+            "Follow the message, then retry.",
+        ),
+        ProblemCode(
+            "child_failed",
+            ("job", "command"),
+            "A process of Multicap failed; the input is not at fault.",
+            "Retry; if it fails again, see the log.",
+        ),
+        ProblemCode(
+            "pipeline_error",
+            ("job", "command"),
+            "The work could not be done; the message says why.",
+            "Follow the message.",
+        ),
+    ),
+)
+
+READINESS = CodeGroup(
+    "Readiness",
+    "Codes in `errors` of a 503 of `GET /readyz`, beside `database_unavailable`, `database_damaged`, "
+    "`artifacts_unavailable` and `storage_full` above.",
+    (
+        ProblemCode("broker_unavailable", _READYZ, "The broker does not answer.", "Start the broker."),
+        ProblemCode("worker_unavailable", _READYZ, "No worker runs.", "Start a worker, and see its log."),
+        ProblemCode("worker_starting", _READYZ, "The workers are starting; `message` says how far they are.", "Wait."),
+        ProblemCode(
+            "model_unavailable",
+            _READYZ,
+            "A worker lacks the default detector.",
+            "Run the command in `hint` on the workers' machine.",
+        ),
+    ),
+)
+
+WARNINGS = CodeGroup(
+    "Warnings of a result",
+    "Codes of `result_warnings` of a job, and of `capture_checks` and `world_checks` in `metrics.json`. The files are "
+    "there, but the capture or the calibration gives cause for doubt.",
+    (
+        ProblemCode(
+            "nobody_found",
+            _WARNING,
+            "No person was found.",
+            "Check that the calibration belongs to the videos, and that two cameras see a person at the same time.",
+        ),
+        ProblemCode("too_few_cameras", _WARNING, "The session has fewer than three cameras.", "Add a camera."),
+        ProblemCode(
+            "damaged_video",
+            _WARNING,
+            "Videos have damaged or missing frames.",
+            "Copy the files again; see [formats](formats.md#videos).",
+        ),
+        ProblemCode(
+            "camera_without_people",
+            _WARNING,
+            "A camera was matched with no person.",
+            "Check its video, its calibration and its offset.",
+        ),
+        ProblemCode(
+            "few_views", _WARNING, "Fewer than three cameras saw a person in most frames.", "Add or move cameras."
+        ),
+        ProblemCode(
+            "approximate_association",
+            _WARNING,
+            "Some frames show more people than exact methods can tell apart.",
+            "Check these frames; see [tracking](tracking.md#crowds) and [clustering](clustering.md#crowds).",
+        ),
+        ProblemCode("upside_down", _WARNING, "Heads are below feet.", "Turn the calibration: Z must point up."),
+        ProblemCode(
+            "not_upright", _WARNING, "People lean in most frames.", "Check that the calibration's up axis is Z."
+        ),
+        ProblemCode(
+            "floor_not_at_zero", _WARNING, "Feet do not stand at a height of 0.", "Move the calibration's origin."
+        ),
+        ProblemCode("floor_tilted", _WARNING, "The floor that feet stand on is tilted.", "Level the calibration."),
+        ProblemCode(
+            "stature_out_of_range", _WARNING, "A person is not 1.0 to 2.3 m tall.", "Check the calibration's unit."
+        ),
+        ProblemCode("camera_below_floor", _WARNING, "A camera is below the floor.", "Check the calibration's axes."),
+    ),
+)

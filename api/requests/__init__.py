@@ -1,0 +1,1 @@
+"""Requests: their bodies, limits and validation; what a session is made of."""

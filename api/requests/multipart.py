@@ -1,0 +1,163 @@
+"""Take in a session's files as ``multipart/form-data``: streamed to disk, hashed on the way, in constant memory.
+
+Whatever happens, the caller's folder is the only place where anything was written.
+"""
+
+from pathlib import Path
+
+from python_multipart import MultipartParser
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import parse_options_header
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+
+from api.errors import ApiError
+from api.requests.bodies import announced_bytes, blocks, drain
+from api.requests.form import Form, Limits, Parts, too_large
+from worker.jobs.files.disk import DiskSpace
+
+# Boundaries and headers of the parts, on top of the files' own bytes.
+_ENVELOPE_BYTES = 2**20
+_TAKEN = "A session is sent as multipart/form-data, or as application/json that names uploads."
+
+
+async def receive_form(
+    request: Request, folder: Path, limits: Limits, documents: frozenset[str], disk: DiskSpace
+) -> Form:
+    """Stream a request's form to disk.
+
+    Parameters
+    ----------
+    folder
+        An empty folder, the caller's to remove whatever happens.
+    documents
+        Names of the JSON parts that may be there.
+    disk
+        Where there must be room for what comes.
+
+    Raises
+    ------
+    ApiError
+        400 if the body can't be parsed, 413 if it is too large, 415 if it is no form.
+    ClientDisconnect
+        If the client hangs up.
+    OSError
+        If the disk is full.
+    """
+    boundary = _boundary_of(request)
+    stream = aiter(request.stream())
+    try:
+        _check_announced_length(request, limits)
+        disk.require_room(announced_bytes(request))
+        parts = Parts(folder, limits, documents)
+        reader = _Reader(boundary, parts)
+        try:
+            async for block in blocks(stream):
+                disk.require_room(len(block))
+                await run_in_threadpool(reader.feed, block)
+            return await run_in_threadpool(reader.finish)
+        finally:
+            parts.close()
+    except (ApiError, OSError):
+        await drain(stream)
+        raise
+
+
+def _boundary_of(request: Request) -> str:
+    content_type, options = parse_options_header(request.headers.get("content-type"))
+    if content_type != b"multipart/form-data":
+        raise ApiError(415, "unsupported_media_type", _TAKEN)
+    boundary = options.get(b"boundary", b"").decode("latin-1")
+    if not boundary:
+        raise _malformed()
+    return boundary
+
+
+def _check_announced_length(request: Request, limits: Limits) -> None:
+    if announced_bytes(request) > limits.max_session_bytes + _ENVELOPE_BYTES:
+        raise too_large("session", limits.max_session_bytes)
+
+
+class _Reader:
+    """The parser, and what it has found of the part at hand."""
+
+    def __init__(self, boundary: str, parts: Parts) -> None:
+        self._parts = parts
+        self._headers: dict[bytes, bytes] = {}
+        self._name = b""
+        self._value = b""
+        self._complete = False
+        try:
+            self._parser = MultipartParser(
+                boundary,
+                {
+                    "on_part_begin": self._on_part_begin,
+                    "on_header_field": self._on_header_field,
+                    "on_header_value": self._on_header_value,
+                    "on_header_end": self._on_header_end,
+                    "on_headers_finished": self._on_headers_finished,
+                    "on_part_data": self._on_part_data,
+                    "on_part_end": self._on_part_end,
+                    "on_end": self._on_end,
+                },
+            )
+        except FormParserError as error:
+            raise _malformed() from error
+
+    def feed(self, data: bytes) -> None:
+        """Take in some of the body."""
+        try:
+            self._parser.write(data)
+        except FormParserError as error:
+            raise _malformed() from error
+
+    def finish(self) -> Form:
+        """Take in the body's end."""
+        if not self._complete:
+            raise _malformed()
+        return self._parts.form()
+
+    def _on_part_begin(self) -> None:
+        self._headers = {}
+
+    def _on_header_field(self, data: bytes, start: int, end: int) -> None:
+        self._name += data[start:end]
+
+    def _on_header_value(self, data: bytes, start: int, end: int) -> None:
+        self._value += data[start:end]
+
+    def _on_header_end(self) -> None:
+        self._headers[self._name.lower()] = self._value
+        self._name = self._value = b""
+
+    def _on_headers_finished(self) -> None:
+        disposition, options = parse_options_header(self._headers.get(b"content-disposition"))
+        if disposition != b"form-data" or b"name" not in options:
+            raise _malformed()
+        self._parts.begin(_decoded(options[b"name"]), self._file_name(options))
+
+    def _file_name(self, options: dict[bytes, bytes]) -> str | None:
+        if b"filename" not in options:
+            return None
+        name = _decoded(options[b"filename"])
+        # The parser cuts off the folders of a Windows path; a path is refused here, so they are let be seen.
+        as_sent = self._headers[b"content-disposition"].replace(b'\\"', b'"')
+        return f"\\{name}" if b"\\" in as_sent and "\\" not in name else name
+
+    def _on_part_data(self, data: bytes, start: int, end: int) -> None:
+        self._parts.write(data[start:end])
+
+    def _on_part_end(self) -> None:
+        self._parts.end()
+
+    def _on_end(self) -> None:
+        self._complete = True
+
+
+def _decoded(value: bytes) -> str:
+    # What is not UTF-8 becomes lone surrogates, which no name may hold.
+    return value.decode(errors="surrogateescape")
+
+
+def _malformed() -> ApiError:
+    return ApiError(400, "malformed_multipart", "The body is not a whole multipart form.")

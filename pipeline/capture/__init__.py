@@ -1,0 +1,1 @@
+"""A capture session out of files: videos or keypoints, and the calibration of their cameras."""

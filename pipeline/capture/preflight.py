@@ -1,0 +1,137 @@
+"""Check a session in a process of its own.
+
+``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
+[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: what the session is, or
+``{"problems": [...]}`` with exit code 2. So a caller that must not load the science, or must not be hurt by a
+stranger's file, can still know all about a session. ``--record FILE`` keeps what was found, so that nobody has to look
+through the files again.
+"""
+
+import argparse
+import errno
+import json
+import math
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pipeline.calibration.registry import UNITS_M
+from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
+from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.capture.session import CaptureSession, Recording, open_session
+from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
+from pipeline.stages.records_npz import encode_keypoints, encode_session
+from pipeline.video.probe import mean_rate_hz
+
+EXIT_BAD_INPUT = 2
+EXIT_DISK_FULL = 4
+
+
+def report(
+    session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
+) -> dict[str, Any]:
+    """Cameras with their files, the shared clock, warnings, and what was said of the videos.
+
+    ``stretches`` are the output frames that have to be worked on, first and stop; pauses lie between them.
+    """
+    starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
+    return {
+        "cameras": [
+            {
+                "name": camera.name,
+                "file": file,
+                "size_px": list(camera.size_px),
+                "frame_rate_hz": _camera_rate_hz(session, camera.name),
+                "num_frames": len(session.times[camera.name].time_s),
+                "start_time_s": starts_s[camera.name],
+            }
+            for camera, file in zip(session.cameras, files, strict=True)
+        ],
+        "timebase": asdict(session.timebase),
+        "stretches": [[one.start, one.stop] for one in session.stretches],
+        "warnings": [printable(warning) for warning in session.warnings],
+        "recordings": [asdict(one) for one in recordings],
+        "units": units,
+    }
+
+
+def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
+    """Mean rate of a camera; the session's for keypoints at the session's rate, or with too few frames to tell."""
+    time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
+    camera_hz = mean_rate_hz(time_s)
+    if isinstance(session, CaptureSession):
+        return camera_hz
+    return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
+
+
+def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
+    recordings = [Recording(**one) for one in json.loads(arguments.recordings)]
+    session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
+    return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
+        session
+    )
+
+
+def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        unpack_keypoints(arguments.keypoints, Path(folder))
+        session = open_keypoints(
+            Path(folder),
+            arguments.calibration,
+            arguments.timestamps,
+            arguments.frame_rate,
+            arguments.units,
+            arguments.max_joints,
+        )
+    files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
+    return report(session, files, arguments.units), encode_keypoints(session)
+
+
+def _write_record(path: Path, record: bytes, content: str) -> None:
+    try:
+        path.write_bytes(record)
+    except OSError as error:
+        # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
+        if error.errno != errno.EFBIG:
+            raise
+        message = f"The session's {content} take more room than the service keeps."
+        raise InputError([Problem("session_too_large", message, hint="Cut it into several sessions.")]) from None
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the check, by default as the command line says, and return the exit code."""
+    parser = argparse.ArgumentParser(description="Check a capture session.")
+    views = parser.add_mutually_exclusive_group(required=True)
+    views.add_argument("--videos", nargs="+", type=Path)
+    views.add_argument("--keypoints", nargs="+", type=Path)
+    parser.add_argument("--calibration", type=Path, required=True)
+    parser.add_argument("--timestamps", type=Path)
+    parser.add_argument("--frame-rate", type=float)
+    parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
+    parser.add_argument("--units", choices=UNITS_M, default="m", help="Of the calibration.")
+    parser.add_argument("--max-joints", type=int, default=MAX_JOINTS, help="Of all people in all keypoint files.")
+    parser.add_argument("--record", type=Path)
+    arguments = parser.parse_args(words)
+    try:
+        found, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+        if arguments.record:
+            _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
+    except InputError as error:
+        found = {"problems": [asdict(problem) for problem in listed(error.problems)]}
+    except MemoryError:
+        message = "The check of the files takes more memory than the service allows for it."
+        problem = Problem("session_too_large", message, hint="Cut the session into several, or lower its resolution.")
+        found = {"problems": [asdict(problem)]}
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            raise
+        return EXIT_DISK_FULL
+    sys.stdout.write(json.dumps(found, allow_nan=False) + "\n")
+    return EXIT_BAD_INPUT if "problems" in found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

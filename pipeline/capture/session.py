@@ -1,0 +1,270 @@
+"""Open a capture session: videos and a calibration that fit each other, or everything that is wrong with them."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.calibration.registry import Units, read_calibration
+from pipeline.capture.clock import TimeSource, clock_problems
+from pipeline.capture.pairing import pair_by_name
+from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
+from pipeline.data import Camera, FrameTimes, Timebase
+from pipeline.errors import InputError, Problem
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe import mean_rate_hz
+from pipeline.video.probe_process import probe_in_children
+from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
+
+MIN_CAMERAS = 2
+
+_VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureSession:
+    """Calibrated cameras and their videos, in the calibration's order.
+
+    Parameters
+    ----------
+    cameras, videos
+        One a view, in the same order.
+    times
+        When each camera took its frames, on the session's clock; by camera name.
+    warnings
+        What a person should know, a sentence each.
+    frames
+        Those of the output frames that are wanted; ``None``: all.
+    """
+
+    cameras: tuple[Camera, ...]
+    videos: tuple[VideoInfo, ...]
+    times: Mapping[str, FrameTimes]
+    warnings: tuple[str, ...]
+    frames: range | None = None
+
+    @property
+    def timebase(self) -> Timebase:
+        """The output frames that are wanted, numbered from 0."""
+        whole = session_timebase(self.times)
+        return whole if self.frames is None else cut_timebase(whole, self.frames)
+
+    @property
+    def stretches(self) -> tuple[range, ...]:
+        """Stretches of all output frames in which a camera took frames; see ``recorded_stretches``."""
+        return recorded_stretches(session_timebase(self.times), (one.time_s for one in self.times.values()))
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a person knows of a camera's video that neither it nor the calibration says.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera, or of its section in the calibration.
+    file
+        Name of the video; ``None``: the one that bears the camera's name.
+    offset_s
+        When its first frame was taken, on the clock that all cameras share.
+    frame_rate_hz
+        Of its frames, if their own times are wrong; ``None``: as the video says.
+    """
+
+    camera: str
+    file: str | None = None
+    offset_s: float = 0.0
+    frame_rate_hz: float | None = None
+
+
+def open_session(
+    videos: Path | Sequence[Path], calibration: Path, recordings: Sequence[Recording] = (), units: Units = "m"
+) -> CaptureSession:
+    """Open a folder of videos, or the videos named, with a calibration.
+
+    Videos count as synchronised at their first frames unless ``recordings`` says else. A video belongs to the camera of
+    its name, for all videos or for none; else videos and cameras are paired in sorted order, with a warning that shows
+    the pairs.
+
+    Parameters
+    ----------
+    recordings
+        What is known of some cameras' videos, at most one a camera.
+    units
+        As of ``read_calibration``.
+
+    Raises
+    ------
+    InputError
+        With all problems of all files.
+    """
+    paths, warnings, problems = _find_videos(videos)
+    cameras: tuple[Camera, ...] = ()
+    try:
+        cameras = read_calibration(calibration, units)
+    except InputError as error:
+        problems.extend(error.problems)
+
+    probed = probe_in_children(paths)
+    problems.extend(found for found in probed if isinstance(found, Problem))
+    problems += _range_problems(recordings)
+    known, unknown = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
+    problems += unknown
+    called = {one.file: camera for camera, one in known.items() if one.file is not None}
+    names = [called.get(path.name, path.stem) for path in paths]
+    problems += [
+        Problem(
+            "video_doubled",
+            f"This video bears the name of {name}, whose video is said to be {known[name].file}.",
+            file=path.name,
+            camera=name,
+            hint="Say whose video it is, or leave it away.",
+        )
+        for path, name in zip(paths, names, strict=True)
+        if not unknown and path.name not in called and name in called.values()
+    ]
+    infos = {name: found for name, found in zip(names, probed, strict=True) if isinstance(found, VideoInfo)}
+    if cameras and not unknown:
+        pairs, unpaired, shown = pair_by_name(cameras, names, "video")
+        problems += unpaired
+        warnings += shown
+        for camera in cameras:
+            video = infos.get(pairs.get(camera.name, ""))
+            if video is not None and video.size_px != camera.size_px:
+                problems.append(_size_problem(camera, video))
+    if problems:
+        raise InputError(problems)
+    paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
+    times = {name: _times(video, known.get(name)) for name, video in paired.items()}
+    if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
+        raise InputError(problems)
+    warnings += [_repeated_times(video) for video in paired.values() if video.num_repeated]
+    return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
+
+
+def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
+    """Offsets and frame rates that no camera has."""
+    stated = [
+        ("offset_range", "offset_s", OFFSET_S, one.camera, one.offset_s, "Count from the start of the capture.")
+        for one in recordings
+    ]
+    stated += [
+        ("frame_rate", "rate", FRAME_RATE_HZ, one.camera, one.frame_rate_hz, "State frames a second.")
+        for one in recordings
+        if one.frame_rate_hz is not None
+    ]
+    return [
+        Problem(code, f"{value:g} is not within {allowed}.", camera=camera, field=field, hint=hint)
+        for code, field, allowed, camera, value, hint in stated
+        if not allowed.holds(value)
+    ]
+
+
+def _known_recordings(
+    recordings: Sequence[Recording], cameras: Sequence[Camera], paths: Sequence[Path]
+) -> tuple[dict[str, Recording], list[Problem]]:
+    """By cameras' names; and those that are of no camera, of no file, or of one that another is of."""
+    names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
+    files = {path.name for path in paths}
+    known: dict[str, Recording] = {}
+    problems = []
+    for one in recordings:
+        camera = names.get(one.camera)
+        hint = f"The calibration's cameras are {', '.join(sorted(names.values()))}."
+        if camera is None:
+            message = "No camera in the calibration has this name."
+            problems.append(Problem("recording_camera_unknown", message, camera=one.camera, hint=hint))
+        elif camera in known:
+            problems.append(Problem("recording_doubled", "More than one thing is said of this camera.", camera=camera))
+        elif one.file is not None and one.file not in files:
+            message = "No video has this name."
+            problems.append(Problem("recording_file_unknown", message, file=one.file, camera=camera))
+        elif one.file is not None and one.file in {other.file for other in known.values()}:
+            message = "This video is said to be another camera's, too."
+            problems.append(Problem("recording_file_doubled", message, file=one.file, camera=camera))
+        else:
+            known[camera] = one
+    return known, problems
+
+
+def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
+    if recording is None:
+        return FrameTimes(video.time_s)
+    rate_hz = recording.frame_rate_hz
+    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / rate_hz
+    return FrameTimes(recording.offset_s + own_s)
+
+
+def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
+    """Cameras whose frames come faster or slower than any camera's."""
+    rates_hz = {name: mean_rate_hz(one.time_s) for name, one in times.items()}
+    return [
+        Problem(
+            "frame_rate",
+            f"By its times the video has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are taken.",
+            file=videos[name].path.name,
+            camera=name,
+            field="rate",
+            hint="If the video's times are wrong, say its frame rate; or export it again.",
+        )
+        for name, rate_hz in rates_hz.items()
+        if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE)
+    ]
+
+
+def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
+    start_s = min(float(one.time_s[0]) for one in times.values())
+    rate_hz = max(mean_rate_hz(one.time_s) for one in times.values())
+    source = TimeSource(
+        files={name: video.path.name for name, video in videos.items()},
+        start_field="offset_s",
+        rate_field="rate",
+        start_hint="Check the offsets: seconds at which the first frames were taken.",
+        rate_hint="If the video's times are wrong, state its frame rate; else cut the session into several.",
+    )
+    return clock_problems(times, start_s, rate_hz, source)
+
+
+def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], list[Problem]]:
+    """The video files, with warnings of what is ignored and problems of what is missing or doubled."""
+    warnings: list[str] = []
+    problems: list[Problem] = []
+    if isinstance(videos, Path) and videos.is_dir():
+        files = sorted(path for path in videos.iterdir() if path.is_file() and not path.name.startswith("."))
+        paths = [path for path in files if path.suffix.lower() in _VIDEO_ENDINGS]
+        warnings.extend(f"{path.name} is ignored: it is no video." for path in files if path not in paths)
+    else:
+        paths = [videos] if isinstance(videos, Path) else list(videos)
+    if len(paths) < MIN_CAMERAS:
+        problems.append(
+            Problem(
+                "too_few_videos",
+                f"There {'is one video' if paths else 'are no videos'}; at least {MIN_CAMERAS} are needed.",
+                hint="Give one video of each camera.",
+            )
+        )
+    for stem, count in sorted(Counter(path.stem for path in paths).items()):
+        if count > 1:
+            problems.append(
+                Problem("duplicate_video", f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
+            )
+    return paths, warnings, problems
+
+
+def _repeated_times(video: VideoInfo) -> str:
+    frames = "1 frame is" if video.num_repeated == 1 else f"{video.num_repeated} frames are"
+    return f"{video.path.name}: {frames} left out, for another frame has the same time."
+
+
+def _size_problem(camera: Camera, video: VideoInfo) -> Problem:
+    return Problem(
+        "size_mismatch",
+        f"The video has {video.size_px[0]} x {video.size_px[1]} pixels, the calibration "
+        f"{camera.size_px[0]} x {camera.size_px[1]}.",
+        file=video.path.name,
+        camera=camera.name,
+        field="size",
+        hint="Calibrate at the size of the videos.",
+    )

@@ -1,0 +1,403 @@
+"""Hypotheses to joints: clusters, merged ones split by their parents (section 3.2.2)."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.clustering.instant.constraints import fits, length_error, nearly_fits
+from pipeline.clustering.instant.effort import MAX_CANDIDATES, MAX_DENSE, MAX_JOINTS, MAX_NEIGHBOURS, Effort
+from pipeline.clustering.instant.evidence import NOWHERE, Evidence, Places
+from pipeline.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
+from pipeline.clustering.instant.joints import refine
+from pipeline.clustering.parameters import ClusteringParameters
+from pipeline.clustering.skeleton import Skeleton
+from pipeline.geometry.triangulation import plane_rows
+
+# Of a large cluster so many points are tried for the densest: each is near many others, and eq. 4 does the rest.
+_MAX_SEEDS = 128
+# Pairs of a joint and a candidate whose distances are taken at once.
+_BLOCK = 2**18
+
+
+class _Draft(NamedTuple):
+    """A view's candidate each, where they meet, the parent, and the cluster that it is of."""
+
+    candidates: list[int]
+    seed_m: Float[np.ndarray, " 3"]
+    parent: int
+    cluster: int
+
+
+class Joints(NamedTuple):
+    """Everybody's joints at an instant, of any kind.
+
+    Parameters
+    ----------
+    places
+        What they are and where.
+    candidate
+        The candidate behind a joint in each view, (joints, cameras), ``NOWHERE`` where there is none.
+    """
+
+    places: Places
+    candidate: np.ndarray
+
+    def where(self, chosen: Bool[np.ndarray, " joints"] | Int[np.ndarray, " chosen"]) -> "Joints":
+        """Some of them."""
+        return Joints(Places(*(values[chosen] for values in self.places)), self.candidate[chosen])
+
+    def with_others(self, others: "Joints") -> "Joints":
+        """All of both."""
+        places = Places(*(np.concatenate(pair) for pair in zip(self.places, others.places, strict=True)))
+        return Joints(places, np.concatenate([self.candidate, others.candidate]))
+
+
+def no_joints(num_cameras: int) -> Joints:
+    """Nobody has one."""
+    nothing = np.empty((0, num_cameras), int)
+    return Joints(Places(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
+
+
+def find_joints(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    evidence: Evidence,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+    effort: Effort,
+) -> Joints:
+    """Find everybody's joints, those together that are as far from the root as each other.
+
+    Parameters
+    ----------
+    candidates
+        Of all joints; of more than ``MAX_CANDIDATES`` of a joint in a view those with the highest scores are taken.
+    effort
+        See ``effort.Effort``.
+    """
+    found = no_joints(len(image_from_world))
+    certain = _most_certain(candidates, effort)
+    for level in skeleton.levels:
+        of_level = certain[np.isin(candidates.joint[certain], level)]
+        here = candidates.where(of_level)
+        hypotheses = meet(image_from_world, here, parameters.tau1_px, effort)
+        drafts: list[_Draft] = []
+        is_small = len(found.places.joint) * len(hypotheses.pair) <= MAX_DENSE
+        for kinds in [level] if is_small else [[kind] for kind in level]:
+            of_kinds = hypotheses.where(np.isin(here.joint[hypotheses.pair[:, 0]], kinds))
+            is_parent = np.isin(found.places.joint, [skeleton.parents[kind] for kind in kinds])
+            parent = np.flatnonzero(is_small | is_parent)
+            parents = found.where(parent).places
+            value = np.empty((0, len(of_kinds.pair)))
+            if level != [0]:
+                value = _agreement(here, of_kinds, parents, evidence, skeleton, lengths, parameters)
+                chosen = np.any(value > -np.inf, axis=0)
+                of_kinds, value = of_kinds.where(chosen), value[:, chosen]
+            parent = np.append(parent, NOWHERE)
+            drafts += [
+                one._replace(parent=int(parent[one.parent]))
+                for one in _draft(
+                    image_from_world, here, of_kinds, value, parents, skeleton, lengths, parameters, effort
+                )
+            ]
+        located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m, effort)
+        candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
+        found = found.with_others(located._replace(candidate=candidate))
+    return found
+
+
+def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _"]:
+    """Rows of the candidates with the highest scores, at most ``MAX_CANDIDATES`` of a joint in a view."""
+    place = candidates.view * (candidates.joint.max(initial=0) + 1) + candidates.joint
+    if effort.allows(int(np.bincount(place).max(initial=0)), MAX_CANDIDATES):
+        return np.arange(len(place))
+    ranked = np.lexsort((-candidates.score, place))
+    first = np.searchsorted(place[ranked], place[ranked])
+    return np.sort(ranked[np.arange(len(ranked)) - first < MAX_CANDIDATES])
+
+
+def _agreement(
+    candidates: Candidates,
+    hypotheses: Hypotheses,
+    parents: Places,
+    evidence: Evidence,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+) -> Float[np.ndarray, "parents hypotheses"]:
+    """How well each hypothesis hangs on each parent (eq. 2 and 3); minus infinity where it may not.
+
+    The cheap constraint comes first: evidence is asked about what bone lengths leave.
+    """
+    joint = candidates.joint[hypotheses.pair[:, 0]]
+    body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
+    np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
+    points = Places(joint, hypotheses.xyz_m, body)
+    error = length_error(parents, points, skeleton, lengths)
+    possible = error <= parameters.leniency * parameters.tau3
+    score = evidence.connect(parents, points, possible) if parameters.use_connectivity else np.full(error.shape, np.nan)
+    least = evidence.least[joint]
+    allowed = possible & fits(score, least, error, parameters.tau3)
+    chance = possible & nearly_fits(
+        score, least, error, parameters.tau3, lengths.is_measured[joint], parameters.leniency
+    )
+    for kind in np.unique(joint):
+        of_kind = joint == kind
+        lonely = ~allowed[:, of_kind].any(-1)
+        allowed[np.ix_(lonely, of_kind)] = chance[np.ix_(lonely, of_kind)]
+    value = np.nan_to_num(score, nan=0.0) if parameters.use_connectivity else -error
+    return np.where(allowed, value, -np.inf)
+
+
+def _draft(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    hypotheses: Hypotheses,
+    value: Float[np.ndarray, "parents hypotheses"],
+    parents: Places,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+    effort: Effort,
+) -> list[_Draft]:
+    """Cluster hypotheses, split clusters, and match candidates across views in each."""
+    nobody = np.full(len(image_from_world), NOWHERE)
+    drafts: list[_Draft] = []
+    joint = candidates.joint[hypotheses.pair[:, 0]]
+    parent_of = value.argmax(0) if value.size else np.full(len(joint), NOWHERE)
+    clusters = list(_clusters(hypotheses.xyz_m, joint, parameters.eps_m, effort))
+    may_split = parameters.split_clusters and value.size > 0
+    outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
+    for cluster, members in enumerate(clusters):
+        shared = [(parent, members[value[parent, members] > -np.inf]) for parent in outbid.get(cluster, [])]
+        if len(members) == 1:  # by far the most are chance meetings
+            parents_here = [int(parent_of[members[0]]), *(parent for parent, _ in shared)]
+            used, seed_m = hypotheses.pair[members[0]].tolist(), hypotheses.xyz_m[members[0]]
+            drafts.extend(_Draft(used, seed_m, parent, cluster) for parent in parents_here)
+            continue
+        groups = _split(
+            hypotheses.xyz_m, members, int(joint[members[0]]), parent_of, parents, skeleton, lengths, parameters
+        )
+        for parent, group in (*groups, *shared):
+            own = parents.body[parent] if parent >= 0 else nobody
+            drafts.extend(
+                _Draft(used, seed_m, parent, cluster)
+                for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters, effort)
+            )
+    return drafts
+
+
+def _clusters(
+    xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, effort: Effort
+) -> Iterator[Int[np.ndarray, " _"]]:
+    """DBSCAN with one sample to a cluster: every point is a core point then, and clusters are connected components.
+
+    Of points with more than ``MAX_NEIGHBOURS`` pairs of neighbours those in one cell, half as wide as ``eps_m``, are
+    taken for its centre.
+    """
+    if not len(xyz_m):
+        return
+    # Far apart in a fourth dimension, joints of different kinds have no neighbours in common.
+    places = np.column_stack([xyz_m, 10 * eps_m * joint])
+    cell_of = np.arange(len(places))
+    tree = cKDTree(places)
+    is_small = len(places) ** 2 <= 2 * MAX_NEIGHBOURS
+    if not is_small and not effort.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
+        cells, cell_of = np.unique(np.floor(places / (eps_m / 2)), axis=0, return_inverse=True)
+        tree = cKDTree((cells + 0.5) * (eps_m / 2))
+    pairs = tree.query_pairs(eps_m, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(tree.n, tree.n))
+    _, labels = connected_components(graph, directed=False)
+    labels = labels[cell_of]
+    in_order = np.argsort(labels, kind="stable")
+    yield from np.split(in_order, np.flatnonzero(np.diff(labels[in_order])) + 1)
+
+
+def _split(
+    xyz_m: Float[np.ndarray, "hypotheses 3"],
+    members: Int[np.ndarray, " _"],
+    joint: int,
+    parent_of: Int[np.ndarray, " hypotheses"],
+    parents: Places,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+) -> Iterator[tuple[int, Int[np.ndarray, " _"]]]:
+    """Regroup by parent a cluster whose centre may hang on several: joints of people who touch."""
+    wanted, counts = np.unique(parent_of[members], return_counts=True)
+    if len(wanted) < 2 or not parameters.split_clusters:
+        yield int(wanted[counts.argmax()]), members
+        return
+    centre = Places(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
+    error = length_error(Places(*(values[wanted] for values in parents)), centre, skeleton, lengths)
+    if (error <= parameters.tau3).sum() < 2:
+        yield int(wanted[counts.argmax()]), members
+        return
+    for parent in wanted.tolist():
+        yield parent, members[parent_of[members] == parent]
+
+
+def _outbid(
+    value: Float[np.ndarray, "parents hypotheses"],
+    joint: Int[np.ndarray, " hypotheses"],
+    parent_of: Int[np.ndarray, " hypotheses"],
+    clusters: Sequence[Int[np.ndarray, " _"]],
+) -> dict[int, list[int]]:
+    """Parents that every hypothesis of a joint prefers another one to, by the cluster that fits them best.
+
+    Hands that clap are one peak in most views and one point in space: it is both people's.
+    """
+    cluster_of = np.empty(len(joint), int)
+    for number, members in enumerate(clusters):
+        cluster_of[members] = number
+    found: dict[int, list[int]] = {}
+    for kind in np.unique(joint):
+        of_kind = np.flatnonzero(joint == kind)
+        could = np.any(value[:, of_kind] > -np.inf, axis=1)
+        could[parent_of[of_kind]] = False
+        for parent in np.flatnonzero(could).tolist():
+            best = of_kind[value[parent, of_kind].argmax()]
+            found.setdefault(int(cluster_of[best]), []).append(parent)
+    return found
+
+
+def _extract(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    hypotheses: Hypotheses,
+    members: Int[np.ndarray, " _"],
+    parent_body: Int[np.ndarray, " cameras"],
+    parameters: ClusteringParameters,
+    effort: Effort,
+) -> Iterator[tuple[list[int], Float[np.ndarray, " 3"]]]:
+    """Candidates of one joint, a view each, from where hypotheses are densest; what uses none of them goes on.
+
+    Of a view's candidates the one that is connected to the parent is taken, then the nearest. Once an instant's effort
+    is spent, what is left gives one joint.
+    """
+    if not parameters.separate_clusters:
+        yield _match(candidates, hypotheses, members)
+        return
+    while len(members):
+        if not effort.allows_round(len(members)):
+            yield _match(candidates, hypotheses, members)
+            return
+        xyz_m, pair = hypotheses.xyz_m[members], hypotheses.pair[members]
+        seeds_m = xyz_m[:: -(-len(xyz_m) // _MAX_SEEDS)]
+        squared_m2 = cdist(seeds_m, xyz_m, "sqeuclidean")
+        density = np.exp(squared_m2 * (-0.5 / (parameters.eps_m / 3) ** 2)).sum(-1)
+        seed_m = seeds_m[density.argmax()]
+        used = np.unique(pair)
+        views = candidates.view[used]
+        errors_px = reprojection_px(
+            image_from_world[views], np.broadcast_to(seed_m, (len(used), 3)), candidates.points_px[used]
+        )
+        candidate = np.full(len(image_from_world), NOWHERE)
+        is_strange = (parent_body[views] >= 0) & (candidates.body[used] != parent_body[views])
+        in_order = np.lexsort((-errors_px, ~is_strange))  # the best of a view last
+        in_order = in_order[errors_px[in_order] <= 2 * parameters.tau1_px]
+        candidate[views[in_order]] = used[in_order]
+        candidate = candidate[candidate >= 0]
+        yield candidate.tolist(), seed_m
+        members = members[~np.isin(pair, candidate).any(1)]
+
+
+def _match(
+    candidates: Candidates, hypotheses: Hypotheses, members: Int[np.ndarray, " _"]
+) -> tuple[list[int], Float[np.ndarray, " 3"]]:
+    """The candidates of one joint as the paper has them: of each view the one behind most of the hypotheses."""
+    used, counts = np.unique(hypotheses.pair[members], return_counts=True)
+    in_order = used[np.lexsort((candidates.score[used], counts))]  # the best of a view last
+    of_view = dict(zip(candidates.view[in_order].tolist(), in_order.tolist(), strict=True))
+    return list(of_view.values()), np.median(hypotheses.xyz_m[members], axis=0)
+
+
+def _locate(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    drafts: list[_Draft],
+    parents: Places,
+    eps_m: float,
+    effort: Effort,
+) -> Joints:
+    """Give every candidate to one joint, the best supported first, and locate those that keep two views.
+
+    Of more than ``MAX_JOINTS`` of a kind the best supported are located.
+
+    Joints of several people in one place, whom a split cluster told apart, may share what a view shows as one.
+    Candidates that are left go to a joint nearby that lacks their view.
+    """
+    score = candidates.score.tolist()
+    drafts = sorted(drafts, key=lambda one: (-len(one.candidates), -sum(score[k] for k in one.candidates)))
+    owners: dict[int, list[_Draft]] = {}
+    kept: list[_Draft] = []
+    num_kept: Counter[int] = Counter()
+    for draft in drafts:
+        left = [k for k in draft.candidates if k not in owners or _may_share(draft, owners[k])]
+        kind = int(candidates.joint[draft.candidates[0]])
+        if len(left) >= 2 and effort.allows(num_kept[kind] + 1, MAX_JOINTS):
+            num_kept[kind] += 1
+            kept.append(draft._replace(candidates=left))
+            for k in left:
+                owners.setdefault(k, []).append(draft)
+    if not kept:
+        return no_joints(len(image_from_world))
+    chosen = np.full((len(kept), len(image_from_world)), NOWHERE)
+    for row, draft in enumerate(kept):
+        chosen[row, candidates.view[draft.candidates]] = draft.candidates
+    confidence = np.append(candidates.score, 0.0)
+    points_px = np.append(candidates.points_px, [[0.0, 0.0]], axis=0)
+    seeds_m = np.array([draft.seed_m for draft in kept])
+    xyz_m = refine(image_from_world, seeds_m, points_px[chosen], confidence[chosen])
+    if _adopt(image_from_world, candidates, xyz_m, chosen, eps_m):
+        xyz_m = refine(image_from_world, xyz_m, points_px[chosen], confidence[chosen])
+    body = np.append(candidates.body, NOWHERE)[chosen]
+    if kept[0].parent != NOWHERE:
+        body = np.where(body >= 0, body, parents.body[[draft.parent for draft in kept]])
+    return Joints(Places(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
+
+
+def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:
+    """Whether a draft may have a candidate beside those that have it."""
+    return all(owner.cluster == draft.cluster and owner.parent != draft.parent for owner in owners)
+
+
+def _adopt(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    xyz_m: Float[np.ndarray, "joints 3"],
+    chosen: Int[np.ndarray, "joints cameras"],
+    eps_m: float,
+) -> bool:
+    """Give candidates that are nobody's to the joint that lacks their view and their ray passes nearest by; in place.
+
+    Such a candidate met none of the others within tau1, for noise or an inexact calibration, but is as near as
+    hypotheses of one joint are. Left out, it would make the joint look more exact than it is.
+    """
+    free = np.setdiff1d(np.arange(len(candidates.view)), chosen)
+    view = candidates.view[free]
+    joint = candidates.joint[chosen.max(-1)]
+    wanted = (joint[:, None] == candidates.joint[free]) & (chosen[:, view] == NOWHERE)
+    number, which = np.nonzero(wanted)
+    rows = plane_rows(image_from_world[view], candidates.points_px[free][:, None])[:, 0]
+    miss_m = np.empty(len(number))
+    for block in (slice(start, start + _BLOCK) for start in range(0, len(number), _BLOCK)):
+        joint_m, planes = xyz_m[number[block]], rows[which[block]]
+        miss_m[block] = np.linalg.norm((planes[..., :3] @ joint_m[..., None])[..., 0] + planes[..., 3], axis=-1)
+    near = np.flatnonzero(miss_m <= eps_m)
+    taken: set[int] = set()
+    for k in near[np.argsort(miss_m[near], kind="stable")].tolist():
+        candidate = int(free[which[k]])
+        if candidate not in taken and chosen[number[k], view[which[k]]] == NOWHERE:
+            taken.add(candidate)
+            chosen[number[k], view[which[k]]] = candidate
+    return bool(taken)

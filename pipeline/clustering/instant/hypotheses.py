@@ -1,0 +1,143 @@
+"""Where two views' candidates meet: all hypotheses of where a joint may be (section 3.2.1)."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.clustering.instant.effort import MAX_HYPOTHESES, MAX_PAIRS, Effort
+from pipeline.geometry.triangulation import plane_rows, solve_normal
+
+# Pairs that are triangulated at once: a megabyte a row of their normal equations.
+_BLOCK = 2**15
+
+
+class Candidates(NamedTuple):
+    """2D candidates at one instant, of all views.
+
+    Parameters
+    ----------
+    joint
+        Which joint of the skeleton, (candidates,).
+    view
+        Position of the camera, (candidates,).
+    points_px, seen_px
+        Undistorted pixels, and pixels as seen, (candidates, 2).
+    score
+        The detector's confidence H(x), (candidates,).
+    body
+        The detection that each belongs to, (candidates,), -1 where a detector has no bodies.
+    """
+
+    joint: np.ndarray
+    view: np.ndarray
+    points_px: np.ndarray
+    seen_px: np.ndarray
+    score: np.ndarray
+    body: np.ndarray
+
+    def where(self, chosen: Bool[np.ndarray, " candidates"] | Int[np.ndarray, " chosen"]) -> "Candidates":
+        """Some of them."""
+        return Candidates(*(values[chosen] for values in self))
+
+
+class Hypotheses(NamedTuple):
+    """Points where the rays of two candidates meet.
+
+    Parameters
+    ----------
+    xyz_m
+        (hypotheses, 3).
+    pair
+        The two candidates, (hypotheses, 2), of two views.
+    """
+
+    xyz_m: np.ndarray
+    pair: np.ndarray
+
+    def where(self, chosen: Bool[np.ndarray, " hypotheses"] | Int[np.ndarray, " chosen"]) -> "Hypotheses":
+        """Some of them."""
+        return Hypotheses(self.xyz_m[chosen], self.pair[chosen])
+
+
+def reprojection_px(
+    image_from_world: Float[np.ndarray, "*batch 3 4"],
+    xyz_m: Float[np.ndarray, "*batch 3"],
+    points_px: Float[np.ndarray, "*batch 2"],
+) -> Float[np.ndarray, "*batch"]:
+    """Reprojection error in undistorted pixels; infinite behind the camera and for NaN."""
+    in_cam = (image_from_world[..., :3] @ xyz_m[..., None])[..., 0] + image_from_world[..., 3]
+    in_front = in_cam[..., 2] > 0
+    projected_px = in_cam[..., :2] / np.where(in_front, in_cam[..., 2], 1.0)[..., None]
+    return np.where(in_front, np.linalg.norm(projected_px - points_px, axis=-1), np.inf)
+
+
+def meet(
+    image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float, effort: Effort
+) -> Hypotheses:
+    """Triangulate all pairs of a joint's candidates in two views; keep those with a small reprojection error.
+
+    Of a joint with more than ``MAX_PAIRS`` pairs those of some pairs of views are taken, see ``_views_that_meet``; of
+    more than ``MAX_HYPOTHESES`` hypotheses those with the smallest errors.
+    """
+    views = image_from_world[candidates.view]
+    rows = plane_rows(views, candidates.points_px[:, None])[:, 0]
+    normal = rows.swapaxes(-1, -2) @ rows
+    found = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
+    for joint in np.unique(candidates.joint):
+        pairs = _pairs(image_from_world, candidates, np.flatnonzero(candidates.joint == joint), effort)
+        met, errors_px = [], [np.empty(0)]
+        for pair in np.split(pairs, range(_BLOCK, len(pairs), _BLOCK)):
+            xyz_m = solve_normal(normal[pair[:, 0]] + normal[pair[:, 1]])
+            error_px = reprojection_px(
+                views[pair], np.broadcast_to(xyz_m[:, None], (*pair.shape, 3)), candidates.points_px[pair]
+            ).max(-1)
+            near = error_px <= tau1_px
+            met.append(Hypotheses(xyz_m, pair).where(near))
+            errors_px.append(error_px[near])
+        together = _joined(met)
+        if not effort.allows(len(together.pair), MAX_HYPOTHESES):
+            best = np.argsort(np.concatenate(errors_px), kind="stable")[:MAX_HYPOTHESES]
+            together = together.where(np.sort(best))
+        found.append(together)
+    return _joined(found)
+
+
+def _joined(hypotheses: Sequence[Hypotheses]) -> Hypotheses:
+    return Hypotheses(*(np.concatenate(values) for values in zip(*hypotheses, strict=True)))
+
+
+def _pairs(
+    image_from_world: Float[np.ndarray, "cameras 3 4"],
+    candidates: Candidates,
+    of_joint: Int[np.ndarray, " _"],
+    effort: Effort,
+) -> Int[np.ndarray, "pairs 2"]:
+    """Any two candidates of a joint in two views, the first in the view that comes first."""
+    view = candidates.view[of_joint]
+    count = np.bincount(view, minlength=len(image_from_world))
+    num_pairs = np.triu(np.outer(count, count), 1)
+    wanted = view[:, None] < view
+    if not effort.allows(int(num_pairs.sum()), MAX_PAIRS):
+        wanted &= _views_that_meet(image_from_world, num_pairs)[view[:, None], view]
+    return of_joint[np.argwhere(wanted)]
+
+
+def _views_that_meet(
+    image_from_world: Float[np.ndarray, "cameras 3 4"], num_pairs: Int[np.ndarray, "cameras cameras"]
+) -> Bool[np.ndarray, "cameras cameras"]:
+    """Pairs of views with ``MAX_PAIRS`` pairs of candidates together: each view's best partners first.
+
+    The best partner looks at a right angle: where its rays meet is most exact.
+    """
+    axes = image_from_world[:, 2, :3] / np.linalg.norm(image_from_world[:, 2, :3], axis=-1, keepdims=True)
+    along = np.abs(axes @ axes.T)
+    np.fill_diagonal(along, np.inf)
+    rank = along.argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+    one, other = np.nonzero(num_pairs)
+    in_order = np.argsort(np.minimum(rank, rank.T)[one, other], kind="stable")
+    kept = in_order[np.cumsum(num_pairs[one, other][in_order]) <= MAX_PAIRS]
+    meeting = np.zeros(num_pairs.shape, bool)
+    meeting[one[kept], other[kept]] = True
+    return meeting

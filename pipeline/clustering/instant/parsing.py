@@ -1,0 +1,106 @@
+"""Joints to people: limbs joined greedily in space (section 3.4)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.clustering.distance import mean_distance_m
+from pipeline.clustering.instant.clusters import Joints
+from pipeline.clustering.instant.constraints import length_error, nearly_fits
+from pipeline.clustering.instant.effort import MAX_DENSE
+from pipeline.clustering.instant.evidence import NOWHERE, Evidence
+from pipeline.clustering.parameters import ClusteringParameters
+from pipeline.clustering.skeleton import Skeleton
+
+# What a view more is worth beside connectivity, so that of two alike the better seen is taken.
+_VIEW_WORTH = 0.01
+
+
+class Poses(NamedTuple):
+    """Everybody at one instant, joints in the skeleton's order.
+
+    Parameters
+    ----------
+    xyz_m
+        (people, joints, 3), NaN where a joint was not found.
+    candidate
+        The candidate behind a joint in each view, (people, joints, cameras), ``NOWHERE`` where there is none.
+    """
+
+    xyz_m: np.ndarray
+    candidate: np.ndarray
+
+
+def parse(
+    found: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
+) -> Poses:
+    """Assemble people, each from a root joint on; a joint belongs to one person."""
+    is_small = len(found.places.joint) ** 2 <= MAX_DENSE
+    value = _limb_values(found, found, evidence, skeleton, lengths, parameters) if is_small else None
+    by_joint = [np.flatnonzero(found.places.joint == j) for j in range(len(skeleton.names))]
+    shape = len(by_joint[0]), len(by_joint)
+    joint_of = np.full(shape, NOWHERE)
+    joint_of[:, 0] = by_joint[0]
+    for j in range(1, len(by_joint)):
+        holders = np.flatnonzero(joint_of[:, skeleton.parents[j]] >= 0)
+        held = joint_of[holders, skeleton.parents[j]]
+        of_limb = (
+            _limb_values(found.where(held), found.where(by_joint[j]), evidence, skeleton, lengths, parameters)
+            if value is None
+            else value[np.ix_(held, by_joint[j])]
+        )
+        for holder, joint in _join(of_limb):
+            joint_of[holders[holder], j] = by_joint[j][joint]
+    has = joint_of >= 0
+    xyz_m = np.full((*shape, 3), np.nan)
+    candidate = np.full((*shape, found.candidate.shape[1]), NOWHERE)
+    xyz_m[has], candidate[has] = found.places.xyz_m[joint_of[has]], found.candidate[joint_of[has]]
+    enough = np.flatnonzero(has[:, skeleton.core].sum(-1) >= parameters.min_joints)
+    distinct = _distinct(xyz_m[enough], (candidate[enough] >= 0).sum((1, 2)), parameters.duplicate_m)
+    return Poses(xyz_m[enough[distinct]], candidate[enough[distinct]])
+
+
+def _limb_values(
+    parents: Joints,
+    found: Joints,
+    evidence: Evidence,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+) -> Float[np.ndarray, "parents joints"]:
+    """What each limb from a joint to another is worth; minus infinity where there can be none."""
+    error = length_error(parents.places, found.places, skeleton, lengths)
+    possible = error <= parameters.leniency * parameters.tau3
+    score = evidence.connect(parents.places, found.places, possible)
+    least = evidence.least[found.places.joint] * parameters.use_connectivity
+    measured = lengths.is_measured[found.places.joint]
+    allowed = possible & nearly_fits(score, least, error, parameters.tau3, measured, parameters.leniency)
+    value = np.nan_to_num(score, nan=0.0) + _VIEW_WORTH * (found.candidate >= 0).sum(-1)
+    return np.where(allowed, value, -np.inf)
+
+
+def _join(value: Float[np.ndarray, "holders joints"]) -> list[tuple[int, int]]:
+    """Pairs of a person's parent joint and a joint, the best first, each once."""
+    pairs: list[tuple[int, int]] = []
+    holders: set[int] = set()
+    joints: set[int] = set()
+    for flat in np.argsort(-value, axis=None, kind="stable")[: int((value > -np.inf).sum())].tolist():
+        holder, joint = divmod(flat, value.shape[1])
+        if holder not in holders and joint not in joints:
+            holders.add(holder)
+            joints.add(joint)
+            pairs.append((holder, joint))
+    return pairs
+
+
+def _distinct(
+    xyz_m: Float[np.ndarray, "people joints 3"], support: Int[np.ndarray, " people"], duplicate_m: float
+) -> list[int]:
+    """Of poses in one place the best supported, in their order."""
+    kept: list[int] = []
+    for one in np.argsort(-support, kind="stable").tolist():
+        if not np.any(mean_distance_m(xyz_m[kept], xyz_m[one]) < duplicate_m):
+            kept.append(one)
+    return sorted(kept)

@@ -1,0 +1,1 @@
+"""Outputs of detector networks to bodies, or to part affinity fields."""

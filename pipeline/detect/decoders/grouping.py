@@ -1,0 +1,91 @@
+"""Peaks to bodies in one image, limb by limb (Cao et al., CVPR 2017, section 2.4)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Int
+
+from pipeline.data import read_only
+from pipeline.detect.bodies import Bodies
+from pipeline.detect.decoders.fields import ImageFields
+from pipeline.geometry.fields import connectivity
+
+# OpenPose's own: so much of a limb must lie on its field; a body has so many joints, and limbs of such a mean score.
+_LEAST_SHARE = 0.8
+_MIN_JOINTS = 4
+_MIN_LIMB_SCORE = 0.2
+_MIN_PEAK_SCORE = 0.1
+
+
+def group(found: ImageFields, limbs: Int[np.ndarray, "limbs 2"], num_joints: int) -> Bodies:
+    """Assemble bodies.
+
+    Parameters
+    ----------
+    limbs
+        Which joints each field leads from and to, in an order in which a limb's first joint was reached before, but for
+        the first limbs.
+
+    Returns
+    -------
+        The surest first; their centre's score is the mean of their limbs'.
+    """
+    of_joint = [np.flatnonzero((found.joint == j) & (found.score >= _MIN_PEAK_SCORE)) for j in range(num_joints)]
+    body_of = np.full(len(found.joint), -1)
+    bodies: list[dict[int, int]] = []
+    scores: list[list[float]] = []
+    for number, (first, second) in enumerate(limbs.tolist()):
+        for begin, end, score in _joined(found, number, of_joint[first], of_joint[second]):
+            body = int(body_of[begin])
+            if body_of[end] >= 0:
+                continue
+            if body < 0:
+                body = len(bodies)
+                bodies.append({first: begin})
+                scores.append([])
+                body_of[begin] = body
+            if second not in bodies[body]:
+                bodies[body][second] = end
+                scores[body].append(score)
+                body_of[end] = body
+    sure = [
+        k
+        for k, one in enumerate(bodies)
+        if len(one) >= _MIN_JOINTS and sum(scores[k]) / len(scores[k]) >= _MIN_LIMB_SCORE
+    ]
+    sure.sort(key=lambda k: -sum(scores[k]))
+    center_score = np.array([min(1.0, sum(scores[k]) / len(scores[k])) for k in sure])
+    return _bodies(found, [bodies[k] for k in sure], center_score, num_joints)
+
+
+def _joined(found: ImageFields, limb: int, firsts: np.ndarray, seconds: np.ndarray) -> list[tuple[int, int, float]]:
+    """Pairs of peaks that a limb joins, the best first, each peak once."""
+    begin, end = np.repeat(firsts, len(seconds)), np.tile(seconds, len(firsts))
+    cells = found.grid.map_from_image(found.points_px)
+    mean, share = connectivity(found.fields, np.full(len(begin), limb), cells[begin], cells[end])
+    # A limb as long as half of the image is unlikely (OpenPose's own prior).
+    length = np.linalg.norm(cells[end] - cells[begin], axis=-1)
+    score = mean + np.minimum(0.5 * found.fields.shape[2] / np.maximum(length, 1e-6) - 1.0, 0.0)
+    possible = np.flatnonzero((share >= _LEAST_SHARE) & (score > 0.0))
+    pairs: list[tuple[int, int, float]] = []
+    taken: set[int] = set()
+    for k in possible[np.argsort(-score[possible], kind="stable")].tolist():
+        if begin[k] not in taken and end[k] not in taken:
+            taken |= {int(begin[k]), int(end[k])}
+            pairs.append((int(begin[k]), int(end[k]), float(score[k])))
+    return pairs
+
+
+def _bodies(found: ImageFields, chosen: Sequence[dict[int, int]], center_score: np.ndarray, num_joints: int) -> Bodies:
+    keypoints_px = np.full((len(chosen), num_joints, 2), np.nan)
+    score = np.zeros((len(chosen), num_joints))
+    for k, peaks in enumerate(chosen):
+        joints, numbers = list(peaks), list(peaks.values())
+        keypoints_px[k, joints], score[k, joints] = found.points_px[numbers], found.score[numbers]
+    corners_px = [reduce(keypoints_px, axis=1) for reduce in (np.fmin.reduce, np.fmax.reduce)]
+    return Bodies(
+        keypoints_px=read_only(keypoints_px),
+        score=read_only(score),
+        box_px=read_only(np.concatenate(corners_px, axis=-1)),
+        center_score=read_only(center_score),
+    )

@@ -1,0 +1,1 @@
+"""Accuracy against ground truth: metrics, data sets and the papers' comparisons."""

@@ -1,0 +1,136 @@
+"""Rendered captures with exact truth: a folder with ``videos/``, ``calibration.toml`` and ``gt.npz``."""
+
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Timebase, Track3D, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, select_joints
+from pipeline.joints import JointSet
+
+_TRUTH_FILE = "gt.npz"
+_KEYS = ("joints", "names", "time")
+# An hour of ten people at 50 frames a second; more is no such capture.
+_MAX_BYTES = 1 << 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderedTruth:
+    """Where everybody's joints are.
+
+    Parameters
+    ----------
+    names
+        Of the joints.
+    time_s
+        Instants of the truth on the session's clock, ascending.
+    xyz_m
+        World positions, NaN where somebody is absent.
+    """
+
+    names: tuple[str, ...]
+    time_s: Float[np.ndarray, " frames"]
+    xyz_m: Float[np.ndarray, "people frames joints 3"]
+
+
+def load_rendered(folder: Path) -> RenderedTruth:
+    """Read the truth of a rendered capture.
+
+    Raises
+    ------
+    InputError
+        If a part of the folder is missing, or the truth is incomplete or contradicts itself.
+    """
+    problems = [
+        Problem("dataset_incomplete", "A part of the rendered capture is missing.", file=name, hint=hint)
+        for name, present, hint in (
+            ("videos", (folder / "videos").is_dir(), "Expected a folder with one video a camera."),
+            ("calibration.toml", (folder / "calibration.toml").is_file(), "Expected the cameras' calibration."),
+            (_TRUTH_FILE, (folder / _TRUTH_FILE).is_file(), "Expected the true joints as a NumPy archive."),
+        )
+        if not present
+    ]
+    arrays: dict[str, np.ndarray] = {}
+    if (folder / _TRUTH_FILE).is_file():
+        arrays, found = _read_arrays(folder / _TRUTH_FILE)
+        problems += found or _contradictions(arrays)
+    if problems:
+        raise InputError(problems)
+    return RenderedTruth(
+        names=tuple(str(name) for name in arrays["names"]),
+        time_s=read_only(arrays["time"].astype(np.float64)),
+        xyz_m=read_only(arrays["joints"].astype(np.float64)),
+    )
+
+
+def score_rendered(
+    tracks: Sequence[Track3D], joints: JointSet, timebase: Timebase, truth: RenderedTruth
+) -> dict[str, Any]:
+    """Score tracks on the twelve body joints, as ``pipeline.evaluation.mpjpe`` defines it.
+
+    The truth's instants are scored, each against the nearest output frame within half a period; one without such a
+    frame has no predictions.
+
+    Returns
+    -------
+        ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; ``None`` where there is no data.
+    """
+    position = np.rint((truth.time_s - timebase.start_time_s) * timebase.frame_rate_hz)
+    inside = (position >= 0) & (position < timebase.num_frames)
+    frames = np.where(inside, position, -1).astype(np.int64)
+    columns = [truth.names.index(name) for name in BODY_JOINTS]
+    predicted_m = select_joints(tracks, joints, BODY_JOINTS, frames)
+    return asdict(accuracy(predicted_m, truth.xyz_m[:, :, columns], GATE_M))
+
+
+def _read_arrays(path: Path) -> tuple[dict[str, np.ndarray], list[Problem]]:
+    """Arrays of the archive, and what keeps them from being read."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
+        missing = [_truth_problem(f"The truth has no array {key!r}.", key) for key in _KEYS if key not in sizes]
+        if missing:
+            return {}, missing
+        if sum(sizes[key] for key in _KEYS) > _MAX_BYTES:
+            return {}, [_truth_problem("The truth's arrays are larger than 1 GiB.")]
+        with np.load(path, allow_pickle=False) as arrays:
+            return {key: arrays[key] for key in _KEYS}, []
+    except (OSError, EOFError, ValueError, MemoryError, zipfile.BadZipFile, zlib.error, NotImplementedError):
+        return {}, [_truth_problem("The truth can't be read as a NumPy archive of plain arrays.")]
+
+
+def _contradictions(arrays: Mapping[str, np.ndarray]) -> list[Problem]:
+    """Everything that is wrong with the arrays' kinds, shapes and values."""
+    xyz, names, time = (arrays[key] for key in _KEYS)
+    problems = []
+    if xyz.ndim != 4 or xyz.shape[-1:] != (3,) or xyz.dtype.kind != "f" or np.isinf(xyz).any():
+        problems.append(_truth_problem("Joints must be positions (people, frames, joints, 3) in metres.", "joints"))
+    if names.ndim != 1 or names.dtype.kind != "U":
+        problems.append(_truth_problem("Names must be a list of words.", "names"))
+    if time.ndim != 1 or time.dtype.kind != "f" or not np.isfinite(time).all() or (np.diff(time) <= 0).any():
+        problems.append(_truth_problem("Times must be finite seconds and ascend.", "time"))
+    if problems:
+        return problems
+    if xyz.shape[1:3] != (len(time), len(names)):
+        problems.append(
+            _truth_problem(
+                f"Joints are given at {xyz.shape[1]} instants for {xyz.shape[2]} joints, "
+                f"but there are {len(time)} times and {len(names)} names.",
+                "joints",
+            )
+        )
+    lacking = [name for name in BODY_JOINTS if name not in set(names.tolist())]
+    if lacking:
+        problems.append(_truth_problem(f"The truth lacks {', '.join(lacking)}.", "names"))
+    return problems
+
+
+def _truth_problem(message: str, field: str | None = None) -> Problem:
+    return Problem("truth_unreadable", message, file=_TRUTH_FILE, field=field)

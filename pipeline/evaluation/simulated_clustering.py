@@ -1,0 +1,87 @@
+"""Clustering of simulated people from heatmaps and part affinity fields, and what its parts are worth.
+
+The rows of the ablation are those of the paper's table 3 (Chen et al. 2020): hypotheses are constrained by reprojection
+error alone (``RE``), by connectivity (``+PAF``), by bone lengths (``+BL``), or by both (``All``). They are of the
+method as the paper has it: a cluster gives one joint, and nobody gets a second chance. Beside them stand what the
+method does by default (``default``), and that without the split of clusters by parents (``unsplit``). All are of joints
+as they were located, not smoothed.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pipeline.clustering.associate import reconstruct_seen
+from pipeline.clustering.instant.candidates import SeenFields
+from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
+from pipeline.clustering.skeleton import skeleton_of
+from pipeline.data import Observations, Track3D
+from pipeline.detect.field_files import FieldFiles
+from pipeline.evaluation.simulated import score_simulated
+from pipeline.joints import COCO_18
+from pipeline.runtime.child_processes import ProcessPool
+from pipeline.simulation.scenes import Simulation
+from pipeline.simulation.views.fields import GRID, render
+from pipeline.stages.records_npz import encode_fields
+from pipeline.video.timeline import chunk_ranges, span_s
+
+_CHUNK_FRAMES = 25
+_PAPERS = {"separate_clusters": False, "leniency": 1.0}
+_VARIANTS: Mapping[str, Mapping[str, Any]] = {
+    "RE": {**_PAPERS, "use_connectivity": False, "use_lengths": False},
+    "+PAF": {**_PAPERS, "use_lengths": False},
+    "+BL": {**_PAPERS, "use_connectivity": False},
+    "All": _PAPERS,
+    "unsplit": {"split_clusters": False},
+    "default": {},
+}
+
+
+@contextmanager
+def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
+    """All cameras' fields in a temporary folder."""
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        files = FieldFiles(Path(folder), [camera.name for camera in simulation.cameras])
+        for frames in chunk_ranges(range(simulation.timebase.num_frames), _CHUNK_FRAMES):
+            span = span_s(simulation.timebase, frames.start, frames.stop)
+            for camera, fields in render(simulation.sketches, simulation.times, span).items():
+                files.write(camera, frames, encode_fields(fields))
+        yield files
+
+
+def cluster_fields(
+    simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Reconstruct everybody, in joints of ``COCO_18``; tracks and the observations behind them.
+
+    Parameters
+    ----------
+    changes
+        Parameters that shall not be the default.
+    """
+    parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
+    skeleton, timebase = skeleton_of(COCO_18), simulation.timebase
+
+    def seen_in(frames: range) -> SeenFields:
+        fields = files.read(frames)
+        return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
+
+    ranges = chunk_ranges(range(timebase.num_frames), _CHUNK_FRAMES)
+    return reconstruct_seen(simulation.cameras, seen_in, ranges, timebase, COCO_18, parameters)
+
+
+def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
+    """Scores of each variant as of ``score_simulated``, the variants at once on all cores."""
+    score = partial(_score_variant, simulation, files)
+    with ProcessPool(min(len(_VARIANTS), os.cpu_count() or 1)) as pool:
+        return dict(zip(_VARIANTS, pool.map(score, _VARIANTS.values()), strict=True))
+
+
+def _score_variant(simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any]) -> dict[str, Any]:
+    return score_simulated(cluster_fields(simulation, files, changes)[0], simulation, COCO_18)

@@ -1,0 +1,168 @@
+"""BVH files: six channels at the hips, three rotations at every other joint.
+
+Names, axes, unit, rest pose and order of rotations are those of a preset. Lengths are rounded to 0.01 mm and angles to
+0.0001 degrees; the frame time has full precision. The file begins at the person's first frame.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.data import SkeletonMotion
+from pipeline.export.presets import Convention
+from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON
+
+# Cosine of the middle angle below which the others turn about the same axis, so that only their sum is known.
+_GIMBAL_LOCK = 1e-6
+_ANGLE_DECIMALS = 4
+
+
+def euler_deg(
+    rotations: Float[np.ndarray, "frames joints 3 3"], order: str, before_deg: Float[np.ndarray, "joints 3"]
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Angles of intrinsic rotations about three different axes: R = R1(a) R2(b) R3(c).
+
+    As continuous as the rotations are: of all triples that make the same rotation each frame takes the one closest to
+    the frame before, so angles may leave [-180, 180]. In gimbal lock the last angle stays as it was, and the first
+    takes up the rest.
+
+    Parameters
+    ----------
+    order
+        The axes, such as ``ZXY``.
+    before_deg
+        Angles of the frame before the first.
+    """
+    # The axes are renamed so that the order is Z X Y; as a reflection this changes all signs.
+    rename = np.zeros((3, 3))
+    rename[[2, 0, 1], ["XYZ".index(axis) for axis in order]] = 1.0
+    rotations = rename @ rotations @ rename.T
+    sign = round(float(np.linalg.det(rename)))
+    cosine = np.hypot(rotations[..., 0, 1], rotations[..., 1, 1])
+    z = np.arctan2(-rotations[..., 0, 1], rotations[..., 1, 1])
+    x = np.arctan2(rotations[..., 2, 1], cosine)
+    y = np.arctan2(-rotations[..., 2, 0], rotations[..., 2, 2])
+    triples = np.stack([np.stack([z, x, y], -1), np.stack([z + np.pi, np.pi - x, y + np.pi], -1)])
+
+    angles = np.empty((*z.shape, 3))
+    previous = sign * np.radians(before_deg)
+    for frame in range(len(z)):
+        options = triples[:, frame]
+        locked = cosine[frame] < _GIMBAL_LOCK
+        if locked.any():
+            kept = previous[locked, 2]
+            first, last = rotations[frame, locked, :, 0], rotations[frame, locked, :, 2]
+            before_y = first * np.cos(kept)[:, None] + last * np.sin(kept)[:, None]
+            options[:, locked, 0] = np.arctan2(before_y[:, 1], before_y[:, 0])
+            options[:, locked, 2] = kept
+        options = options + 2 * np.pi * np.round((previous - options) / (2 * np.pi))
+        closest = ((options - previous) ** 2).sum(-1).argmin(0)
+        previous = np.take_along_axis(options, closest[None, :, None], axis=0)[0]
+        angles[frame] = previous
+    return sign * np.degrees(angles)
+
+
+def _decimals(convention: Convention) -> int:
+    return 5 - round(np.log10(convention.units_per_m))
+
+
+def _depth_first(name: str) -> Iterator[str]:
+    """Names of the joints that have channels, in the order of their channels."""
+    if CHILDREN[name]:
+        yield name
+        for child in CHILDREN[name]:
+            yield from _depth_first(child)
+
+
+_ROOT = SKELETON[0].name
+_ORDER = [INDEX[name] for name in _depth_first(_ROOT)]
+
+
+def encode(motion: SkeletonMotion, convention: Convention) -> Iterator[bytes]:
+    """Write a motion as BVH, piece by piece.
+
+    The same motion always gives the same bytes.
+    """
+    yield "".join(f"{line}\n" for line in _head(motion, convention)).encode("utf-8")
+    decimals = _decimals(convention)
+    angles_deg = np.zeros((1, len(_ORDER), 3))
+    for rows in frame_blocks(len(motion.root_m)):
+        quat = convention.parent_from_joint(motion.parent_from_joint[rows])[:, _ORDER]
+        rotations = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
+        angles_deg = euler_deg(rotations, convention.rotation_order, angles_deg[-1])
+        positions = fixed(convention.file_from_xyz_m(motion.root_m[rows]), decimals)
+        angles = fixed(angles_deg.reshape(len(quat), -1), _ANGLE_DECIMALS)
+        yield "".join(f"{place} {turn}\n" for place, turn in zip(positions, angles, strict=True)).encode("ascii")
+
+
+def _head(motion: SkeletonMotion, convention: Convention) -> Iterator[str]:
+    offsets = fixed(convention.rest_offsets(motion.bone_length_m), _decimals(convention))
+    yield "HIERARCHY"
+    yield from _hierarchy(_ROOT, offsets, convention, 0)
+    yield "MOTION"
+    yield f"Frames: {len(motion.root_m)}"
+    yield f"Frame Time: {np.format_float_positional(1.0 / motion.frame_rate_hz)}"
+
+
+def _hierarchy(joint: str, offsets: list[str], convention: Convention, depth: int) -> Iterator[str]:
+    """Lines of a joint and all below it."""
+    indent = "\t" * depth
+    children = CHILDREN[joint]
+    kind = "JOINT" if depth else "ROOT"
+    yield f"{indent}{kind} {convention.name(joint)}" if children else f"{indent}End Site"
+    yield f"{indent}{{"
+    yield f"{indent}\tOFFSET {offsets[INDEX[joint]]}"
+    if children:
+        positions = "" if depth else "Xposition Yposition Zposition "
+        rotations = " ".join(f"{axis}rotation" for axis in convention.rotation_order)
+        yield f"{indent}\tCHANNELS {3 if depth else 6} {positions}{rotations}"
+    for child in children:
+        yield from _hierarchy(child, offsets, convention, depth + 1)
+    yield f"{indent}}}"
+
+
+def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions of the joints of ``SKELETON`` in a file that ``encode`` wrote, some frames at a time."""
+    offsets = np.zeros((len(SKELETON), 3))
+    index_of = {convention.name(joint.name): index for index, joint in enumerate(SKELETON)}
+    above: list[int] = []
+    order: list[int] = []
+    with path.open(encoding="utf-8") as file:
+        for line in file:
+            match line.split():
+                case [("ROOT" | "JOINT"), name]:
+                    above.append(index_of[name])
+                    order.append(above[-1])
+                case ["End", "Site"]:
+                    above.append(INDEX[f"{SKELETON[above[-1]].name}End"])
+                case ["OFFSET", *offset]:
+                    offsets[above[-1]] = [float(number) for number in offset]
+                case ["}"]:
+                    above.pop()
+                case ["Frame", "Time:", _]:
+                    break
+        for values in read_rows(file, " "):
+            yield convention.xyz_m_from_file(_positions(values, offsets, order, convention.rotation_order))
+
+
+def _positions(
+    values: Float[np.ndarray, "frames channels"], offsets: Float[np.ndarray, "joints 3"], order: list[int], axes: str
+) -> Float[np.ndarray, "frames joints 3"]:
+    positions = np.empty((len(values), len(SKELETON), 3))
+    file_from_joint: dict[int, Rotation] = {}
+    for index, joint in enumerate(SKELETON):
+        if joint.parent is None:
+            positions[:, index], file_from_parent = values[:, :3], Rotation.identity()
+        else:
+            parent = INDEX[joint.parent]
+            file_from_parent = file_from_joint[parent]
+            positions[:, index] = positions[:, parent] + file_from_parent.apply(offsets[index])
+        if index in order:
+            column = 3 + 3 * order.index(index)
+            turn = Rotation.from_euler(axes, values[:, column : column + 3], degrees=True)
+            file_from_joint[index] = file_from_parent * turn
+    return positions

@@ -1,0 +1,110 @@
+"""``skeletons.json``: all people's joint positions, frame by frame, in the world.
+
+Positions are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN becomes null. The bytes are strict JSON and
+always the same for the same reconstruction; each track stands on a line of its own.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Reconstruction, Source, Track3D
+from pipeline.export.writers.blocks import BLOCK_FRAMES, frame_blocks
+
+SCHEMA_VERSION = 1
+
+_LETTERS = np.array([source.letter for source in Source])
+
+
+def _dumps(value: object) -> str:
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _joints_or_null(values: Float[np.ndarray, "frames joints *values"], decimals: int) -> list[list[object]]:
+    """Some frames' values; null where any of a joint's values is NaN. Adding zero turns -0.0 into 0.0."""
+    known = np.isfinite(values).reshape(*values.shape[:2], -1).all(-1)
+    rounded = (np.round(values, decimals) + 0.0).tolist()
+    return [
+        [value if is_known else None for value, is_known in zip(*frame, strict=True)]
+        for frame in zip(rounded, known.tolist(), strict=True)
+    ]
+
+
+def _track_parts(track: Track3D) -> Iterator[str]:
+    """One track's object, some frames at a time: a long capture's numbers never stand in memory as Python objects."""
+    head = {"id": track.track_id, "name": f"person-{track.track_id}", "start_frame": track.start_frame}
+    yield _dumps(head).removesuffix("}")
+    series: dict[str, Callable[[slice], Sequence[object]]] = {
+        "positions_m": lambda rows: _joints_or_null(track.xyz_m[rows], 4),
+        "scores": lambda rows: _joints_or_null(track.score[rows], 3),
+        "sources": lambda rows: ["".join(letters) for letters in _LETTERS[track.source[rows]]],
+        "error_px": lambda rows: _joints_or_null(track.error_px[rows], 2),
+    }
+    for name, frames_of in series.items():
+        yield f',"{name}":['
+        for rows in frame_blocks(track.num_frames):
+            yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
+        yield "]"
+    yield "}"
+
+
+def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
+    """Write all tracks as ``skeletons.json``, piece by piece."""
+    timebase, joints = reconstruction.timebase, reconstruction.joints
+    head = {
+        "schema_version": SCHEMA_VERSION,
+        "frame_rate_hz": timebase.frame_rate_hz,
+        "start_time_s": timebase.start_time_s,
+        "num_frames": timebase.num_frames,
+        "joint_names": joints.names,
+        "bones": joints.bones,
+    }
+    yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
+    for number, track in enumerate(reconstruction.tracks):
+        yield b",\n" if number else b""
+        for part in _track_parts(track):
+            yield part.encode("ascii")
+    yield b"\n]}\n"
+
+
+def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions of each track in a file that ``encode`` wrote, NaN where null, a person at a time.
+
+    The other series are decoded too, so that a damaged one is noticed.
+    """
+    with path.open(encoding="ascii") as file:
+        file.readline()
+        for line in file:
+            if line.startswith("{"):
+                positions_m = [_as_array(block) for block in _blocks(line, "positions_m")]
+                for name in ("scores", "sources", "error_px"):
+                    for _ in _blocks(line, name):
+                        pass
+                yield np.concatenate(positions_m)
+
+
+def _as_array(frames: Sequence[Any]) -> Float[np.ndarray, "frames joints 3"]:
+    unknown = [np.nan] * 3
+    return np.array([[xyz_m or unknown for xyz_m in frame] for frame in frames])
+
+
+def _blocks(line: str, name: str) -> Iterator[list[Any]]:
+    """A series of a track's line, some frames at a time: as Python objects all of them would take some GiB."""
+    start = f'"{name}":['
+    values = _values(line, line.index(start) + len(start))
+    while block := list(islice(values, BLOCK_FRAMES)):
+        yield block
+
+
+def _values(line: str, place: int) -> Iterator[Any]:
+    """Values of the JSON list that begins before a place in the line."""
+    decoder = json.JSONDecoder()
+    while line[place - 1 : place] != "]":
+        value, place = decoder.raw_decode(line, place)
+        yield value
+        place += 1

@@ -1,0 +1,57 @@
+"""TRC files, as OpenSim reads them: positions of a person's joints as markers, metres, Y up.
+
+x, y, z are the world's x, z, -y, as in BVH. A joint that is unknown in a frame is ``nan``, for there are readers that
+skip empty cells. Times are on the session's clock; numbers are rounded to 0.01 mm and 1 us.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Timebase, Track3D
+from pipeline.export.writers.axes import Y_UP_FROM_WORLD
+from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.joints import JointSet
+
+_HEAD_LINES = 6
+
+
+def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str) -> Iterator[bytes]:
+    """Write a track's positions as TRC, piece by piece.
+
+    Parameters
+    ----------
+    joints
+        Of the track.
+    file_name
+        What the file will be called: it says so itself.
+    """
+    rate = np.format_float_positional(timebase.frame_rate_hz)
+    num_frames, num_joints = track.xyz_m.shape[:2]
+    head = (
+        f"PathFileType\t4\t(X/Y/Z)\t{file_name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{num_frames}\t{num_joints}\tm\t{rate}\t1\t{num_frames}",
+        "Frame#\tTime\t" + "\t".join(f"{name}\t\t" for name in joints.names),
+        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, num_joints + 1)),
+        "",
+    )
+    yield "".join(f"{line}\n" for line in head).encode("utf-8")
+    for rows in frame_blocks(num_frames):
+        places = fixed((track.xyz_m[rows] @ Y_UP_FROM_WORLD.T).reshape(-1, 3 * num_joints), 5, "\t")
+        lines = (
+            f"{number + 1}\t{timebase.time_s(track.start_frame + number):.6f}\t{place}\n"
+            for number, place in enumerate(places, rows.start)
+        )
+        yield "".join(lines).encode("ascii")
+
+
+def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
+    """World positions of the joints in a file that ``encode`` wrote, some frames at a time."""
+    with path.open(encoding="utf-8") as file:
+        for _ in range(_HEAD_LINES):
+            file.readline()
+        for values in read_rows(file, "\t"):
+            yield values[:, 2:].reshape(len(values), -1, 3) @ Y_UP_FROM_WORLD

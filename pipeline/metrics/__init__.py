@@ -1,1 +1,0 @@
-"""Quality without ground truth, and accuracy against it."""

@@ -1,0 +1,1 @@
+"""Quality of a reconstruction without ground truth."""

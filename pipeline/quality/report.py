@@ -1,0 +1,315 @@
+"""Quality of a reconstruction without ground truth: the contents of ``metrics.json``.
+
+- *Reprojection error*: distance between every matched 2D observation with a score of at least 0.2, inlier or not, and
+  the projection of the joint's final position, in pixels of the full image, distortion included.
+- *Coverage*: share of a track's joints and frames, from its first frame to its last, that were measured.
+- *Views a joint*: matched observations behind each joint that has a position; *joints a frame*: joints with a position.
+  They stand beside the error because dropping views or joints would lower it.
+- *Bone length deviation*: standard deviation over time of a limb's length in one track, mean over limbs and tracks,
+  weighted by frames.
+- *Jitter*: mean length of the second difference of a joint's position times the squared frame rate.
+- *Before*: the same of joints as association located them, before they were smoothed or fit.
+- *Sources*: shares of all joints and frames that were measured, interpolated, predicted, and that are absent.
+- *Cameras used*: share of all people's frames in which a camera saw anything of them.
+- *Track fragments*: tracks that begin within two seconds after another one ended within 1.5 m: probably somebody who
+  was lost.
+- *Slide*: mean horizontal distance of a standing foot's ankle from its median place, over all contacts, as the
+  skeleton was without holding feet and as it is.
+- *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of it (Drillis and Contini 1966).
+
+A figure without any data is null (``None``).
+"""
+
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.data import Camera, Floor, FootContact, Observations, Reconstruction, Source, Track3D
+from pipeline.geometry.camera import project
+from pipeline.joints import LIMBS, JointSet
+from pipeline.quality.capture_checks import capture_checks
+from pipeline.quality.world_checks import world_checks
+from pipeline.skeleton.fitting.fit import MAX_GAP_S
+from pipeline.skeleton.fitting.windows import windows
+
+SCHEMA_VERSION = 1
+MIN_SCORE = 0.2
+"""Observations below this score don't count."""
+
+_FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
+_SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
+
+
+class _Views(NamedTuple):
+    """Figures of a track's observations; the observations, most of a long session's memory, are not kept.
+
+    Parameters
+    ----------
+    error_px
+        See ``reprojection_error_px``.
+    sees
+        Whether a camera saw anything of the person in a frame, (frames, cameras).
+    views_per_joint
+        See ``views_per_joint``.
+    """
+
+    error_px: np.ndarray
+    sees: np.ndarray
+    views_per_joint: float
+
+
+def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
+    """Compute ``metrics.json`` as a dictionary of plain Python values, rounded.
+
+    ``capture_checks`` and ``world_checks`` list only what looks wrong, each with ``code`` and ``message``, one a code:
+    empty when all is well.
+    """
+    tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
+    frame_rate_hz = reconstruction.timebase.frame_rate_hz
+    views = [_compare(track, reconstruction.observations[number], cameras) for number, track in enumerate(tracks)]
+    errors_px = [one.error_px for one in views]
+    contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
+    statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
+    seen = {track.track_id: one.sees for track, one in zip(tracks, views, strict=True)}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "num_frames": reconstruction.timebase.num_frames,
+        "frame_rate_hz": frame_rate_hz,
+        "reprojection_error_px": _summarise_error(errors_px, cameras, joints),
+        "coverage": _rounded(np.mean(_known(track.source == Source.MEASURED for track in tracks)), 4),
+        "sources": {
+            source.name.lower(): _rounded(np.mean(_known(track.source == source for track in tracks)), 4)
+            for source in Source
+        },
+        "max_gap_s": MAX_GAP_S,
+        "bone_length_std_cm": _rounded(bone_length_std_cm(tracks, joints), 3),
+        "bone_length_std_before_cm": _rounded(bone_length_std_cm(reconstruction.located, joints), 3),
+        "jitter_m_s2": _rounded(mean_jitter_m_s2(tracks, frame_rate_hz), 3),
+        "jitter_before_m_s2": _rounded(mean_jitter_m_s2(reconstruction.located, frame_rate_hz), 3),
+        "cameras_used": _cameras_used(reconstruction.cameras, seen.values()),
+        "track_fragments": count_fragments(tracks, frame_rate_hz),
+        "floor": _describe_floor(reconstruction.animation.floor),
+        "feet": _summarise_feet([contact for motion in reconstruction.motions for contact in motion.contacts]),
+        "people": [
+            {
+                "id": track.track_id,
+                "start_frame": track.start_frame,
+                "num_frames": track.num_frames,
+                "coverage": _rounded(np.mean(track.source == Source.MEASURED), 4),
+                "stature_m": _rounded(statures_m[track.track_id], 3),
+                "reprojection_error_px": _rounded(np.median(_known([one.error_px])), 3),
+                "views_per_joint": _rounded(one.views_per_joint, 2),
+                "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
+                "feet": {
+                    "toes": "measured" if _sees_toes(track, joints) else "predicted",
+                    **_summarise_feet(contacts.get(track.track_id, ())),
+                    "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
+                },
+            }
+            for track, one in zip(tracks, views, strict=True)
+        ],
+        "capture_checks": capture_checks(reconstruction, seen),
+        "world_checks": world_checks(reconstruction, statures_m),
+    }
+
+
+def all_checks(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Everything that a report warns of, each with ``code`` and ``message``."""
+    return [*report["capture_checks"], *report["world_checks"]]
+
+
+def encode(report: dict[str, Any]) -> bytes:
+    """Write a report as ``metrics.json``: strict JSON, the same bytes for the same report."""
+    return (json.dumps(report, allow_nan=False, indent=2) + "\n").encode("ascii")
+
+
+def _known(arrays: Iterable[np.ndarray]) -> np.ndarray:
+    """All values that are not NaN, flat; one NaN if there are none, so that a mean or a median of them is NaN."""
+    flat = np.concatenate([np.zeros(0, np.float32), *(array[np.isfinite(array)] for array in arrays)])
+    return flat if len(flat) else np.array([np.nan])
+
+
+def _rounded(value: float | np.floating, decimals: int) -> float | None:
+    return round(float(value), decimals) if np.isfinite(value) else None
+
+
+def _summarise_error(
+    errors_px: list[Float[np.ndarray, "_ cameras joints"]], cameras: tuple[Camera, ...], joints: JointSet
+) -> dict[str, Any]:
+    def median_and_p95(arrays: Iterable[np.ndarray]) -> list[float | None]:
+        return [_rounded(value, 3) for value in np.percentile(_known(arrays), (50.0, 95.0), overwrite_input=True)]
+
+    overall = median_and_p95(errors_px)
+    by_camera = {
+        camera.name: median_and_p95(error_px[:, index] for error_px in errors_px)
+        for index, camera in enumerate(cameras)
+    }
+    by_joint = {
+        name: median_and_p95(error_px[:, :, index] for error_px in errors_px) for index, name in enumerate(joints.names)
+    }
+    return {
+        "median": overall[0],
+        "p95": overall[1],
+        "by_camera": {name: figures[0] for name, figures in by_camera.items()},
+        "p95_by_camera": {name: figures[1] for name, figures in by_camera.items()},
+        "by_joint": {name: figures[0] for name, figures in by_joint.items()},
+        "p95_by_joint": {name: figures[1] for name, figures in by_joint.items()},
+        "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
+    }
+
+
+def _compare(track: Track3D, observations: Observations, cameras: tuple[Camera, ...]) -> _Views:
+    error_px = reprojection_error_px(track, observations, cameras)
+    return _Views(error_px, _sees(observations), views_per_joint(track, observations))
+
+
+def _sees(observations: Observations) -> Bool[np.ndarray, "frames cameras"]:
+    return np.asarray(_counts(observations).any(-1))
+
+
+def _cameras_used(cameras: Sequence[Camera], seen: Collection[np.ndarray]) -> dict[str, float | None]:
+    return {
+        camera.name: _rounded(float(np.mean(_known(mine[:, index] for mine in seen))), 4)
+        for index, camera in enumerate(cameras)
+    }
+
+
+def count_fragments(tracks: Sequence[Track3D], frame_rate_hz: float) -> int:
+    """Tracks that begin soon after another one ended, close by."""
+    return sum(
+        any(_continues(earlier, later, frame_rate_hz) for earlier in tracks if earlier is not later) for later in tracks
+    )
+
+
+def _continues(earlier: Track3D, later: Track3D, frame_rate_hz: float) -> bool:
+    pause = later.start_frame - (earlier.start_frame + earlier.num_frames)
+    if not 0 <= pause <= _FRAGMENT_S * frame_rate_hz:
+        return False
+    end_m, start_m = _known_joints_m(earlier.xyz_m[::-1]), _known_joints_m(later.xyz_m)
+    return bool(np.linalg.norm(end_m - start_m) <= _FRAGMENT_M)
+
+
+def _known_joints_m(xyz_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, " 3"]:
+    """Centre of the joints of the first frame that has any; NaN if none has."""
+    known = np.isfinite(xyz_m).all(-1)
+    frames = np.flatnonzero(known.any(1))
+    return xyz_m[frames[0]][known[frames[0]]].mean(0) if len(frames) else np.full(3, np.nan)
+
+
+def _describe_floor(floor: Floor | None) -> dict[str, float | None] | None:
+    if floor is None:
+        return None
+    return {"height_m": _rounded(floor.z_m, 3), "tilt_deg": _rounded(floor.tilt_deg, 2)}
+
+
+def _summarise_feet(contacts: Sequence[FootContact]) -> dict[str, Any]:
+    frames = np.array([contact.num_frames for contact in contacts])
+
+    def mean_cm(slides_m: list[float]) -> float | None:
+        return _rounded(100 * np.average(slides_m, weights=frames), 2) if contacts else None
+
+    return {
+        "num_contacts": len(contacts),
+        "num_pinned": sum(contact.pinned for contact in contacts),
+        "slide_before_cm": mean_cm([contact.slide_before_m for contact in contacts]),
+        "slide_after_cm": mean_cm([contact.slide_after_m for contact in contacts]),
+    }
+
+
+def _describe_contact(contact: FootContact) -> dict[str, Any]:
+    return {
+        "foot": contact.side,
+        "start_frame": contact.start_frame,
+        "num_frames": contact.num_frames,
+        "confidence": _rounded(contact.confidence, 3),
+        "pinned": contact.pinned,
+    }
+
+
+def _sees_toes(track: Track3D, joints: JointSet) -> bool:
+    toes = [index for index, name in enumerate(joints.names) if name.endswith("_toe")]
+    return bool((track.source[:, toes] == Source.MEASURED).any())
+
+
+def _has_position(track: Track3D) -> Bool[np.ndarray, "frames joints"]:
+    return np.isfinite(track.xyz_m).all(-1)
+
+
+def _counts(observations: Observations) -> Bool[np.ndarray, "frames cameras joints"]:
+    return (observations.score >= MIN_SCORE) & np.isfinite(observations.points_px).all(-1)
+
+
+def mean_jitter_m_s2(tracks: Sequence[Track3D], frame_rate_hz: float) -> float:
+    """Mean length of the joints' second differences times the squared frame rate; NaN where nothing is known."""
+    return float(np.mean(_known(acceleration_m_s2(track, frame_rate_hz) for track in tracks)))
+
+
+def reprojection_error_px(
+    track: Track3D, observations: Observations, cameras: tuple[Camera, ...]
+) -> Float[np.ndarray, "frames cameras joints"]:
+    """Distance of each observation to the projection of the final position, in pixels of the full image.
+
+    Of single precision: there are as many as observations.
+
+    NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
+    """
+    error_px = np.empty(observations.score.shape, np.float32)
+    for rows in windows(track.num_frames, overlap=0):
+        for number, camera in enumerate(cameras):
+            projected_px = project(camera, track.xyz_m[rows])
+            error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
+    error_px[~_counts(observations)] = np.nan
+    return error_px
+
+
+def views_per_joint(track: Track3D, observations: Observations) -> float:
+    """Mean number of observations with enough score behind a joint that has a position; NaN without any."""
+    positions = _has_position(track)
+    return float(np.mean(_known([_counts(observations).sum(1)[positions].astype(float)])))
+
+
+def bone_length_std_cm(tracks: Sequence[Track3D], joints: JointSet) -> float:
+    """Standard deviation of a limb's length in a track, mean over limbs and tracks weighted by frames, in cm.
+
+    NaN if no limb was ever seen in two frames of a track.
+    """
+    num_frames, weighted_cm = 0, 0.0
+    for track in tracks:
+        for start, end in LIMBS:
+            if start not in joints.names or end not in joints.names:
+                continue
+            bones_m = track.xyz_m[:, joints.index(end)] - track.xyz_m[:, joints.index(start)]
+            lengths_cm = _known([100.0 * np.linalg.norm(bones_m, axis=-1)])
+            if len(lengths_cm) > 1:
+                num_frames += len(lengths_cm)
+                weighted_cm += len(lengths_cm) * float(np.std(lengths_cm))
+    return weighted_cm / num_frames if num_frames else np.nan
+
+
+def acceleration_m_s2(track: Track3D, frame_rate_hz: float) -> Float[np.ndarray, "triples joints"]:
+    """Length of each joint's second difference over time; NaN where one of the three frames has no position.
+
+    Empty for tracks of fewer than three frames.
+    """
+    return np.linalg.norm(np.diff(track.xyz_m, n=2, axis=0), axis=-1) * frame_rate_hz**2
+
+
+def estimate_stature_m(track: Track3D, joints: JointSet) -> float:
+    """Estimate a person's height in metres; NaN if shin, thigh or trunk was never seen whole."""
+    kinds = ("shoulder", "hip", "knee", "ankle")
+    if not {f"{side}_{kind}" for side in ("left", "right") for kind in kinds} <= set(joints.names):
+        return np.nan
+    left, right = (
+        {kind: track.xyz_m[:, joints.index(f"{side}_{kind}")] for kind in kinds} for side in ("left", "right")
+    )
+    trunk_m = (left["shoulder"] + right["shoulder"] - left["hip"] - right["hip"]) / 2
+    segments = (
+        [left["ankle"] - left["knee"], right["ankle"] - right["knee"]],
+        [left["knee"] - left["hip"], right["knee"] - right["hip"]],
+        [trunk_m],
+    )
+    lengths_m = [np.median(_known(np.linalg.norm(bone_m, axis=-1) for bone_m in bones_m)) for bones_m in segments]
+    return float(sum(lengths_m)) / _SHIN_THIGH_TRUNK_SHARE

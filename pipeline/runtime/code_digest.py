@@ -1,0 +1,179 @@
+"""Digest of the code that a function's result depends on; standard library only, the code is read, not imported.
+
+The digest covers the function, the statements of its own module that it uses, and all modules of a package that these
+import, directly or indirectly, also inside functions. Comments, docstrings, blank lines and the order of files do not
+change the digest, nor does it matter whether the code is a checkout's or an installed wheel's.
+"""
+
+import ast
+import functools
+import hashlib
+import json
+from collections.abc import Container, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+PACKAGE = "pipeline"
+# The wheel holds the packages inside of `multicap`; empty in a checkout. See `hatch_build.py`.
+_PARENT = __name__.removesuffix("pipeline.runtime.code_digest")
+
+
+def function_digest(root: Path, module: str, function: str, package: str = PACKAGE) -> str:
+    """Digest of a function and of the modules that it depends on.
+
+    Parameters
+    ----------
+    root
+        Folder of the packages' sources.
+    module, function
+        Names of a module, inside or outside of ``package``, and of a function at its top level.
+    package
+        Imports of this package's modules are followed, others are not.
+
+    Returns
+    -------
+        SHA-256 in hexadecimal digits; equal for equal code on every machine and version of Python.
+
+    Raises
+    ------
+    KeyError
+        If there is no such function.
+    """
+    statements = _parse(_path(root, module)).body
+    used, names = _used(statements, function)
+    origins = sorted(origin for one in used for origin in _origins(one, names))
+    direct = _modules(root, (origin for _, origin in origins), package)
+    parts = [origins, [_canonical(one) for one in used if not isinstance(one, ast.Import | ast.ImportFrom)]]
+    parts += [
+        [name, _source_digest(_path(root, name).read_bytes())] for name in reachable_modules(root, direct, package)
+    ]
+    return _sha256(parts)
+
+
+def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE) -> list[str]:
+    """List modules and the package's modules that they import, directly or indirectly, sorted by name."""
+    found: set[str] = set()
+    waiting = set(modules)
+    while waiting:
+        name = waiting.pop()
+        found.add(name)
+        waiting |= _modules(root, _imports(_path(root, name).read_bytes()), package) - found
+    return sorted(found)
+
+
+def forget_sources() -> None:
+    """Free the syntax trees that are kept between calls."""
+    for kept in (_parsed, _imports, _source_digest):
+        kept.cache_clear()
+
+
+def _path(root: Path, module: str) -> Path:
+    """File of a module, or of a package's ``__init__``."""
+    path = root.joinpath(*module.split("."))
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+def _parse(path: Path) -> ast.Module:
+    return _parsed(path.read_bytes())
+
+
+# Stages have most modules in common.
+@functools.lru_cache(maxsize=1024)
+def _parsed(source: bytes) -> ast.Module:
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            node.module = node.module.removeprefix(_PARENT)
+    return tree
+
+
+@functools.lru_cache(maxsize=1024)
+def _imports(source: bytes) -> frozenset[str]:
+    return frozenset(origin for node in ast.walk(_parsed(source)) for _, origin in _origins(node))
+
+
+@functools.lru_cache(maxsize=1024)
+def _source_digest(source: bytes) -> str:
+    return _sha256(_canonical(_parsed(source)))
+
+
+def _sha256(value: object) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()
+
+
+def _used(statements: Sequence[ast.stmt], function: str) -> tuple[list[ast.stmt], set[str]]:
+    """The top-level statements of a module that make a function what it is, in their order, and the names in them."""
+    makers: dict[str, set[int]] = {}
+    for number, statement in enumerate(statements):
+        for name in _bound_names(statement):
+            makers.setdefault(name, set()).add(number)
+    used: set[int] = set()
+    names = {function}
+    waiting = set(makers[function])
+    while waiting:
+        number = waiting.pop()
+        used.add(number)
+        read = _read_names(statements[number])
+        names |= read
+        waiting |= {maker for name in read for maker in makers.get(name, ())} - used
+    return [statements[number] for number in sorted(used)], names
+
+
+def _bound_names(statement: ast.AST) -> Iterator[str]:
+    """Names that a statement gives a meaning, those in its blocks included, not those inside functions and classes."""
+    if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        yield statement.name
+        return
+    if isinstance(statement, ast.Name) and isinstance(statement.ctx, ast.Store):
+        yield statement.id
+    yield from (name for name, _ in _origins(statement))
+    for child in ast.iter_child_nodes(statement):
+        yield from _bound_names(child)
+
+
+def _read_names(node: ast.AST) -> set[str]:
+    """Names that some code reads. Annotations are for people: they change no result."""
+    found = {node.id} if isinstance(node, ast.Name) else set()
+    for field, value in ast.iter_fields(node):
+        if field not in {"annotation", "returns"}:
+            children = value if isinstance(value, list) else [value]
+            found |= {name for child in children if isinstance(child, ast.AST) for name in _read_names(child)}
+    return found
+
+
+def _origins(node: ast.AST, wanted: Container[str] | None = None) -> Iterator[tuple[str, str]]:
+    """Names that an import gives a meaning, with what they stand for: ``module`` or ``module.name``."""
+    if isinstance(node, ast.Import):
+        pairs = [(alias.asname or alias.name.partition(".")[0], alias.name) for alias in node.names]
+    elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        pairs = [(alias.asname or alias.name, f"{node.module}.{alias.name}") for alias in node.names]
+    else:
+        return
+    yield from (pair for pair in pairs if wanted is None or pair[0] in wanted)
+
+
+def _modules(root: Path, origins: Iterable[str], package: str) -> set[str]:
+    """Modules of a package among the imported, with the packages that they are in."""
+    inside = (origin.split(".") for origin in origins if origin.partition(".")[0] == package)
+    prefixes = {".".join(split[:length]) for split in inside for length in range(1, len(split) + 1)}
+    # The last part of ``module.name`` may be a module, a function or a class.
+    return {name for name in prefixes if _path(root, name).is_file()}
+
+
+def _canonical(value: object) -> Any:
+    """A syntax tree as lists of strings, without what means nothing and what versions of Python say differently."""
+    if isinstance(value, ast.AST):
+        fields = (
+            [name, _canonical(field)]
+            for name, field in ast.iter_fields(value)
+            if name not in {"type_comment", "type_ignores", "kind"} and (field not in (None, []) or name == "value")
+        )
+        return [type(value).__name__, *fields]
+    if isinstance(value, list):
+        return [_canonical(one) for one in value if not _is_docstring(one)]
+    return repr(value)
+
+
+def _is_docstring(node: object) -> bool:
+    """Return whether a statement is a bare string, which does nothing."""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

@@ -1,0 +1,206 @@
+"""Find the file of a pinned package where pip would look for it, and fetch it without building or running it."""
+
+import ast
+import hashlib
+import importlib.util
+import logging
+import re
+import ssl
+import subprocess
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+import httpx2
+from unearth import Link, PackageFinder
+from unearth.auth import MultiDomainBasicAuth
+from unearth.fetchers import Fetcher, PyPIClient
+
+from pipeline.errors import ModelError
+from pipeline.runtime.child_processes import python_command
+from pipeline.runtime.packages.download import OnBytes, download, silent
+from pipeline.runtime.packages.storage import home, sha256_of
+
+_TIMEOUT_S = 30.0
+# Without a handler, Python prints the finder's remarks about every index, with its address, to stderr.
+logging.getLogger("unearth").addHandler(logging.NullHandler())
+
+
+@dataclass(frozen=True, slots=True)
+class PinnedFile:
+    """One file of one version of a package: a wheel or a source archive.
+
+    Parameters
+    ----------
+    name, version
+        Of the package, as in ``name==version``.
+    filename
+        Of the file on the index.
+    sha256, num_bytes
+        What the file must be.
+    """
+
+    name: str
+    version: str
+    filename: str
+    sha256: str
+    num_bytes: int
+
+    def __str__(self) -> str:
+        return f"{self.name}=={self.version}"
+
+
+@dataclass(frozen=True, slots=True)
+class PipSettings:
+    """What pip is told, by its files and the environment, about where packages are.
+
+    Parameters
+    ----------
+    index_url
+        ``None`` for the default index.
+    extra_index_urls, find_links, trusted_hosts
+        As pip's options of these names.
+    no_index
+        Look at ``find_links`` only.
+    ca_file
+        Certificates to trust instead of the system's.
+    proxy
+        ``None`` for what the environment says.
+    """
+
+    index_url: str | None = None
+    extra_index_urls: tuple[str, ...] = ()
+    find_links: tuple[str, ...] = ()
+    trusted_hosts: tuple[str, ...] = ()
+    no_index: bool = False
+    ca_file: str | None = None
+    proxy: str | None = None
+
+
+def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipSettings | None = None) -> Path:
+    """Find and download a package's file unless it is in ``downloads/`` already.
+
+    Parameters
+    ----------
+    settings
+        Where to look; pip's own settings by default.
+
+    Raises
+    ------
+    ModelError
+        If no index can be reached, none has the file, or as ``download`` says.
+    """
+    target = _downloads() / pinned.filename
+    if target.is_file() and sha256_of(target) == pinned.sha256:
+        return target
+    settings = pip_settings() if settings is None else settings
+    with _open_client(settings) as client:
+        link = _find(client, settings, pinned)
+        return download(client, link.url_without_fragment, target, {pinned.sha256}, pinned.num_bytes, on_bytes)
+
+
+def fetch_url(url: str, sha256: Collection[str], max_bytes: int, on_bytes: OnBytes = silent) -> Path:
+    """Download a file that must have one of some checksums into ``downloads/``; errors as ``download``'s."""
+    target = _downloads() / hashlib.sha256(url.encode()).hexdigest()[:16] / (Link(url).filename or "file")
+    with _open_client(pip_settings()) as client:
+        return download(client, url, target, sha256, max_bytes, on_bytes)
+
+
+def _downloads() -> Path:
+    return home() / "downloads"
+
+
+def pip_settings() -> PipSettings:
+    """Pip's settings as ``pip download`` would see them; the default ones where pip is not installed."""
+    options = _pip_options()
+    return PipSettings(
+        index_url=options.get("index-url"),
+        extra_index_urls=tuple(options.get("extra-index-url", "").split()),
+        find_links=tuple(options.get("find-links", "").split()),
+        trusted_hosts=tuple(options.get("trusted-host", "").split()),
+        no_index=options.get("no-index", "").lower() in {"1", "true", "yes", "on"},
+        ca_file=options.get("cert"),
+        proxy=options.get("proxy"),
+    )
+
+
+def _pip_options() -> dict[str, str]:
+    if importlib.util.find_spec("pip") is None:
+        return {}
+    command = python_command("-m", "pip", "--disable-pip-version-check", "config", "list")
+    try:
+        listing = subprocess.run(  # noqa: S603 (nothing in the command comes from outside)
+            command, capture_output=True, text=True, check=True, timeout=_TIMEOUT_S
+        ).stdout
+    except (OSError, subprocess.SubprocessError) as error:
+        raise ModelError("pip can't tell its settings; see what 'pip config list' says.") from error
+    return _parse_pip_options(listing)
+
+
+def _parse_pip_options(listing: str) -> dict[str, str]:
+    """Options out of lines such as ``global.index-url='...'``, the stronger section winning."""
+    found = re.findall(r"^(global|download|:env:)\.([\w-]+)=(.+)$", listing, flags=re.MULTILINE)
+    return {
+        option: ast.literal_eval(value)
+        for wanted in ("global", "download", ":env:")
+        for section, option, value in found
+        if section == wanted
+    }
+
+
+def _open_client(settings: PipSettings) -> PyPIClient:
+    """HTTP client with the user's certificates, proxy and stored credentials; it reads ``file:`` URLs too."""
+    try:
+        return PyPIClient(
+            trusted_hosts=settings.trusted_hosts,
+            verify=ssl.create_default_context(cafile=settings.ca_file) if settings.ca_file else True,
+            proxy=settings.proxy,
+            timeout=_TIMEOUT_S,
+            follow_redirects=True,
+            auth=MultiDomainBasicAuth(prompting=False, index_urls=_index_urls(settings)),
+        )
+    except (OSError, ValueError) as error:
+        raise ModelError("pip's setting 'cert' or 'proxy' is of no use; see what 'pip config list' says.") from error
+
+
+def _index_urls(settings: PipSettings) -> tuple[str, ...]:
+    return (*filter(None, [settings.index_url]), *settings.extra_index_urls)
+
+
+def _find(client: PyPIClient, settings: PipSettings, pinned: PinnedFile) -> Link:
+    """Link of the pinned file at the first place that has it; a place that can't be reached is passed over."""
+    unreachable = False
+    for finder in _finders(client, settings):
+        try:
+            packages = finder.find_all_packages(pinned.name, allow_yanked=True)
+            links = [package.link for package in packages if package.link.filename == pinned.filename]
+        except (httpx2.HTTPError, httpx2.InvalidURL, OSError, ValueError):
+            unreachable = True
+        else:
+            if links:
+                return links[0]
+    if unreachable:
+        raise ModelError(
+            f"The package index can't be reached, so {pinned} can't be found. Check the network, the proxy and pip's "
+            "settings, then try again."
+        )
+    raise ModelError(
+        f"No package index has {pinned} ({pinned.filename}). Check pip's settings index-url, extra-index-url and "
+        "find-links."
+    )
+
+
+def _finders(client: PyPIClient, settings: PipSettings) -> Iterator[PackageFinder]:
+    """One finder a place, the nearest first."""
+    # The files are read, not installed: whatever platform or Python they were made for.
+    finder = partial(PackageFinder, cast(Fetcher, client), ignore_compatibility=True)
+    for link in settings.find_links:
+        yield finder(find_links=[link])
+    if settings.no_index:
+        return
+    # Without an index URL the finder takes the default one.
+    yield finder(index_urls=filter(None, [settings.index_url]))
+    for url in settings.extra_index_urls:
+        yield finder(index_urls=[url])

@@ -1,0 +1,128 @@
+"""``python -m pipeline.runtime.warm_up``: compile every kernel, so that no request has to.
+
+It does nothing if all are compiled. With ``--progress`` it says how far it is, a JSON object a line on stdout: ``done``
+and ``total``.
+"""
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numba.core import event
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
+from pipeline.errors import ModelError
+from pipeline.geometry.camera import project
+from pipeline.geometry.fields import connectivity
+from pipeline.geometry.rigid import Rigid3
+from pipeline.joints import BODY_25, COCO_17, JointSet
+from pipeline.runtime.kernel_cache import cache_folder, is_complete, note_complete
+from pipeline.runtime.packages.storage import exclusive
+from pipeline.skeleton.animate import animate
+from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.parameters import derive_parameters
+
+_NUM_FRAMES = 10
+_RATE_HZ = 25.0
+
+# Functions of ours that the warm-up compiles, each for every size of joint set that it is called with.
+NUM_COMPILED = 75
+
+
+def warm_up() -> None:
+    """Track and fit somebody who stands before three cameras, with every joint set of a size; ask a field."""
+    for joints in (COCO_17, BODY_25):
+        _reconstruct_somebody(joints)
+    ends = np.array([[0.0, 0.0], [1.0, 1.0]])
+    connectivity(read_only(np.full((1, 2, 2, 2), 255, np.uint8)), np.zeros(1, int), ends[:1], ends[1:])
+
+
+def _reconstruct_somebody(joints: JointSet) -> None:
+    num_joints = len(joints.names)
+    body_m = np.random.default_rng(0).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
+    cameras = [_camera(number) for number in range(3)]
+    points_px = {camera.name: np.repeat(project(camera, body_m)[None], _NUM_FRAMES, axis=0) for camera in cameras}
+    detections = {
+        camera.name: Detections(
+            camera=camera.name,
+            frame=np.arange(_NUM_FRAMES),
+            keypoints_px=read_only(points_px[camera.name]),
+            score=read_only(np.ones((_NUM_FRAMES, num_joints))),
+            box_px=np.zeros((_NUM_FRAMES, 4)),
+        )
+        for camera in cameras
+    }
+    times = {camera.name: FrameTimes(np.arange(_NUM_FRAMES) / _RATE_HZ) for camera in cameras}
+    timebase = Timebase(0.0, _RATE_HZ, _NUM_FRAMES)
+    found = reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
+    animate(*found, cameras, timebase, joints, ReconstructionConfig())
+
+
+def _camera(number: int) -> Camera:
+    """A camera 4 m from the origin, a metre above the floor."""
+    cos, sin = np.cos(number), np.sin(number)
+    rotation = np.array([[-sin, cos, 0.0], [0.0, 0.0, -1.0], [-cos, -sin, 0.0]])
+    matrix = np.array([[800.0, 0.0, 639.5], [0.0, 800.0, 359.5], [0.0, 0.0, 1.0]])
+    translation_m = np.array([0.0, 1.0, 4.0])
+    return Camera(f"cam{number}", (1280, 720), matrix, np.array([-0.1, 0.0, 0.0, 0.0]), Rigid3(rotation, translation_m))
+
+
+@contextlib.contextmanager
+def _counted(on_compiled: Callable[[int], None]) -> Iterator[None]:
+    """Call ``on_compiled`` with how many functions of ours have been compiled, as each of them has been."""
+    listener = _Counter(on_compiled)
+    event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", listener)  # type: ignore[no-untyped-call]
+
+
+class _Counter(event.Listener):
+    def __init__(self, on_compiled: Callable[[int], None]) -> None:
+        self._on_compiled, self._done = on_compiled, 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Nothing has been compiled yet."""
+
+    def on_end(self, event: event.Event) -> None:
+        """Count what was compiled, unless it is of numba's own."""
+        if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
+            self._done += 1
+            self._on_compiled(self._done)
+
+
+def main() -> None:
+    """Compile, unless all is compiled or another process is at it: then wait for that one."""
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.runtime.warm_up", description="Compile the numeric kernels."
+    )
+    parser.add_argument("--progress", action="store_true", help="Say how far it is, a JSON object a line.")
+    tell = _tell if parser.parse_args().progress else lambda _: None
+    folder = cache_folder()
+    if folder is None:
+        sys.stderr.write("warning: Compiled kernels can't be kept: the folder MULTICAP_HOME can't be written.\n")
+        return
+    if is_complete():
+        return
+    tell(0)
+    try:
+        with exclusive(folder), _counted(tell):
+            if not is_complete():
+                warm_up()
+                note_complete()
+    except (ModelError, OSError) as error:
+        sys.exit(f"error: The numeric kernels can't be compiled into {folder}: {error}")
+
+
+def _tell(done: int) -> None:
+    sys.stdout.write(json.dumps({"done": done, "total": NUM_COMPILED}) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Simulated people: scripts, and where every joint is at any time."""

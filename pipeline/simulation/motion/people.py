@@ -1,0 +1,144 @@
+"""People who perform scripts: where every joint is at any time."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d
+
+from pipeline.simulation.motion.body import STANDING_LEG, Pose, Proportions, joints_of, random_proportions, turned
+from pipeline.simulation.motion.gestures import Overlay, overlay, smooth_noise
+from pipeline.simulation.motion.locomotion import GRID_HZ, Route, ankles, lay_out
+from pipeline.simulation.motion.script import Gesture, Role, Stay
+
+# Relaxed arms hang a little ahead and aside of the body; lengths of the arm.
+_HANGING = np.array([[0.06, 0.16, -0.95], [0.06, -0.16, -0.95]])
+_SIDES = np.array([1.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Person:
+    """Somebody's body and motion on the grid of ``GRID_HZ``, from time 0 on."""
+
+    body: Proportions
+    pose: Pose
+    present: Bool[np.ndarray, " times"]
+
+
+def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
+    """Let somebody perform a role.
+
+    Parameters
+    ----------
+    duration_s
+        Cues beyond are cut off.
+    rng
+        Draws the body and everything that the role leaves open.
+    """
+    body = random_proportions(rng)
+    route, rests, cue_rows = lay_out(role, duration_s)
+    feet_m = ankles(route, rests, body)
+    acting = _overlays(role, route, cue_rows, body, rng)
+    time_s = np.arange(len(route.steps)) / GRID_HZ
+    # How much of a walk it is: the arms swing with the steps, not while standing.
+    pace = gaussian_filter1d(np.gradient(route.steps) * GRID_HZ / 2, 0.15 * GRID_HZ, mode="nearest")
+    pace = np.where(route.present, np.minimum(pace, 1.2), 0.0)
+    stride = np.pi * route.steps
+    lean_rad = acting.lean_rad + 0.04 + 0.06 * pace + 0.02 * smooth_noise(time_s, (), 0.05, 0.3, rng)
+    twist_rad = acting.twist_rad + 0.1 * pace * np.cos(stride) + 0.03 * smooth_noise(time_s, (), 0.05, 0.3, rng)
+    gaze_rad = np.array([0.3, 0.1]) * smooth_noise(time_s, (2,), 0.05, 0.3, rng)
+    feet_m[..., 2] += acting.hop_m[:, None]
+    return Person(
+        body=body,
+        pose=Pose(
+            hips_m=_hips(route, feet_m, body, acting, pace),
+            yaw_rad=route.yaw_rad,
+            lean_rad=lean_rad,
+            twist_rad=twist_rad,
+            gaze_rad=gaze_rad,
+            ankles_m=feet_m,
+            wrists=_wrists(acting, pace, stride) + 0.015 * smooth_noise(time_s, (2, 3), 0.1, 0.5, rng),
+        ),
+        present=route.present,
+    )
+
+
+def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 17 3"]:
+    """World positions of the joints of ``COCO_17``, NaN while the person is absent."""
+    row = np.clip(time_s * GRID_HZ, 0, len(person.present) - 1)
+    lower = np.minimum(row.astype(int), len(person.present) - 2)
+    share = row - lower
+
+    def between(values: np.ndarray) -> np.ndarray:
+        weight = share.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray(values[lower] * (1 - weight) + values[lower + 1] * weight)
+
+    pose = Pose(*(between(getattr(person.pose, field.name)) for field in fields(Pose)))
+    there = person.present[lower] & person.present[lower + 1]
+    return np.where(there[:, None, None], joints_of(person.body, pose), np.nan)
+
+
+def _overlays(role: Role, route: Route, cue_rows: list[slice], body: Proportions, rng: np.random.Generator) -> Overlay:
+    """The gestures of all cues, each in its place."""
+    num_rows = len(route.steps)
+    wrists, arms = np.zeros((num_rows, 2, 3)), np.zeros((num_rows, 2))
+    drop, hop_m, lean_rad, twist_rad = np.zeros((4, num_rows))
+    for cue, planned in zip(role.cues, cue_rows, strict=True):
+        rows = slice(*planned.indices(num_rows))
+        if not isinstance(cue, Stay) or cue.gesture is Gesture.IDLE or rows.start >= rows.stop:
+            continue
+        time_s = np.arange(planned.stop - planned.start) / GRID_HZ
+        one = overlay(cue.gesture, time_s, _hand(cue, route, rows.start, body), rng)
+        kept = slice(rows.stop - rows.start)
+        for whole, part in (
+            (wrists, one.wrists),
+            (arms, one.arms),
+            (drop, one.drop),
+            (hop_m, one.hop_m),
+            (lean_rad, one.lean_rad),
+            (twist_rad, one.twist_rad),
+        ):
+            whole[rows] = part[kept]
+    return Overlay(wrists, arms, drop, hop_m, lean_rad, twist_rad)
+
+
+def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndarray, " 3"]:
+    """Where hands meet, seen from the right shoulder of somebody upright, in lengths of the arm."""
+    if cue.hand_m is None:
+        return np.array([0.7, 0.1, -0.4])
+    world_from_upright = turned(route.yaw_rad[[row]], np.zeros(1))[0]
+    shoulder_m = np.array([*route.xy_m[row], body.shoulder_height_m])
+    shoulder_m -= body.shoulder_width_m / 2 * world_from_upright[:, 1]
+    return np.asarray((np.asarray(cue.hand_m) - shoulder_m) @ world_from_upright / body.arm_m)
+
+
+def _wrists(acting: Overlay, pace: np.ndarray, stride: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
+    """Arms that hang, swing against the legs, and do what gestures ask for."""
+    # The left foot lands ahead at stride 0: the left arm is behind then.
+    swing = -0.42 * (pace * np.cos(stride))[:, None] * _SIDES
+    hanging = np.tile(_HANGING, (len(pace), 1, 1))
+    ahead, up = hanging[..., 0].copy(), hanging[..., 2].copy()
+    hanging[..., 0] = ahead * np.cos(swing) - up * np.sin(swing)
+    hanging[..., 2] = ahead * np.sin(swing) + up * np.cos(swing)
+    # A bent elbow brings the hand up where it is ahead.
+    hanging[..., 2] += 0.25 * np.maximum(swing, 0.0)
+    share = acting.arms[..., None]
+    return np.asarray(hanging + share * (acting.wrists - hanging))
+
+
+def _hips(
+    route: Route, feet_m: np.ndarray, body: Proportions, acting: Overlay, pace: np.ndarray
+) -> Float[np.ndarray, "times 3"]:
+    """The hips, as high as posture asks for and the legs reach."""
+    world_from_hips = turned(route.yaw_rad, np.zeros_like(route.yaw_rad))
+    # Over the standing foot in walking; back from it in a bow, for balance.
+    sway_m = 0.02 * pace * np.sin(np.pi * (route.steps - 0.1))
+    back_m = 0.4 * body.trunk_m * np.sin(acting.lean_rad)
+    xy_m = route.xy_m + sway_m[:, None] * world_from_hips[:, :2, 1] - back_m[:, None] * world_from_hips[:, :2, 0]
+    aside = body.hip_width_m / 2 * _SIDES[:, None] * world_from_hips[:, None, :2, 1]
+    across_m = np.linalg.norm(xy_m[:, None] + aside - feet_m[..., :2], axis=-1)
+    leg_m = STANDING_LEG * body.leg_m
+    highest_m = (feet_m[..., 2] + np.sqrt(np.maximum(leg_m**2 - across_m**2, 0.0))).min(1)
+    asked_m = body.ankle_height_m + leg_m - acting.drop * body.leg_m + acting.hop_m
+    height_m = gaussian_filter1d(np.minimum(asked_m, highest_m), 0.04 * GRID_HZ, mode="nearest")
+    return np.column_stack([xy_m, height_m])

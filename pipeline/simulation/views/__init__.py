@@ -1,0 +1,1 @@
+"""Simulated detections: occlusion, noise, faults, heatmaps and fields."""

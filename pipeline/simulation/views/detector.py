@@ -1,0 +1,219 @@
+"""What a 2D pose detector makes of people: its noise, its scores and its faults."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.data import Camera, Detections, read_only
+from pipeline.geometry.camera import center_in_world, project
+from pipeline.simulation.views.faults import NO_FAULTS, Confusion, Faults, confuse, ghosts
+from pipeline.simulation.views.noise import heavy_tailed, lasting_events, lasting_noise
+from pipeline.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes
+
+NOBODY = -1
+"""Identity of a false positive."""
+
+# How much harder a joint is to mark than the average one: the deviations among annotators of COCO (its key point
+# evaluation, OKS), relative to their mean.
+_DEVIATIONS = np.array([26, 25, 25, 35, 35, 79, 79, 72, 72, 62, 62, 107, 107, 87, 87, 89, 89], dtype=float)
+_DIFFICULTY = _DEVIATIONS / _DEVIATIONS.mean()
+BEST_SCORE = 0.92
+"""Of a joint that nothing hides and that is marked exactly."""
+
+# An error of so much on the body lets the score fall to 0.6 of the best.
+_SCORE_SCALE_M = 0.10
+_HIDDEN_SCORE = 0.45
+_DUPLICATE_SCORE = 0.7
+_DUPLICATE_MISSING = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Detector:
+    """How well a detector works.
+
+    Parameters
+    ----------
+    noise_m
+        Standard deviation of the average joint at the person's distance, so a fixed share of the body's size in the
+        image. Half of its variance lasts for ``noise_memory_s``, half is new in every frame and has heavy tails.
+    noise_px
+        The same in pixels, whatever the body's size; both add up.
+    tail
+        Degrees of freedom of the heavy-tailed half (Student's t), above 2.
+    noise_memory_s
+        How long the lasting half is remembered.
+    hidden_noise
+        Factor of the noise of joints that are hidden from the camera.
+    hidden_missing
+        Share of hidden joints that are not found at all.
+    faults
+        What else goes wrong.
+    """
+
+    noise_m: float = 0.012
+    noise_px: float = 0.0
+    tail: float = 4.0
+    noise_memory_s: float = 0.2
+    hidden_noise: float = 4.0
+    hidden_missing: float = 0.5
+    faults: Faults = field(default_factory=Faults)
+
+
+PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS)
+"""Finds every joint in the image exactly, hidden or not; hidden ones still score less."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What one camera could show."""
+
+    points_px: Float[np.ndarray, "people frames joints 2"]
+    px_per_m: Float[np.ndarray, "people frames joints"]
+    in_image: Bool[np.ndarray, "people frames joints"]
+    hidden: Bool[np.ndarray, "people frames joints"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bodies:
+    """Detected bodies in rows."""
+
+    frame: Int[np.ndarray, " n"]
+    keypoints_px: Float[np.ndarray, "n joints 2"]
+    score: Float[np.ndarray, "n joints"]
+    identity: Int[np.ndarray, " n"]
+
+
+def detect(
+    camera: Camera,
+    period_s: float,
+    people_m: Float[np.ndarray, "people frames joints 3"],
+    boxes: Sequence[Box],
+    detector: Detector,
+    rng: np.random.Generator,
+) -> tuple[Detections, Int[np.ndarray, " n"]]:
+    """Detect people in all frames of one camera.
+
+    Parameters
+    ----------
+    period_s
+        Time between two frames.
+    people_m
+        True joints of ``COCO_17`` in the world at the camera's frames, NaN for who is absent.
+    boxes
+        What else hides joints.
+
+    Returns
+    -------
+        The detections, in random order within a frame, and the person that each is, ``NOBODY`` for false positives.
+        A body that takes limbs of another is still the body that took them.
+    """
+    faults = detector.faults
+    memory_frames = faults.memory_s / period_s
+    view = look(camera, people_m, boxes)
+    confusion = confuse(view.points_px, view.in_image & ~view.hidden, faults, memory_frames, rng)
+    noise_frames = detector.noise_memory_s / period_s
+    bodies = _mark(view, confusion, confusion.found, detector, noise_frames, rng)
+    twice = confusion.found & (rng.random(confusion.found.shape) < faults.duplicate)
+    copies = _mark(view, confusion, twice, detector, noise_frames, rng)
+    copies = _keep(copies, rng.random(copies.score.shape) >= _DUPLICATE_MISSING, _DUPLICATE_SCORE)
+    frame, keypoints_px, score = ghosts(camera.size_px, people_m.shape[1], faults, memory_frames, rng)
+    nobody = _Bodies(frame, keypoints_px, score, np.full(len(frame), NOBODY))
+    return _collect(camera.name, (bodies, copies, nobody), rng)
+
+
+def look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]) -> View:
+    """What a camera could show of people; see ``detect``."""
+    in_cam_m = camera.cam_from_world.apply(people_m)
+    points_px = project(camera, people_m)
+    focal_px = np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
+    return View(
+        points_px=points_px,
+        px_per_m=focal_px / np.maximum(in_cam_m[..., 2], 0.1),
+        in_image=np.all((points_px >= 0) & (points_px <= np.array(camera.size_px) - 1), axis=-1),
+        hidden=hidden_by_bodies(in_cam_m) | hidden_by_boxes(center_in_world(camera), people_m, boxes),
+    )
+
+
+def _mark(
+    view: View,
+    confusion: Confusion,
+    found: Bool[np.ndarray, "people frames"],
+    detector: Detector,
+    noise_frames: float,
+    rng: np.random.Generator,
+) -> _Bodies:
+    """Mark the joints of the bodies that are found."""
+    points_px, score = see_joints(view, confusion.who, confusion.which, detector, noise_frames, rng)
+    people, rows = np.nonzero(found)
+    bodies = _Bodies(rows, points_px[people, rows], score[people, rows], people)
+    return _keep(bodies, bodies.score > 0)
+
+
+def see_joints(
+    view: View,
+    who: Int[np.ndarray, "people frames joints"],
+    which: Int[np.ndarray, "people frames joints"],
+    detector: Detector,
+    noise_frames: float,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
+    """Where joints seem to be, and their scores; 0 for those that are hidden too well, missed or not in the image.
+
+    Parameters
+    ----------
+    who, which
+        Whose and which joint each shows.
+    noise_frames
+        How long the lasting half of the noise is remembered.
+    """
+    source = who, np.arange(who.shape[1])[:, None], which
+    hidden, px_per_m = view.hidden[source], view.px_per_m[source]
+    sigma_px = np.hypot(detector.noise_px, detector.noise_m * px_per_m) * _DIFFICULTY
+    sigma_px = sigma_px * np.where(hidden, detector.hidden_noise, 1.0)
+    # Time is the last axis of lasting noise.
+    shape = (who.shape[0], who.shape[2], 2, who.shape[1])
+    lasting = np.moveaxis(lasting_noise(rng, shape, noise_frames), -1, 1)
+    sudden = heavy_tailed(rng, lasting.shape, detector.tail)
+    error_px = sigma_px[..., None] * (lasting + sudden) / np.sqrt(2)
+
+    error_m = np.linalg.norm(error_px, axis=-1) / px_per_m
+    score = BEST_SCORE * np.exp(-0.5 * (error_m / _SCORE_SCALE_M) ** 2) * np.where(hidden, _HIDDEN_SCORE, 1.0)
+    score *= 1 - 0.3 * rng.random(score.shape) ** 2
+    missed = lasting_events(rng, (*shape[:2], shape[3]), detector.faults.miss_joint, noise_frames)
+    missed = np.moveaxis(missed, -1, 1) | (hidden & (rng.random(score.shape) < detector.hidden_missing))
+    return view.points_px[source] + error_px, np.where(view.in_image[source] & ~missed, score, 0.0)
+
+
+def _keep(bodies: _Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> _Bodies:
+    """Bodies without some of their joints, and with lower scores."""
+    return _Bodies(
+        bodies.frame,
+        np.where(kept[..., None], bodies.keypoints_px, np.nan),
+        np.where(kept, factor * bodies.score, 0.0),
+        bodies.identity,
+    )
+
+
+def _collect(camera: str, kinds: Sequence[_Bodies], rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
+    """All bodies by frame, in random order within each; without those that have no joint."""
+    frame, keypoints_px, score, identity = (
+        np.concatenate([getattr(kind, name) for kind in kinds])
+        for name in ("frame", "keypoints_px", "score", "identity")
+    )
+    any_joint = np.any(score > 0, axis=-1)
+    order = np.lexsort((rng.random(len(frame)), frame))
+    order = order[any_joint[order]]
+    detections = Detections(
+        camera=camera,
+        frame=read_only(frame[order]),
+        keypoints_px=read_only(keypoints_px[order]),
+        score=read_only(score[order]),
+        box_px=read_only(
+            np.concatenate(
+                [np.fmin.reduce(keypoints_px[order], axis=1), np.fmax.reduce(keypoints_px[order], axis=1)], axis=1
+            )
+        ),
+    )
+    return detections, read_only(identity[order])

@@ -1,0 +1,180 @@
+"""What a network with part affinity fields makes of people: heatmaps and fields, drawn from the truth with its faults.
+
+Nothing of the truth reaches the method but through the maps: peaks are found in them as in a network's. Joints that are
+near each other in the image merge to one peak, hidden ones are weak, displaced or missing, a left one shows on the
+right as well, things look like joints, and all of it is noisy.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.data import Camera, FrameTimes, PafFields
+from pipeline.detect.chunk import stack_fields
+from pipeline.detect.decoders.fields import FieldGrid, ImageFields, find_peaks
+from pipeline.detect.decoders.openpose import LIMBS
+from pipeline.detect.letterbox import fit_letterbox
+from pipeline.geometry.fields import quantise
+from pipeline.joints import COCO_17, COCO_18
+from pipeline.simulation.views.detector import BEST_SCORE, Detector, look, see_joints
+from pipeline.simulation.views.field_kernels import draw_limbs, draw_peaks
+from pipeline.simulation.views.noise import lasting_events
+from pipeline.simulation.views.occlusion import Box
+
+GRID = FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3)
+"""Of the simulated network, which takes images ``_HEIGHT_PX`` high."""
+
+_HEIGHT_PX = 480
+# A peak's standard deviation and half of a limb's width, as OpenPose draws them to train: 7 px and 8 px of its input,
+# whose maps have cells of 8 px.
+_SIGMA_CELLS = 7 / 8
+_LIMB_RADIUS_CELLS = 1.0
+# How well a limb shows beside its weaker end, and the noise of maps.
+_LIMB_AMPLITUDE = 0.85
+_MAP_NOISE = 0.015
+# A left joint shows on the right too, so much weaker.
+_CONFUSED_RATE, _CONFUSED_SHARE = 0.15, 0.5
+# Things that look like a joint: so many a joint and image, and how strong.
+_CLUTTER_RATE, _CLUTTER_SCORES = 0.3, (0.08, 0.35)
+
+
+def _mirrored(name: str) -> str:
+    other = {"left": "right", "right": "left"}
+    side, _, joint = name.partition("_")
+    return f"{other[side]}_{joint}" if side in other else name
+
+
+_OTHER_SIDE, _OTHER_SIDE_18 = (
+    np.array(joints.indices(tuple(_mirrored(name) for name in joints.names))) for joints in (COCO_17, COCO_18)
+)
+_SHOULDERS = COCO_17.indices(("left_shoulder", "right_shoulder"))
+_NECK = COCO_18.index("neck")
+_BESIDE_NECK = [j for j in range(len(COCO_18.names)) if j != _NECK]
+_IN_COCO_17 = COCO_17.indices(tuple(COCO_18.names[j] for j in _BESIDE_NECK))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sketch:
+    """What one camera's maps are drawn from.
+
+    Parameters
+    ----------
+    camera
+        Whose.
+    points_px, amplitude
+        Where each joint of ``COCO_18`` seems to be, and how strong, 0 where it does not show.
+    confused
+        Joints of the left that show on the right as well, and the other way round.
+    seed
+        Of what is new in every frame.
+    """
+
+    camera: Camera
+    points_px: Float[np.ndarray, "people frames joints 2"]
+    amplitude: Float[np.ndarray, "people frames joints"]
+    confused: Bool[np.ndarray, "people frames joints"]
+    seed: int
+
+
+def sketch(
+    camera: Camera,
+    period_s: float,
+    people_m: Float[np.ndarray, "people frames joints 3"],
+    boxes: Sequence[Box],
+    detector: Detector,
+    rng: np.random.Generator,
+) -> Sketch:
+    """Let a camera look at people; arguments as of ``detector.detect``.
+
+    Of the detector's faults those count that a network has before it groups joints to bodies.
+    """
+    view = look(camera, people_m, boxes)
+    shape, noise_frames = view.hidden.shape, detector.noise_memory_s / period_s
+    who = np.broadcast_to(np.arange(shape[0])[:, None, None], shape)
+    swapped = lasting_events(rng, shape[:2], detector.faults.swap, noise_frames)[..., None]
+    which = np.where(swapped, _OTHER_SIDE, np.broadcast_to(np.arange(shape[2]), shape))
+    points_px, amplitude = see_joints(view, who, which, detector, noise_frames, rng)
+    missed = lasting_events(rng, shape[:2], detector.faults.miss_body, noise_frames)
+    amplitude = np.where(missed[..., None], 0.0, amplitude)
+    joint_first = (shape[0], len(COCO_18.names), shape[1])
+    confused = np.moveaxis(lasting_events(rng, joint_first, _CONFUSED_RATE, noise_frames), 1, -1)
+    return Sketch(
+        camera=camera,
+        points_px=_with_neck(points_px),
+        amplitude=_with_neck(amplitude[..., None])[..., 0],
+        confused=confused,
+        seed=int(rng.integers(2**32)),
+    )
+
+
+def _with_neck(values: Float[np.ndarray, "people frames 17 axes"]) -> Float[np.ndarray, "people frames 18 axes"]:
+    """Joints of ``COCO_18``, the neck between the shoulders."""
+    every = np.empty((*values.shape[:2], len(COCO_18.names), values.shape[3]))
+    every[:, :, _BESIDE_NECK] = values[:, :, _IN_COCO_17]
+    every[:, :, _NECK] = values[:, :, _SHOULDERS].mean(2)
+    return every
+
+
+def render(
+    sketches: Sequence[Sketch], times: Mapping[str, FrameTimes], span_s: tuple[float, float]
+) -> dict[str, PafFields]:
+    """Draw all cameras' maps of a range of time, and read them as a network's.
+
+    Parameters
+    ----------
+    times
+        Of each camera's frames, by name.
+    span_s
+        ``[t0, t1)``.
+    """
+    found = {}
+    for one in sketches:
+        first, stop = np.searchsorted(times[one.camera.name].time_s, span_s)
+        found[one.camera.name] = stack_fields(
+            one.camera.name, [(frame, _draw(one, frame)) for frame in range(int(first), int(stop))]
+        )
+    return found
+
+
+def _draw(one: Sketch, frame: int) -> ImageFields:
+    """The maps of one image."""
+    rng = np.random.default_rng([one.seed, frame])
+    letterbox = fit_letterbox(one.camera.size_px, _HEIGHT_PX / one.camera.size_px[1], GRID.stride_px)
+    width, height = (side // GRID.stride_px for side in letterbox.padded_size_px)
+    grid = GRID.on_image(letterbox)
+    heatmaps = np.zeros((len(COCO_18.names), height, width), np.float32)
+    fields, count = np.zeros((len(LIMBS), 2, height, width), np.float32), np.zeros((len(LIMBS), height, width))
+
+    cells, amplitude = grid.map_from_image(one.points_px[:, frame]), one.amplitude[:, frame]
+    for joint, points, strength in _peaks(cells, amplitude, one.confused[:, frame], (width, height), rng):
+        draw_peaks(joint, points, strength, _SIGMA_CELLS, heatmaps)
+    person, limb = np.nonzero((amplitude[:, LIMBS] > 0).all(-1))
+    ends = cells[person[:, None], LIMBS[limb]]
+    strength = _LIMB_AMPLITUDE / BEST_SCORE * amplitude[person[:, None], LIMBS[limb]].min(-1)
+    draw_limbs(limb, ends[:, 0].copy(), ends[:, 1].copy(), strength, _LIMB_RADIUS_CELLS, fields, count)
+    heatmaps += _MAP_NOISE * rng.standard_normal(heatmaps.shape, np.float32)
+    fields += _MAP_NOISE * rng.standard_normal(fields.shape, np.float32)
+    joint, places, score = find_peaks(heatmaps)
+    return ImageFields(joint, grid.image_from_map(places), score, quantise(fields), grid)
+
+
+def _peaks(
+    cells: Float[np.ndarray, "people joints 2"],
+    amplitude: Float[np.ndarray, "people joints"],
+    confused: Bool[np.ndarray, "people joints"],
+    size: tuple[int, int],
+    rng: np.random.Generator,
+) -> Iterator[tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]]:
+    """Joints, places and strengths of all that shows in the heatmaps: joints, those on the wrong side, and clutter."""
+    person, joint = np.nonzero(amplitude > 0)
+    yield joint, cells[person, joint], amplitude[person, joint]
+    person, joint = np.nonzero((amplitude > 0) & confused)
+    yield _OTHER_SIDE_18[joint], cells[person, joint], _CONFUSED_SHARE * amplitude[person, joint]
+    clutter = np.repeat(np.arange(len(COCO_18.names)), rng.poisson(_CLUTTER_RATE, len(COCO_18.names)))
+    yield (
+        clutter,
+        rng.uniform(-0.5, np.array(size) - 0.5, (len(clutter), 2)),
+        rng.uniform(*_CLUTTER_SCORES, len(clutter)),
+    )

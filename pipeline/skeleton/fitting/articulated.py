@@ -1,0 +1,269 @@
+"""Rotations of a window of frames that explain what was seen: Gauss and Newton on the skeleton's degrees of freedom.
+
+What is minimised, over the root's place and all rotations of ``articulation.FREEDOMS``:
+
+- what says where landmarks are: rays of all views, or positions (``Evidence``);
+- Cauchy's function of landmarks' second differences (``positions.tie_weight``);
+- what no landmark shows: bends of spine, neck and collar bones are drawn to rest; the twist of upper arms and thighs
+  about themselves is drawn to rest, changes as little as it can from frame to frame, and is kept within its limits.
+
+Bones have one length and elbows and knees one axis and a range of angles by construction: a hinge at its end stays
+there while the energy would push it on.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import solveh_banded
+from scipy.spatial.transform import Rotation
+from threadpoolctl import ThreadpoolController
+
+from pipeline.skeleton.fitting.articulation import NUM_ROOT, TWISTS, Articulation
+from pipeline.skeleton.fitting.articulation_kernels import assemble, differentiate, pose, turn
+from pipeline.skeleton.fitting.positions import tie_weight
+from pipeline.skeleton.model import INDEX, SKELETON
+from pipeline.skeleton.rotations import continuous_quat_xyzw
+
+# Twist: how far from rest it usually is, how fast it usually changes, and how steep its limits are.
+_TWIST_RAD, _TWIST_RAD_S, _TWIST_LIMIT_RAD = 1.5, 4.0, 0.05
+# No rotation is further in a step: what is minimised is far from a parabola there. And what holds one that nothing
+# else holds, as the variance of a step.
+_LONGEST_STEP_RAD = 0.3
+_INERTIA = 1.0
+_AT_END_RAD = 1e-9
+_HELD = 1e12
+_LIBRARIES = ThreadpoolController()
+
+
+@runtime_checkable
+class Evidence(Protocol):
+    """What says where landmarks are."""
+
+    def normal_equations(
+        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
+    ) -> tuple[Float[np.ndarray, "frames landmarks 3 3"], Float[np.ndarray, "frames landmarks 3"]]:
+        """Curvature of the energy where landmarks are now, and its negative gradient."""
+        ...
+
+
+@dataclass(slots=True, eq=False)
+class Bodies:
+    """A person in every frame of a window: what the fit changes.
+
+    Parameters
+    ----------
+    root_m
+        World position of the root.
+    local
+        Rotation of every joint to its parent.
+    angle_rad
+        Angle of every hinge, on the axis of degrees of freedom; 0 for other rotations.
+    """
+
+    root_m: Float[np.ndarray, "frames 3"]
+    local: Float[np.ndarray, "frames joints 3 3"]
+    angle_rad: Float[np.ndarray, "frames freedoms"]
+
+    def quat_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
+        """Rotation of every joint to its parent, as quaternions that are continuous in time."""
+        joints = range(self.local.shape[1])
+        return np.stack([continuous_quat_xyzw(Rotation.from_matrix(self.local[:, joint])) for joint in joints], axis=1)
+
+
+def start_from(
+    root_m: Float[np.ndarray, "frames 3"],
+    parent_from_joint: Float[np.ndarray, "frames joints 4"],
+    skeleton: Articulation,
+) -> Bodies:
+    """Bodies in any pose, with hinges made hinges: what is not about their axis is dropped."""
+    num_frames = len(root_m)
+    local = Rotation.from_quat(parent_from_joint.reshape(-1, 4)).as_matrix().reshape(num_frames, -1, 3, 3)
+    angle_rad = np.zeros((num_frames, skeleton.num_freedoms))
+    for number, freedom in enumerate(skeleton.freedoms, NUM_ROOT):
+        if freedom.limits_rad:
+            joint, axis = INDEX[freedom.joints[0]], np.array(freedom.axis)
+            bend = Rotation.from_quat(parent_from_joint[:, joint]).as_rotvec() @ axis
+            angle_rad[:, number] = np.clip(bend, *freedom.limits_rad)
+            local[:, joint] = Rotation.from_rotvec(angle_rad[:, [number]] * axis).as_matrix()
+    return Bodies(np.array(root_m), local, angle_rad)
+
+
+def landmarks_of(bodies: Bodies, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
+    """Where bodies have their landmarks, in the world (metres)."""
+    return _Posed(bodies, skeleton).landmark_m
+
+
+class _Posed:
+    """All places and orientations of bodies."""
+
+    def __init__(self, bodies: Bodies, skeleton: Articulation) -> None:
+        self._skeleton = skeleton
+        num_frames, num_joints = bodies.local.shape[:2]
+        self.world = np.empty((num_frames, num_joints, 3, 3))
+        self.joint_m = np.empty((num_frames, num_joints, 3))
+        self.landmark_m = np.empty((num_frames, len(skeleton.landmark), 3))
+        pose(
+            bodies.root_m,
+            bodies.local,
+            skeleton.parent,
+            skeleton.offset_m,
+            skeleton.landmark_joint,
+            skeleton.landmark_offset_m,
+            self.world,
+            self.joint_m,
+            self.landmark_m,
+        )
+
+    def jacobian(self) -> Float[np.ndarray, "frames landmarks most 3"]:
+        """How each landmark moves with each degree of freedom that moves it (``Articulation.moved_by``)."""
+        skeleton = self._skeleton
+        result = np.empty((len(self.world), *skeleton.moved_by.shape, 3))
+        differentiate(
+            self.world,
+            self.joint_m,
+            self.landmark_m,
+            skeleton.freedom_joint,
+            skeleton.freedom_axis,
+            skeleton.moved_by,
+            skeleton.num_moved_by,
+            result,
+        )
+        return result
+
+
+def move(bodies: Bodies, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
+    """Take a step of all degrees of freedom, in place: no rotation too far at once, no hinge past its end."""
+    turn(
+        step,
+        skeleton.freedom_joint,
+        skeleton.freedom_axis,
+        skeleton.lowest_rad,
+        skeleton.highest_rad,
+        _LONGEST_STEP_RAD,
+        bodies.root_m,
+        bodies.angle_rad,
+        bodies.local,
+    )
+
+
+def refine(
+    bodies: Bodies,
+    skeleton: Articulation,
+    evidence: Evidence,
+    usual_m: Float[np.ndarray, " landmarks"],
+    frame_rate_hz: float,
+    num_steps: int,
+) -> None:
+    """Change bodies so that they explain the evidence better, in place.
+
+    Parameters
+    ----------
+    usual_m
+        What landmarks' second differences usually are; infinite where they don't tie frames together.
+    num_steps
+        Of Gauss and Newton.
+    """
+    for _ in range(num_steps):
+        # Several threads would only wait for each other in a band so narrow, and could round differently.
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            step = _step(bodies, skeleton, evidence, usual_m, frame_rate_hz)
+        move(bodies, skeleton, step)
+
+
+def _step(
+    bodies: Bodies,
+    skeleton: Articulation,
+    evidence: Evidence,
+    usual_m: Float[np.ndarray, " landmarks"],
+    frame_rate_hz: float,
+) -> Float[np.ndarray, "frames freedoms"]:
+    num_frames, num_freedoms = len(bodies.root_m), skeleton.num_freedoms
+    posed = _Posed(bodies, skeleton)
+    jacobian = posed.jacobian()
+    second_m = np.diff(posed.landmark_m, n=2, axis=0)
+    tie = tie_weight(second_m, usual_m)
+    lower, right = np.zeros((num_frames * num_freedoms, 3 * num_freedoms)), np.zeros(num_frames * num_freedoms)
+    curvature, pull = evidence.normal_equations(posed.landmark_m)
+    assemble(jacobian, skeleton.moved_by, skeleton.num_moved_by, curvature, pull, tie, second_m, lower, right)
+    by_frame, force = lower.reshape(num_frames, num_freedoms, -1), right.reshape(num_frames, num_freedoms)
+    _draw_to_rest(bodies, skeleton, by_frame, force)
+    _steady_twist(bodies, skeleton, frame_rate_hz, by_frame, force)
+    ends = [(skeleton.lowest_rad, -1.0), (skeleton.highest_rad, 1.0)]
+    for end_rad, outwards in ends:
+        at_end = (outwards * (bodies.angle_rad - end_rad) >= -_AT_END_RAD) & (outwards * force > 0)
+        by_frame[..., 0] += np.where(at_end, _HELD, 0.0)
+    by_frame[..., 0] += _INERTIA
+    solved: np.ndarray = solveh_banded(lower.T, right, lower=True, overwrite_ab=True, check_finite=False)
+    return solved.reshape(num_frames, num_freedoms)
+
+
+def _draw_to_rest(
+    bodies: Bodies,
+    skeleton: Articulation,
+    lower: Float[np.ndarray, "frames freedoms below"],
+    force: Float[np.ndarray, "frames freedoms"],
+) -> None:
+    """Add what draws joints to rest, in place."""
+    drawn = [(n, freedom) for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if np.isfinite(freedom.usual_rad)]
+    joints = sorted({INDEX[freedom.joints[0]] for _, freedom in drawn})
+    local = bodies.local[:, joints]
+    rotvec = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(*local.shape[:2], 3)
+    for number, freedom in drawn:
+        angle_rad = rotvec[:, joints.index(INDEX[freedom.joints[0]])] @ np.array(freedom.axis)
+        lower[:, number, 0] += 1.0 / freedom.usual_rad**2
+        force[:, number] -= angle_rad / freedom.usual_rad**2
+
+
+def _steady_twist(
+    bodies: Bodies,
+    skeleton: Articulation,
+    frame_rate_hz: float,
+    lower: Float[np.ndarray, "frames freedoms below"],
+    force: Float[np.ndarray, "frames freedoms"],
+) -> None:
+    """Add what steadies the twist of upper arms and thighs, in place."""
+    num_freedoms = force.shape[1]
+    usual_change_rad = _TWIST_RAD_S / frame_rate_hz
+    for twist in TWISTS:
+        joint = INDEX[twist.joint]
+        first = next(n for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if freedom.joints == (twist.joint,))
+        bone = np.array(SKELETON[INDEX[twist.child]].rest_direction)
+        local = bodies.local[:, joint]
+        angle_rad, gradient = _twist(Rotation.from_matrix(local).as_quat(), bone)
+        beyond_rad = angle_rad - np.clip(angle_rad, *twist.limits_rad)
+        weight = 1.0 / _TWIST_RAD**2 + (beyond_rad != 0.0) / _TWIST_LIMIT_RAD**2
+        force_rad = -(angle_rad / _TWIST_RAD**2 + beyond_rad / _TWIST_LIMIT_RAD**2)
+        # From a frame to the next the joint turns, in its own axes, by this; what of it is about the bone is twist.
+        relative = np.einsum("fba,fbc->fac", local[:-1], local[1:])
+        change_rad = Rotation.from_matrix(relative).as_rotvec() @ bone
+        before = -relative @ bone
+        tied = 1.0 / usual_change_rad**2
+        force[:, first : first + 3] += force_rad[:, None] * gradient
+        force[:-1, first : first + 3] -= tied * change_rad[:, None] * before
+        force[1:, first : first + 3] -= tied * change_rad[:, None] * bone
+        for k in range(3):
+            for m in range(3):
+                lower[:-1, first + k, num_freedoms + m - k] += tied * before[:, k] * bone[m]
+                if m >= k:
+                    lower[:, first + k, m - k] += weight * gradient[:, k] * gradient[:, m]
+                    lower[:-1, first + k, m - k] += tied * before[:, k] * before[:, m]
+                    lower[1:, first + k, m - k] += tied * bone[k] * bone[m]
+
+
+def _twist(
+    quat_xyzw: Float[np.ndarray, "frames 4"], bone: Float[np.ndarray, " 3"]
+) -> tuple[Float[np.ndarray, " frames"], Float[np.ndarray, "frames 3"]]:
+    """Twist about a bone that precedes a swing without twist, and its gradient by a small turn in the joint's axes.
+
+    With q = (v, w): 2 atan2(v b, w), and (w^2 b + w b x v + (v b) v) / (w^2 + (v b)^2). A half turn of the bone has no
+    twist: its gradient is cut off there.
+    """
+    vector, w = quat_xyzw[:, :3], quat_xyzw[:, 3]
+    along = vector @ bone
+    angle_rad = 2 * np.arctan2(along, w)
+    angle_rad = (angle_rad + np.pi) % (2 * np.pi) - np.pi
+    w, along = w[:, None], along[:, None]
+    gradient = (w**2 * bone + w * np.cross(bone, vector) + along * vector) / np.maximum(w**2 + along**2, 0.05)
+    return angle_rad, gradient

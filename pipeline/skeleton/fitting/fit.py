@@ -1,0 +1,240 @@
+"""Skeletons that follow what was seen of people: bones of constant length, hinges that bend one way, fit over time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from pipeline.data import Camera, Observations, SkeletonMotion, Source, Timebase, Track3D, read_only
+from pipeline.geometry.tracks import reproject
+from pipeline.joints import JointSet
+from pipeline.progress import OnShare, ignore
+from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, refine, start_from
+from pipeline.skeleton.fitting.articulation import FREEDOMS, articulate
+from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
+from pipeline.skeleton.fitting.rays import Rays
+from pipeline.skeleton.fitting.windows import Blend, windows
+from pipeline.skeleton.gaps import gaps_up_to
+from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
+from pipeline.skeleton.model import INDEX, SKELETON
+from pipeline.skeleton.rigid_parts import landmark_offsets_m
+from pipeline.skeleton.rotations import continuous_quat_xyzw
+from pipeline.skeleton.solve import solve_pose
+
+MAX_GAP_S = 1.0
+"""Gaps between two measured instants up to this long are filled."""
+
+_NUM_STEPS = 6
+_NUM_STEPS_PINNED = 3
+# Standard deviations of what draws landmarks: smoothed positions, the way across a gap, and places where feet stand.
+_PLACED_M, _BRIDGE_M, _PIN_M = 0.01, 0.10, 0.001
+# Smoothed positions farther than this from where the fit starts are wild, and not followed.
+_REACH_M = 0.15
+
+_RaysOf = Callable[[slice], Rays]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Evidence:
+    """Rays, if there are any, and places that draw landmarks with a strength along each axis."""
+
+    rays: Rays | None
+    landmark: Int[np.ndarray, " landmarks"]
+    strength: Float[np.ndarray, "frames landmarks 3"]
+    place_m: Float[np.ndarray, "frames landmarks 3"]
+
+    def normal_equations(
+        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
+    ) -> tuple[Float[np.ndarray, "frames landmarks 3 3"], Float[np.ndarray, "frames landmarks 3"]]:
+        curvature = self.strength[..., None] * np.eye(3)
+        pull = self.strength * (self.place_m - landmark_m)
+        if self.rays is not None:
+            for number, joint in enumerate(self.landmark.tolist()):
+                xyz_m = landmark_m[:, number]
+                normal, right = self.rays.normal_equations(joint, xyz_m, SCALES_M[-1])
+                curvature[:, number] += normal
+                pull[:, number] += right - np.einsum("fab,fb->fa", normal, xyz_m)
+        return curvature, pull
+
+
+class SkeletonFit:
+    """One person's skeleton, and how it is fit.
+
+    Parameters
+    ----------
+    track
+        Joints' positions, NaN in gaps.
+    joints
+        Of the track.
+    rays_of
+        Rays of a window of frames, where the fit is to follow them; else it follows the positions.
+    """
+
+    def __init__(
+        self, track: Track3D, joints: JointSet, timebase: Timebase, name: str, rays_of: _RaysOf | None = None
+    ) -> None:
+        self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
+        self._bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
+        offsets_m = landmark_offsets_m(track, joints, self._bone_length_m)
+        self._skeleton = articulate(self._bone_length_m, joints, offsets_m)
+        usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
+        self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
+
+    @property
+    def track(self) -> Track3D:
+        """The positions that the fit began with."""
+        return self._track
+
+    @property
+    def sees_feet(self) -> bool:
+        """Whether toes or heels say how feet are turned."""
+        return len(self._skeleton.freedoms) > len(FREEDOMS)
+
+    @property
+    def has_torso(self) -> bool:
+        """Whether a hip or a shoulder was ever located; else the skeleton hangs in the air."""
+        girdles = [index for index, name in enumerate(self._joints.names) if name.endswith(("_hip", "_shoulder"))]
+        return bool(np.isfinite(self._track.xyz_m[:, girdles]).any())
+
+    def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:
+        """Fit the skeleton, from the rotations that the positions suggest."""
+        num_frames = self._track.num_frames
+        self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
+
+        def start(rows: slice) -> Bodies:
+            landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
+            return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
+
+        self._fit(start, {}, _NUM_STEPS, on_share)
+        return SkeletonMotion(
+            track_id=self._track.track_id,
+            name=self._name,
+            start_frame=self._track.start_frame,
+            frame_rate_hz=self._timebase.frame_rate_hz,
+            bone_length_m=read_only(self._bone_length_m),
+            root_m=read_only(self._root_m.view()),
+            parent_from_joint=read_only(self._quat.view()),
+            contacts=(),
+        )
+
+    def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
+        """Fit the motion on, with landmarks that are drawn to places; NaN where and along which axes they are not.
+
+        The motion changes in place: two of a long take would be large.
+        """
+
+        def start(rows: slice) -> Bodies:
+            return start_from(self._root_m[rows], self._quat[rows], self._skeleton)
+
+        self._fit(start, places_m, _NUM_STEPS_PINNED, on_share)
+
+    def turn(self, name: str, rotation: Rotation) -> None:
+        """Turn a joint of the skeleton to its parent, in all frames of the motion, in place."""
+        self._quat[:, INDEX[name]] = continuous_quat_xyzw(rotation)
+
+    def place(self, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
+        """Put joints of some frames where the motion has them, in place; unknown ones stay so."""
+        bodies = start_from(self._root_m[rows], self._quat[rows], self._skeleton)
+        landmark = self._skeleton.landmark
+        known = np.isfinite(xyz_m[:, landmark])
+        xyz_m[:, landmark] = np.where(known, landmarks_of(bodies, self._skeleton), np.nan)
+
+    def _fit(
+        self,
+        start: Callable[[slice], Bodies],
+        places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
+        num_steps: int,
+        on_share: OnShare,
+    ) -> None:
+        root_m, quat = Blend(self._root_m), Blend(self._quat)
+        all_rows = list(windows(self._track.num_frames))
+        following = start(all_rows[0])
+        for number, rows in enumerate(all_rows):
+            bodies = following
+            if number + 1 < len(all_rows):
+                # Before what this window changes of it.
+                following = start(all_rows[number + 1])
+            evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
+            refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
+            root_m.add(rows, bodies.root_m)
+            quat.add(rows, _same_signs(bodies.quat_xyzw(), self._quat[rows.start] if rows.start else None))
+            # Blended quaternions are not of length 1.
+            self._quat[rows] /= np.linalg.norm(self._quat[rows], axis=-1, keepdims=True)
+            on_share((number + 1) / len(all_rows))
+
+    def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
+        """What the fit of a window follows. In gaps it stays near the way that it starts with."""
+        position_m = self._track.xyz_m[rows]
+        landmark = self._skeleton.landmark
+        xyz_m = position_m[:, landmark]
+        start_m = landmarks_of(start, self._skeleton)
+        known = np.isfinite(xyz_m)
+        if self._rays_of is None:
+            # Nothing but the start can tell a wild position from a true one.
+            known &= np.linalg.norm(xyz_m - start_m, axis=-1, keepdims=True) <= _REACH_M
+        place_m = np.where(known, xyz_m, start_m)
+        strength = np.where(known, 0.0 if self._rays_of else 1.0 / _PLACED_M**2, 1.0 / _BRIDGE_M**2)
+        for name, pin_m in places_m.items():
+            number = landmark.tolist().index(self._joints.index(name))
+            pinned = np.isfinite(pin_m)
+            strength[:, number] = np.where(pinned, 1.0 / _PIN_M**2, strength[:, number])
+            place_m[:, number] = np.where(pinned, pin_m, place_m[:, number])
+        rays = self._rays_of(rows) if self._rays_of else None
+        if rays is not None:
+            rays.exchange_sides(position_m, SCALES_M[-1])
+        return _Evidence(rays, landmark, strength, place_m)
+
+
+def fit_to_rays(
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    name: str,
+    on_share: OnShare = ignore,
+) -> SkeletonFit:
+    """Prepare the fit of one person to all that the views saw.
+
+    Parameters
+    ----------
+    track
+        As association located the joints.
+    seen
+        The observations behind it.
+    """
+    xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
+    measured = track.source == Source.MEASURED
+    known = measured | gaps_up_to(measured, round(MAX_GAP_S * timebase.frame_rate_hz))
+    xyz_m[~known] = np.nan
+    source = np.where(known, np.where(measured, Source.MEASURED, Source.PREDICTED), Source.ABSENT)
+    positions = replace(track, xyz_m=read_only(xyz_m), source=read_only(source.astype(track.source.dtype)))
+
+    def rays_of(rows: slice) -> Rays:
+        return Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
+
+    return SkeletonFit(positions, joints, timebase, name, rays_of)
+
+
+def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera], on_share: OnShare = ignore) -> Track3D:
+    """The track whose joints are where the fit's motion has them, as far as they are known.
+
+    Without hips and shoulders nothing says where the motion is: positions stay as they are then.
+    """
+    xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
+    for rows in windows(len(xyz_m), overlap=0, on_share=on_share):
+        if fitted.has_torso:
+            fitted.place(rows, xyz_m[rows])
+        error_px[rows], _, _ = reproject(cameras, xyz_m[rows], seen.points_px[rows], seen.score[rows])
+    return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
+
+
+def _same_signs(
+    quat: Float[np.ndarray, "frames joints 4"], first: Float[np.ndarray, "joints 4"] | None
+) -> Float[np.ndarray, "frames joints 4"]:
+    """Quaternions that begin on the hemispheres of others, so that they can be blended."""
+    if first is None:
+        return quat
+    return quat * np.where((quat[0] * first).sum(-1) < 0, -1.0, 1.0)[:, None]

@@ -1,0 +1,187 @@
+"""Positions of a person's joints over the whole track, from all that every view saw of them.
+
+What is minimised, X being a joint at an instant, in metres:
+
+- *rays*: see ``skeleton.rays``; their scale shrinks from step to step (graduated non-convexity);
+- *acceleration*: Cauchy's function of X's second difference over what a joint of its kind does. Heavy-tailed: a
+  Gaussian prior would pull punches and jumps straight. It knows the frame rate;
+- *bones*: the squared difference of a limb's length to the person's own, left and right pooled.
+
+Where a view took a person's left limb for the right one, which fits clearly better exchanged, it is exchanged back.
+Each step reweights and solves for one joint after the other with the others held: a banded system over time, so that
+the cost is linear in the track's length. Long tracks are cut into windows that overlap.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import solveh_banded
+
+from pipeline.data import Camera, Observations, Source, Timebase, Track3D
+from pipeline.joints import LIMBS, JointSet
+from pipeline.progress import OnShare, ignore
+from pipeline.skeleton.fitting.rays import Rays
+from pipeline.skeleton.fitting.windows import Blend, windows
+from pipeline.skeleton.gaps import filled_linearly
+
+# Where the rays' c begins and ends.
+SCALES_M = (0.20, 0.12, 0.08, 0.05)
+_NUM_STEPS = 12
+# What joints do in lively movement, m/s2; and how many times as much still counts as usual.
+_USUAL_M_S2 = {
+    "shoulder": 10.0, "elbow": 18.0, "wrist": 28.0, "hip": 8.0, "knee": 16.0, "ankle": 20.0, "toe": 24.0, "heel": 24.0,
+    "neck": 10.0,
+}  # fmt: skip
+_USUAL_ELSE_M_S2 = 12.0
+_HEAVY_TAIL = 3.0
+# How much a limb's length differs between frames by what detectors mark.
+_BONE_SIGMA_M = 0.010
+# When views are asked whether they took left for right: where joints were located, and when they are about where they
+# are.
+_STEPS_OF_EXCHANGE = (0, 3, 6)
+# No joint moves farther in a step: rays that hardly cross say little of where along them it is.
+_LONGEST_STEP_M = 0.3
+# Holds a joint that nothing else holds where it is.
+_INERTIA = 1e-2
+# The second difference, and so how far its equations reach.
+_DIFFERENCE = np.array([1.0, -2.0, 1.0])
+_UNKNOWN = np.full(3, np.nan)
+
+
+def usual_step_m(joints: JointSet, timebase: Timebase) -> Float[np.ndarray, " joints"]:
+    """What a joint's second difference in metres usually is, a frame squared being the unit of time."""
+    usual_m_s2 = np.array([_USUAL_M_S2.get(name.rpartition("_")[2], _USUAL_ELSE_M_S2) for name in joints.names])
+    return np.asarray(usual_m_s2 / timebase.frame_rate_hz**2)
+
+
+def tie_weight(
+    second_m: Float[np.ndarray, "*batch 3"], usual_m: float | Float[np.ndarray, " joints"]
+) -> Float[np.ndarray, "*batch"]:
+    """Weight of a second difference, by how far from usual it is now: Cauchy's function."""
+    ratio2 = (second_m**2).sum(-1) / usual_m**2
+    return np.asarray(1.0 / (usual_m**2 * (1.0 + ratio2 / _HEAVY_TAIL**2)))
+
+
+def fit_positions(
+    track: Track3D,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    on_share: OnShare = ignore,
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Fit the positions of one person's joints.
+
+    Parameters
+    ----------
+    seen
+        The observations behind the track.
+
+    Returns
+    -------
+        Positions in the world (metres) in every frame, gaps included; NaN throughout for joints that were never
+        located.
+    """
+    limbs = _limbs(track, track.source == Source.MEASURED, joints)
+    usual_m = usual_step_m(joints, timebase)
+    fitted_m = np.empty(track.xyz_m.shape)
+    fitted = Blend(fitted_m)
+    for rows in windows(track.num_frames, on_share=on_share):
+        rays = Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
+        fitted.add(rows, _fit_window(track.xyz_m[rows], rays, limbs, usual_m))
+    return fitted_m
+
+
+def _limbs(
+    track: Track3D, measured: Bool[np.ndarray, "frames joints"], joints: JointSet
+) -> list[list[tuple[int, float]]]:
+    """The limbs that hang on each joint: the other end, and the person's length, left and right pooled."""
+    pooled: dict[str, list[np.ndarray]] = {}
+    ends = [(joints.index(one), joints.index(other)) for one, other in LIMBS if {one, other} <= set(joints.names)]
+    for one, other in ends:
+        both = measured[:, one] & measured[:, other]
+        lengths_m = np.linalg.norm(track.xyz_m[both, one] - track.xyz_m[both, other], axis=-1)
+        pooled.setdefault(joints.names[other].rpartition("_")[2], []).append(lengths_m)
+    hanging: list[list[tuple[int, float]]] = [[] for _ in joints.names]
+    for one, other in ends:
+        lengths_m = np.concatenate(pooled[joints.names[other].rpartition("_")[2]])
+        if len(lengths_m):
+            length_m = float(np.median(lengths_m))
+            hanging[one].append((other, length_m))
+            hanging[other].append((one, length_m))
+    return hanging
+
+
+def _fit_window(
+    start_m: Float[np.ndarray, "frames joints 3"],
+    rays: Rays,
+    limbs: Sequence[Sequence[tuple[int, float]]],
+    usual_m: Float[np.ndarray, " joints"],
+) -> Float[np.ndarray, "frames joints 3"]:
+    xyz_m = np.stack([filled_linearly(start_m[:, joint], _UNKNOWN) for joint in range(start_m.shape[1])], axis=1)
+    # Of a joint that was never located there is nothing to fit.
+    located = np.flatnonzero(np.isfinite(xyz_m[0, :, 0]))
+    for step in range(_NUM_STEPS):
+        scale_m = SCALES_M[min(step, len(SCALES_M) - 1)]
+        if step in _STEPS_OF_EXCHANGE:
+            rays.exchange_sides(xyz_m, scale_m)
+        for joint in located.tolist():
+            normal, right = rays.normal_equations(joint, xyz_m[:, joint], scale_m)
+            for other, length_m in limbs[joint] if step > 0 else ():
+                _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m)
+            step_m = _solve(normal, right, xyz_m[:, joint], usual_m[joint]) - xyz_m[:, joint]
+            length_m = np.linalg.norm(step_m, axis=-1, keepdims=True)
+            xyz_m[:, joint] += step_m * np.minimum(1.0, _LONGEST_STEP_M / np.maximum(length_m, 1e-9))
+    return xyz_m
+
+
+def _add_bone(
+    normal: Float[np.ndarray, "frames 3 3"],
+    right: Float[np.ndarray, "frames 3"],
+    here_m: Float[np.ndarray, "frames 3"],
+    other_m: Float[np.ndarray, "frames 3"],
+    length_m: float,
+) -> None:
+    """Newton's step for a limb's length, in place; nothing where the other end is unknown or in the same place.
+
+    Across the limb its curvature is kept where it is positive: without, a joint that little else holds would fly off.
+    """
+    along_m = here_m - other_m
+    distance_m = np.linalg.norm(along_m, axis=-1)
+    usable = distance_m > 1e-3
+    distance_m = np.where(usable, distance_m, 1.0)
+    unit = np.where(usable[:, None], along_m / distance_m[:, None], 0.0)
+    across = np.where(usable, np.maximum(1.0 - length_m / distance_m, 0.0), 0.0)
+    outer = unit[:, :, None] * unit[:, None, :]
+    curvature = (outer + across[:, None, None] * (np.eye(3) - outer)) / _BONE_SIGMA_M**2
+    pull = np.where(usable, distance_m - length_m, 0.0)[:, None] * unit / _BONE_SIGMA_M**2
+    normal += curvature
+    right += (curvature @ here_m[..., None])[..., 0] - pull
+
+
+def _solve(
+    normal: Float[np.ndarray, "frames 3 3"],
+    right: Float[np.ndarray, "frames 3"],
+    before_m: Float[np.ndarray, "frames 3"],
+    usual_m: float,
+) -> Float[np.ndarray, "frames 3"]:
+    """One joint over time: the frames' own equations, and the acceleration that ties them."""
+    num_frames = len(normal)
+    # Row d of a banded matrix holds its d-th upper diagonal, at the column of the later unknown.
+    banded = np.zeros((9, num_frames, 3))
+    for row in range(3):
+        for column in range(row, 3):
+            banded[8 - (column - row), :, column] += normal[:, row, column]
+    banded[8] += _INERTIA
+    if num_frames > 2:
+        second_m = before_m[2:] - 2 * before_m[1:-1] + before_m[:-2]
+        tie = tie_weight(second_m, usual_m)
+        for one in range(3):
+            for other in range(one, 3):
+                tied = slice(other, num_frames - 2 + other)
+                banded[8 - 3 * (other - one), tied] += (_DIFFERENCE[one] * _DIFFERENCE[other] * tie)[:, None]
+    solved: np.ndarray = solveh_banded(
+        banded.reshape(9, -1), (right + _INERTIA * before_m).ravel(), overwrite_ab=True, check_finite=False
+    )
+    return solved.reshape(-1, 3)

@@ -1,0 +1,1 @@
+"""The stages of a reconstruction: planned, run, and executed on one machine."""

@@ -1,0 +1,215 @@
+"""From what detectors found in a session to tracks: the steps of both methods.
+
+``tracking`` is one sequential pass. ``clustering`` first measures everybody's bones over the whole session, then finds
+people in any range of frames by itself, and at last links them. What found them may be whole bodies (``Detections``)
+or fields (``PafFields``), of the range at least.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import overload
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import CaptureSession
+from pipeline.clustering.associate import find_people, first_lengths, join_poses, link_people, sampled_frames
+from pipeline.clustering.bone_lengths import LimbLengths
+from pipeline.clustering.instant.candidates import Seen, SeenBodies, SeenFields
+from pipeline.clustering.parameters import ClusteringParameters
+from pipeline.clustering.parameters import derive_parameters as derive_clustering
+from pipeline.clustering.skeleton import skeleton_of
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Detections, PafFields, People, Poses3D
+from pipeline.detect.chunk import bodies_in
+from pipeline.detect.registry import entry_of
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.track_assembly import keep_most_seen
+from pipeline.joints import JointSet
+from pipeline.parameters import change_parameters
+from pipeline.progress import OnShare, ignore
+from pipeline.tracking.associate import track_bodies
+from pipeline.tracking.observations import Bodies, gather
+from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.parameters import derive_parameters as derive_tracking
+from pipeline.video.timeline import cut_timebase, frames_in, span_s
+
+Views = CaptureSession | KeypointSession
+Found = Mapping[str, Detections] | Mapping[str, PafFields]
+"""By camera."""
+
+_DEFAULTS = ReconstructionConfig()
+
+
+@overload
+def restrict(session: KeypointSession, frames: range | None) -> KeypointSession: ...
+
+
+@overload
+def restrict(session: Views, frames: range | None) -> Views: ...
+
+
+def restrict(session: Views, frames: range | None) -> Views:
+    """The session, as if its output frames were only some of them (``None``: all), numbered from 0.
+
+    Raises
+    ------
+    InputError
+        If it has no such frames.
+    """
+    if frames is None:
+        return session
+    whole = session.timebase
+    if not 0 <= frames.start < frames.stop <= whole.num_frames:
+        message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."
+        raise InputError([Problem("frame_range", message, hint="The second number is that after the last frame.")])
+    if isinstance(session, CaptureSession):
+        return replace(session, frames=frames)
+    span = span_s(whole, frames.start, frames.stop)
+    wanted = {name: bodies_in(one, frames_in(session.times[name], *span)) for name, one in session.detections.items()}
+    return replace(session, timebase=cut_timebase(whole, frames), detections=wanted)
+
+
+def uses_fields(session: Views, config: ReconstructionConfig) -> bool:
+    """Whether people are found from part affinity fields, not from whole bodies."""
+    is_clustering = config.method == "clustering"
+    return is_clustering and isinstance(session, CaptureSession) and entry_of(config.detector).fields is not None
+
+
+def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
+    """Derive the tracker's parameters from the session, but for what was asked to be otherwise.
+
+    A person in a session of fewer than ``confirm_instants`` frames is confirmed by all of them.
+
+    Raises
+    ------
+    InputError
+        If a parameter does not exist, or can't have that value.
+    """
+    derived = derive_tracking(session.cameras, session.timebase.frame_rate_hz)
+    confirm_instants = min(derived.confirm_instants, session.timebase.num_frames)
+    return change_parameters(replace(derived, confirm_instants=confirm_instants), changes)
+
+
+def clustering_parameters(session: Views, config: ReconstructionConfig) -> ClusteringParameters:
+    """Those derived from the session and the detector, but for what was asked to be otherwise.
+
+    Raises
+    ------
+    InputError
+        If a parameter does not exist, or can't have that value.
+    """
+    fields = entry_of(config.detector).fields if uses_fields(session, config) else None
+    own = {} if fields is None else {"tau2": fields.tau2}
+    return change_parameters(derive_clustering(session.cameras, **own), config.clustering)
+
+
+def track(
+    session: Views,
+    detections: Mapping[str, Detections],
+    config: ReconstructionConfig = _DEFAULTS,
+    on_share: OnShare = ignore,
+) -> People:
+    """Turn all cameras' detections into tracks by cross-view tracking, one pass in time order.
+
+    Parameters
+    ----------
+    on_share
+        Called with the share of the work that is done.
+    """
+    return track_gathered(session, gather(session.cameras, session.times, detections), config, on_share)
+
+
+def track_gathered(
+    session: Views, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
+) -> People:
+    """``track`` what ``gather`` made of all cameras' detections; the session's own are not looked at."""
+    parameters = tracking_parameters(session, config.tracking)
+    timebase = session.timebase
+    approximate: set[int] = set()
+    people = track_bodies(
+        session.cameras,
+        session.times,
+        bodies,
+        timebase,
+        parameters,
+        on_share,
+        lambda time_s: approximate.add(round((time_s - timebase.start_time_s) * timebase.frame_rate_hz)),
+    )
+    return People(*keep_most_seen(*people, config.people), len(approximate))
+
+
+def num_sampled(session: Views, ranges: Iterable[range], config: ReconstructionConfig) -> int:
+    """Count the frames in which bones are measured, in some ranges of output frames."""
+    sampled = sampled_frames(session.timebase, clustering_parameters(session, config))
+    return sum(frame in sampled for frames in ranges for frame in frames)
+
+
+def measure_bones(
+    session: Views,
+    chunks: Iterable[tuple[range, Found]],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_frame: Callable[[], None] = lambda: None,
+) -> LimbLengths:
+    """Everybody's bone lengths, from a first pass over frames all over the session.
+
+    Parameters
+    ----------
+    chunks
+        Ranges of output frames in order of time, and what shows each; read one at a time.
+    joints
+        What the joint axis of the detector holds.
+    on_frame
+        Called after each frame.
+    """
+    parameters = clustering_parameters(session, config)
+    sampled = sampled_frames(session.timebase, parameters)
+    seen = (
+        (_seen(session, frames, found, joints, parameters), [frame for frame in frames if frame in sampled])
+        for frames, found in chunks
+    )
+    return first_lengths(session.cameras, seen, session.timebase, skeleton_of(joints), parameters, on_frame)
+
+
+def locate_people(
+    session: Views,
+    frames: range,
+    found: Found,
+    lengths: LimbLengths,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_frame: Callable[[], None] = lambda: None,
+) -> Poses3D:
+    """Find everybody in a range of output frames; the cut into ranges changes nothing."""
+    parameters = clustering_parameters(session, config)
+    seen = _seen(session, frames, found, joints, parameters)
+    return find_people(session.cameras, seen, frames, skeleton_of(joints), lengths, parameters, on_frame)
+
+
+def link(
+    session: Views,
+    chunks: Iterable[Poses3D],
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_share: OnShare = ignore,
+) -> People:
+    """Link the poses of all ranges to tracks; ``on_share`` is called as often as the work is far enough to say so."""
+    parameters = clustering_parameters(session, config)
+    poses = join_poses(chunks)
+    people = link_people(session.cameras, poses, session.timebase, joints, parameters, on_share)
+    return People(*keep_most_seen(*people, config.people), len(poses.approximate))
+
+
+def _seen(session: Views, frames: range, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:
+    """What shows a range of output frames."""
+    skeleton = skeleton_of(joints)
+    fields = {camera: one for camera, one in found.items() if isinstance(one, PafFields)}
+    if fields:
+        return SeenFields(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
+    span = span_s(session.timebase, frames.start, frames.stop)
+    bodies = {
+        camera: bodies_in(one, frames_in(session.times[camera], *span))
+        for camera, one in found.items()
+        if isinstance(one, Detections)
+    }
+    return SeenBodies(session.cameras, session.times, bodies, session.timebase, skeleton, parameters)

@@ -1,0 +1,1 @@
+"""Cross-view tracking as compiled loops."""

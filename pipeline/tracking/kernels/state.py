@@ -1,0 +1,191 @@
+"""The state of the tracker in arrays, as the kernels take it.
+
+A target's state is a record whose arrays have the joints last and a length known when a loop is compiled (a multiple of
+four: the joints, and lanes that stay unused). So a loop over the joints works on several at a time.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.runtime.jit import record_dtype, round_up, zero_records
+
+# A pair that shares fewer joints is not compared.
+MIN_JOINTS = 3
+# Positions kept for a velocity; more frequent ones replace the newest.
+NUM_RECENT = 8
+# The six entries of a symmetric 3x3 matrix, and the right-hand side of the normal equations.
+NUM_NORMAL = 9
+_NUM_SUMS = 9
+
+
+@cache
+def target_dtype(lanes: int) -> np.dtype:
+    """The state of a target; ``reference.Target`` says what the fields mean."""
+    return record_dtype(
+        ("xyz_m", np.float64, (3, lanes)),
+        ("updated_s", np.float64, (lanes,)),
+        ("velocity_m_s", np.float64, (3, lanes)),
+        ("expected_m", np.float64, (3, lanes)),  # where the joints should be now
+        ("offset_m", np.float64, (3, lanes)),  # the same as seen from the centre of the camera of now
+        ("squared_m2", np.float64, (lanes,)),  # its squared length
+        ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
+        ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
+        ("views", np.float64, (lanes,)),  # how many those are
+        ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
+        ("recent_s", np.float64, (NUM_RECENT,)),
+        ("target_id", np.int64),
+        ("sum_s", np.float64),
+        ("recent_since_s", np.float64),  # when the newest of them was first taken
+        ("num_recent", np.int64),
+        ("is_fitted", np.bool_),
+        ("moved_s", np.float64),
+        ("supported_s", np.float64),
+        ("num_supported", np.int64),
+        ("confirmed", np.bool_),
+    )
+
+
+@cache
+def view_dtype(lanes: int) -> np.dtype:
+    """The last match of a target in a camera."""
+    return record_dtype(("normal", np.float64, (NUM_NORMAL, lanes)), ("last_px", np.float64, (2, lanes)))
+
+
+@cache
+def body_dtype(lanes: int) -> np.dtype:
+    """A detection of the camera of now."""
+    return record_dtype(
+        ("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))
+    )
+
+
+@cache
+def sums_dtype(lanes: int) -> np.dtype:
+    """Sums behind the velocities of a target's joints."""
+    return record_dtype(("fit", np.float64, (_NUM_SUMS, lanes)))
+
+
+class Rig(NamedTuple):
+    """All cameras, as arrays."""
+
+    image_from_world: np.ndarray  # (cameras, 3, 4)
+    world_ray_from_image: np.ndarray  # (cameras, 3, 3)
+    center_m: np.ndarray  # (cameras, 3)
+    fundamental: np.ndarray  # (cameras, cameras, 3, 3), [left, right]
+
+
+class Frames(NamedTuple):
+    """All frames of all cameras in time order, and their detections: rows ``first:last`` of the last two arrays."""
+
+    time_s: np.ndarray
+    camera: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    points_px: np.ndarray  # (detections, joints, 2), undistorted
+    score: np.ndarray  # (detections, joints), 0 where a joint is not used
+
+
+class Limits(NamedTuple):
+    """``TrackingParameters`` as numbers in one order."""
+
+    alpha_2d_px_s: float
+    alpha_epipolar_px: float
+    alpha_3d_m: float
+    weight_2d: float
+    weight_3d: float
+    lambda_a_hz: float
+    lambda_t_hz: float
+    instant_s: float
+    velocity_window_s: float
+    confirm_instants: int
+    max_unseen_s: float
+    max_unseen_tentative_s: float
+    max_extrapolation_s: float
+    duplicate_m: float
+
+
+class Targets(NamedTuple):
+    """All targets, a slot each: ``order`` lists the slots of those alive in order of birth, ``alive[0]`` of them."""
+
+    alive: np.ndarray
+    order: np.ndarray
+    state: np.ndarray  # (slots,) of target_dtype
+    views: np.ndarray  # (slots, cameras) of view_dtype
+    matched_s: np.ndarray  # (slots, cameras)
+    counted: np.ndarray  # (slots, cameras): whether normal_sum has the view
+    bodies: np.ndarray  # (most detections in a frame,) of body_dtype
+    sums: np.ndarray  # (1,) of sums_dtype
+
+
+class Room(NamedTuple):
+    """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
+
+    affinity: np.ndarray  # (slots, most detections in a frame)
+    match: np.ndarray  # (slots,)
+    rows: np.ndarray  # (slots,)
+    columns: np.ndarray  # (most detections,)
+    free: np.ndarray  # (most detections,)
+    gone: np.ndarray  # (slots,)
+    wanted: np.ndarray  # (most detections,)
+    gain: np.ndarray  # (side, side), where side is the larger of slots and most detections
+    row_price: np.ndarray  # (side + 1,), as all that follow
+    column_price: np.ndarray
+    row_of: np.ndarray
+    before: np.ndarray
+    slack: np.ndarray
+    done: np.ndarray
+
+
+class Pool(NamedTuple):
+    """Detections of each camera's most recent frame that belong to nobody."""
+
+    rows: np.ndarray  # (cameras, most detections in a frame)
+    num_rows: np.ndarray
+    time_s: np.ndarray
+
+
+class Outcome(NamedTuple):
+    """What tracking finds out."""
+
+    identity: np.ndarray  # a detection
+    replaced_by: np.ndarray  # a target: a duplicate's twin, else -1
+    earned: np.ndarray  # a target: whether it was ever confirmed
+    merged_s: np.ndarray  # (1,): when duplicates were looked for last
+
+
+def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detections: int) -> Targets:
+    """Room for so many targets, none of them alive."""
+    lanes = round_up(num_joints)
+    return Targets(
+        alive=np.zeros(1, np.int64),
+        order=np.arange(num_slots),
+        state=zero_records(num_slots, target_dtype(lanes)),
+        views=zero_records((num_slots, num_cameras), view_dtype(lanes)),
+        matched_s=np.zeros((num_slots, num_cameras)),
+        counted=np.zeros((num_slots, num_cameras), bool),
+        bodies=zero_records(most_detections, body_dtype(lanes)),
+        sums=zero_records(1, sums_dtype(lanes)),
+    )
+
+
+def make_room(num_slots: int, most_detections: int) -> Room:
+    """Arrays to work in."""
+    side = max(num_slots, most_detections)
+    return Room(
+        affinity=np.empty((num_slots, most_detections)),
+        match=np.empty(num_slots, np.int64),
+        rows=np.empty(num_slots, np.int64),
+        columns=np.empty(most_detections, np.int64),
+        free=np.empty(most_detections, bool),
+        gone=np.empty(num_slots, bool),
+        wanted=np.empty(most_detections, np.int64),
+        gain=np.empty((side, side)),
+        row_price=np.empty(side + 1),
+        column_price=np.empty(side + 1),
+        row_of=np.empty(side + 1, np.int64),
+        before=np.empty(side + 1, np.int64),
+        slack=np.empty(side + 1),
+        done=np.empty(side + 1, bool),
+    )

@@ -1,0 +1,224 @@
+"""Answers about wrong fields: at the place that the client sent, once, in our words, with all that is allowed."""
+
+import json
+import re
+from typing import Any
+
+import pytest
+
+from api.errors import MEANINGS
+from api.schemas import CameraManifest, Manifest
+from pipeline.capture.quantities import FRAME_RATE_HZ, OFFSET_S
+from tests.api.conftest import Live, form, problem_of
+
+SPEC_FIELDS = (
+    "method, detector, smoothing, cutoff_hz, feet, frame_range, output_rate_hz, people, exports, bvh, callback_url"
+)
+PEOPLE = "people must be auto, or a whole number from 1 to 1000."
+CUTOFF = "cutoff_hz must be a number above 0 and of at most 1000."
+CALLBACK = (
+    "callback_url must be a text of at most 2000 characters such as https://portal.example/hooks/multicap, or null."
+)
+# How the libraries put it.
+FOREIGN = re.compile(r"Input should|Extra inputs|Field required|Value error|String should|Unable to|should have at")
+
+
+def wrong_fields(live: Live, spec: object) -> list[tuple[str, str, str]]:
+    answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=spec)
+    assert not FOREIGN.search(answer.text)
+    errors = problem_of(answer, 422, "invalid_request")["errors"]
+    return [(item["pointer"], item["code"], item["message"]) for item in errors]
+
+
+@pytest.mark.parametrize(
+    ("spec", "pointer", "code", "message"),
+    [
+        ({"people": 0}, "/people", "invalid_value", PEOPLE),
+        ({"people": "many"}, "/people", "invalid_value", PEOPLE),
+        ({"people": None}, "/people", "invalid_value", PEOPLE),
+        ({"people": 2.5}, "/people", "invalid_value", PEOPLE),
+        ({"people": True}, "/people", "invalid_value", PEOPLE),
+        ({"people": "2"}, "/people", "invalid_value", PEOPLE),
+        ({"cutoff_hz": True}, "/cutoff_hz", "wrong_type", CUTOFF),
+        ({"cutoff_hz": "6"}, "/cutoff_hz", "wrong_type", CUTOFF),
+        (
+            {"output_rate_hz": True},
+            "/output_rate_hz",
+            "wrong_type",
+            "output_rate_hz must be a number from 1 to 240, or null.",
+        ),
+        (
+            {"frame_range": [False, 9]},
+            "/frame_range/0",
+            "wrong_type",
+            "frame_range[0] must be a whole number of at least 0.",
+        ),
+        ({"method": 3}, "/method", "value_not_allowed", "method must be one of tracking, clustering."),
+        ({"cutoff_hz": "fast"}, "/cutoff_hz", "wrong_type", CUTOFF),
+        (
+            {"output_rate_hz": 0.5},
+            "/output_rate_hz",
+            "out_of_range",
+            "output_rate_hz must be a number from 1 to 240, or null.",
+        ),
+        (
+            {"frame_range": [1]},
+            "/frame_range",
+            "wrong_length",
+            "frame_range must be a list of 2 items, each item a whole number of at least 0, or null.",
+        ),
+        (
+            {"frame_range": [1, -1]},
+            "/frame_range/1",
+            "out_of_range",
+            "frame_range[1] must be a whole number of at least 0.",
+        ),
+        (
+            {"exports": ["bvh", "zip"]},
+            "/exports/1",
+            "value_not_allowed",
+            "exports[1] must be one of bvh, glb, trc, c3d, csv.",
+        ),
+        ({"exports": ["bvh", "bvh"]}, "/exports", "export_repeated", "exports must name each format once."),
+        ({"colour": 1}, "/colour", "unknown_field", f"There is no field colour here. The fields are {SPEC_FIELDS}."),
+        ({"callback_url": "ftp://x"}, "/callback_url", "wrong_format", CALLBACK),
+        (
+            {"callback_url": "https://x:99999/"},
+            "/callback_url",
+            "callback_invalid",
+            "The port of the address must be a number from 1 to 65535.",
+        ),
+        ([], "", "wrong_type", f"The body must be an object with some of the fields {SPEC_FIELDS}."),
+    ],
+)  # fmt: skip
+def test_each_field_once_with_all_that_is_allowed(
+    live: Live, spec: object, pointer: str, code: str, message: str
+) -> None:
+    assert (pointer, code, message) in wrong_fields(live, spec)
+    assert len({found[0] for found in wrong_fields(live, spec)}) == 1
+
+
+def test_parts_of_a_form(live: Live) -> None:
+    manifest = {"cameras": [{"offset_s": "x"}, 3], "units": "inch", "name": "a\0"}
+    parts = [*form(), ("manifest", (None, json.dumps(manifest))), ("spec", (None, "{"))]
+    answer = live.client.post("/v1/jobs", files=parts)
+    assert not FOREIGN.search(answer.text)
+    assert {
+        (item["pointer"], item["code"]): item["message"]
+        for item in problem_of(answer, 422, "invalid_request")["errors"]
+    } == {
+        ("/manifest/cameras/0/name", "missing_field"): (
+            "cameras[0].name is missing. It must be a text of 1 to 64 characters."
+        ),
+        ("/manifest/cameras/0/offset_s", "wrong_type"): "cameras[0].offset_s must be a number from -86400 to 86400.",
+        ("/manifest/cameras/1", "wrong_type"): (
+            "cameras[1] must be an object with some of the fields name, file, offset_s, rate."
+        ),
+        ("/manifest/units", "value_not_allowed"): "units must be one of m, cm, mm.",
+        ("/manifest/name", "control_characters"): "Control characters are not allowed.",
+        ("/spec", "malformed_json"): "The part spec is not JSON.",
+    }
+
+
+def test_whole_numbers_are_numbers(live: Live) -> None:
+    spec = {"cutoff_hz": 6, "output_rate_hz": 50, "frame_range": [0, 9.0], "people": 2.0}
+    made = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=spec).raise_for_status().json()
+    assert {name: made["spec"][name] for name in spec} == spec
+    manifest = {"frame_rate_hz": True, "cameras": [{"name": "a", "offset_s": "1", "rate": False}]}
+    answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, json.dumps(manifest)))])
+    assert {(item["pointer"], item["code"]) for item in problem_of(answer, 422, "invalid_request")["errors"]} == {
+        ("/manifest/frame_rate_hz", "wrong_type"),
+        ("/manifest/cameras/0/offset_s", "wrong_type"),
+        ("/manifest/cameras/0/rate", "wrong_type"),
+    }
+    cameras = [{"name": "cam_0", "offset_s": 1, "rate": 50}]
+    for sent in ({"frame_rate_hz": 50}, {"cameras": cameras}):
+        answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, json.dumps(sent)))])
+        assert answer.status_code == 201, answer.text
+
+
+def test_sessions_of_uploads(live: Live) -> None:
+    body = {"videos": ["cam_0.mp4"], "spec": {"people": "many"}}
+    answer = live.client.post("/v1/jobs", json=body)
+    assert not FOREIGN.search(answer.text)
+    assert [(item["pointer"], item["code"], item["message"]) for item in answer.json()["errors"]] == [
+        ("/videos/0", "wrong_format", "videos[0] must be an id (a UUID)."),
+        ("/calibration", "missing_field", "calibration is missing. It must be an id (a UUID)."),
+        ("/spec/people", "invalid_value", "spec." + PEOPLE),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("query", "code", "words"),
+    [
+        ("limit=ten", "wrong_type", "a whole number from 1 to 200"),
+        ("cursor=1", "wrong_format", "an id (a UUID)"),
+        ("session_id=1", "wrong_format", "an id (a UUID)"),
+    ],
+)
+def test_parameters(live: Live, query: str, code: str, words: str) -> None:
+    name = query.partition("=")[0]
+    (found,) = problem_of(live.client.get(f"/v1/jobs?{query}"), 422, "invalid_request")["errors"]
+    assert (found["pointer"], found["code"]) == (f"/query/{name}", code)
+    assert found["message"] == f"The parameter {name} must be {words}."
+
+
+def test_headers(live: Live) -> None:
+    answer = live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "x" * 201})
+    (found,) = problem_of(answer, 422, "invalid_request")["errors"]
+    assert found["code"] == "wrong_length"
+    assert found["message"] == "The header idempotency-key must be a text of at most 200 characters."
+
+
+def test_a_body_that_is_missing(live: Live) -> None:
+    (found,) = problem_of(live.client.post("/v1/browser-session"), 422, "invalid_request")["errors"]
+    assert found["message"] == "The body is missing. It must be an object with some of the fields key."
+
+
+def test_an_answer_is_not_many_times_the_request(live: Live) -> None:
+    found: list[Any] = wrong_fields(live, {f"a{number}": 1 for number in range(105)})
+    assert len(found) == 81
+    assert found[-1] == (None, "more_problems", "25 more problems are not listed.")
+
+
+def test_codes_are_those_of_the_contract(live: Live) -> None:
+    spec = {
+        "people": 0,
+        "method": 3,
+        "cutoff_hz": "a",
+        "output_rate_hz": 0,
+        "frame_range": [1],
+        "colour": 1,
+        "callback_url": "",
+        "exports": ["bvh", "bvh"],
+    }
+    manifest = '{"cameras": [{}], "name": "a\\u0000", "metadata": {"a": NaN}}'
+    found = {code for _, code, _ in wrong_fields(live, spec)}
+    found |= {code for _, code, _ in wrong_fields(live, {f"a{number}": 1 for number in range(105)})}
+    answer = live.client.post("/v1/jobs", files=[*form(), ("manifest", (None, manifest)), ("spec", (None, "{"))])
+    found |= {item["code"] for item in problem_of(answer, 422, "invalid_request")["errors"]}
+    assert found == set(MEANINGS)
+    schemas = live.client.get("/openapi.json").json()["components"]["schemas"]
+    published = schemas["ErrorItem"]["properties"]["code"]["description"]
+    assert [code for code in MEANINGS if f"`{code}`" not in published] == []
+
+
+@pytest.mark.parametrize(
+    ("path", "types"),
+    [
+        ("/v1/sessions", ["multipart/form-data", "application/json"]),
+        ("/v1/jobs", ["multipart/form-data", "application/json"]),
+        ("/v1/browser-session", ["application/json"]),
+    ],
+)
+def test_refused_types_of_content_name_those_that_are_taken(live: Live, path: str, types: list[str]) -> None:
+    answer = live.client.post(path, content=b"name: x", headers={"Content-Type": "application/yaml"})
+    detail = problem_of(answer, 415, "unsupported_media_type")["detail"]
+    assert all(name in detail for name in types)
+
+
+def test_the_manifest_has_the_limits_of_the_pipeline() -> None:
+    camera = CameraManifest.model_json_schema()["properties"]
+    rates = [camera["rate"]["anyOf"][0], Manifest.model_json_schema()["properties"]["frame_rate_hz"]["anyOf"][0]]
+    assert all((rate["minimum"], rate["maximum"]) == (FRAME_RATE_HZ.low, FRAME_RATE_HZ.high) for rate in rates)
+    assert (camera["offset_s"]["minimum"], camera["offset_s"]["maximum"]) == (OFFSET_S.low, OFFSET_S.high)

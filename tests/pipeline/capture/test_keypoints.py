@@ -1,0 +1,379 @@
+"""Keypoint folders: what is read, what is refused, and with which words."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.capture.keypoints import MAX_PEOPLE, KeypointSession, open_keypoints
+from pipeline.data import Detections
+from pipeline.errors import InputError
+from pipeline.joints import BODY_25, COCO_17, COCO_18
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import Simulation, find_scene, record
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return record(replace(find_scene("unsynchronised"), duration_s=1.0), seed=4, num_views=3)
+
+
+@pytest.fixture
+def scene(simulation: Simulation, tmp_path: Path) -> Path:
+    for name, content in simulation_files(simulation):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return tmp_path
+
+
+def opened(scene: Path, timed: bool = True, frame_rate_hz: float | None = None) -> KeypointSession:
+    timestamps = scene / "timestamps.csv" if timed else None
+    return open_keypoints(scene / "keypoints", scene / "calibration.json", timestamps, frame_rate_hz)
+
+
+def problems_of(scene: Path, timed: bool = True, frame_rate_hz: float | None = None) -> dict[str, str]:
+    with pytest.raises(InputError) as raised:
+        opened(scene, timed, frame_rate_hz)
+    return {problem.code: str(problem) for problem in raised.value.problems}
+
+
+def frames_of(scene: Path, camera: int = 0) -> list[Path]:
+    return sorted(sorted((scene / "keypoints").iterdir())[camera].iterdir())
+
+
+def edit(path: Path, change: Callable[[list[list[float]]], object]) -> None:
+    """Change the people's numbers in a file."""
+    people = [one["pose_keypoints_2d"] for one in json.loads(path.read_bytes())["people"]]
+    change(people)
+    path.write_text(json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": one} for one in people]}))
+
+
+def frame_with_people(scene: Path, simulation: Simulation) -> Path:
+    first: Detections = simulation.detections[simulation.cameras[0].name]
+    return scene / "keypoints" / first.camera / f"frame_{int(first.frame[0]):012d}_keypoints.json"
+
+
+def test_what_was_simulated_comes_back(scene: Path, simulation: Simulation) -> None:
+    session = opened(scene)
+    assert session.joints == COCO_17
+    assert session.warnings == ()
+    assert session.timebase.start_time_s == 0.0
+    for camera in simulation.cameras:
+        ours, theirs = simulation.detections[camera.name], session.detections[camera.name]
+        np.testing.assert_array_equal(session.times[camera.name].time_s, simulation.times[camera.name].time_s)
+        np.testing.assert_array_equal(theirs.frame, ours.frame)
+        np.testing.assert_array_equal(theirs.keypoints_px, ours.keypoints_px)
+        np.testing.assert_array_equal(theirs.score, ours.score)
+
+
+def test_without_timestamps_frame_k_is_file_k(scene: Path) -> None:
+    first, *_, last = frames_of(scene)
+    first.unlink()
+    session = opened(scene, timed=False)
+    camera = first.parent.name
+    assert any("25 Hz" in warning for warning in session.warnings)
+    assert session.times[camera].time_s[0] == 1 / 25
+    assert session.timebase.start_time_s == 0.0
+    assert session.timebase.num_frames >= int(last.name[6:18]) + 1
+    faster = opened(scene, timed=False, frame_rate_hz=50.0)
+    assert faster.times[camera].time_s[0] == 1 / 50
+    assert faster.timebase.frame_rate_hz == 50.0
+
+
+@pytest.mark.parametrize("joints", [BODY_25, COCO_18], ids=["BODY_25", "COCO-18"])
+def test_other_joint_sets_are_told_by_their_length(scene: Path, simulation: Simulation, joints: object) -> None:
+    names = joints.names  # type: ignore[attr-defined]
+
+    def spread(people: list[list[float]]) -> None:
+        for row, one in enumerate(people):
+            xys = np.array(one).reshape(17, 3)
+            other = np.zeros((len(names), 3))
+            for k, name in enumerate(names):
+                if name in COCO_17.names:
+                    other[k] = xys[COCO_17.index(name)]
+            people[row] = other.ravel().tolist()
+
+    for camera in range(3):
+        for path in frames_of(scene, camera):
+            edit(path, spread)
+    session = opened(scene)
+    assert session.joints == joints
+    camera_name = simulation.cameras[0].name
+    wrist = session.joints.index("left_wrist")
+    np.testing.assert_array_equal(
+        session.detections[camera_name].keypoints_px[:, wrist],
+        simulation.detections[camera_name].keypoints_px[:, COCO_17.index("left_wrist")],
+    )
+    assert np.isnan(session.detections[camera_name].keypoints_px[:, session.joints.index("neck")]).all()
+
+
+def test_joints_that_are_no_numbers_or_have_no_score_are_unseen(scene: Path, simulation: Simulation) -> None:
+    path = frame_with_people(scene, simulation)
+
+    def spoil(people: list[list[float]]) -> None:
+        people[0][:12] = [5.0, 6.0, -0.5, float("nan"), 6.0, 0.5, 7.0, 8.0, 0.0, 9.0, 10.0, 7.5]
+
+    edit(path, spoil)
+    found = opened(scene).detections[path.parent.name]
+    assert np.isnan(found.keypoints_px[0, :3]).all()
+    np.testing.assert_array_equal(found.score[0, :4], [0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(found.keypoints_px[0, 3], [9.0, 10.0])
+    assert np.isfinite(found.box_px[0]).all()
+
+
+def test_a_camera_that_saw_nobody_is_said(scene: Path) -> None:
+    for path in frames_of(scene):
+        path.write_text('{"people": []}')
+    session = opened(scene)
+    camera = frames_of(scene)[0].parent.name
+    assert session.warnings == (f"Camera {camera} saw nobody.",)
+    assert len(session.detections[camera].frame) == 0
+
+
+def test_other_files_are_ignored_and_said(scene: Path) -> None:
+    (frames_of(scene)[0].parent / "notes.txt").write_text("hello")
+    (scene / "keypoints" / "readme.md").write_text("hello")
+    warnings = opened(scene).warnings
+    assert any("notes.txt" in warning for warning in warnings)
+    assert any("readme.md" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", '{"people": [', "[]", '{"people": 3}', '{"people": [{}]}', '{"people": [{"pose_keypoints_2d": [1, 2]}]}'],
+)
+def test_a_damaged_file_is_named(scene: Path, content: str) -> None:
+    path = frames_of(scene)[2]
+    path.write_text(content)
+    assert path.name in problems_of(scene)["keypoints_unreadable"]
+
+
+def test_many_damaged_files_are_not_all_listed(scene: Path) -> None:
+    for path in frames_of(scene):
+        path.write_text("{")
+    with pytest.raises(InputError) as raised:
+        opened(scene)
+    assert len(raised.value.problems) == 11
+    assert "more files are like these" in str(raised.value.problems[-1])
+
+
+def test_two_kinds_of_files_are_refused(scene: Path) -> None:
+    def lengthen(people: list[list[float]]) -> None:
+        for one in people:
+            one.extend([0.0] * 24)
+
+    for path in frames_of(scene):
+        edit(path, lengthen)
+    assert "25 joints" in problems_of(scene)["keypoints_mixed"]
+
+
+def test_folders_that_match_no_camera(scene: Path) -> None:
+    folder = frames_of(scene)[0].parent
+    folder.rename(folder.with_name("elsewhere"))
+    problems = problems_of(scene)
+    assert "elsewhere" in problems["folder_without_camera"]
+    assert folder.name in problems["camera_without_folder"]
+
+
+def test_folders_of_other_names_are_paired_in_order(scene: Path, simulation: Simulation) -> None:
+    for k, folder in enumerate(sorted((scene / "keypoints").iterdir())):
+        folder.rename(folder.with_name(f"view{k}"))
+    session = opened(scene, timed=False)
+    assert any("paired in sorted order" in warning for warning in session.warnings)
+    assert set(session.detections) == {camera.name for camera in simulation.cameras}
+
+
+def test_missing_folders(tmp_path: Path, scene: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        open_keypoints(tmp_path / "nowhere", scene / "calibration.json")
+
+
+def test_all_is_said_at_once(scene: Path) -> None:
+    (scene / "calibration.json").write_text("{")
+    frames_of(scene)[0].write_text("{")
+    (scene / "timestamps.csv").write_text("camera,frame\n")
+    assert {"keypoints_unreadable"} < problems_of(scene).keys()
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        (lambda rows: rows[:1], "timestamps_missing", "have no time"),
+        (lambda rows: ["camera,frame,when", *rows[1:]], "timestamps_invalid", "columns camera, frame and time_s"),
+        (lambda rows: [*rows, rows[1]], "timestamps_invalid", "a second time"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",soon"], "timestamps_invalid", "Line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",nan"], "timestamps_invalid", "line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",-1"], "timestamps_invalid", "line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",inf"], "timestamps_invalid", "line 3"),
+        (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",0", *rows[3:]], "timestamps_order", "ascend"),
+    ],
+)
+def test_bad_timestamps(scene: Path, change: Callable[[list[str]], list[str]], code: str, words: str) -> None:
+    path = scene / "timestamps.csv"
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+    problems = problems_of(scene)
+    assert list(problems) == [code]
+    assert words in problems[code]
+
+
+@pytest.mark.parametrize("start_s", [3700, 1_700_000_000, 1_700_000_000_000])
+def test_times_since_1970_get_the_hint_that_helps(scene: Path, start_s: int) -> None:
+    path = scene / "timestamps.csv"
+    head, *rows = path.read_text().splitlines()
+    times = [(row.rpartition(",")[0], float(row.rpartition(",")[2])) for row in rows]
+    path.write_text("\n".join([head, *(f"{of},{start_s + time_s!r}" for of, time_s in times)]) + "\n")
+    problems = problems_of(scene)
+    assert list(problems) == ["timestamps_start"]
+    message = problems["timestamps_start"]
+    assert "Times count from 0" in message
+    assert message.endswith("Subtract the time at which the capture started.")
+
+
+def test_rows_may_come_in_any_order(scene: Path, simulation: Simulation) -> None:
+    path = scene / "timestamps.csv"
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *reversed(rows)]) + "\n")
+    camera = simulation.cameras[0].name
+    np.testing.assert_array_equal(opened(scene).times[camera].time_s, simulation.times[camera].time_s)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
+def test_timestamps_at_the_limits_of_rates_are_taken(scene: Path, rate_hz: float) -> None:
+    rows = [
+        f"{folder.name},{int(path.name[6:18])},{10.0 + int(path.name[6:18]) / rate_hz!r}"
+        for folder in sorted((scene / "keypoints").iterdir())
+        for path in sorted(folder.iterdir())
+    ]
+    (scene / "timestamps.csv").write_text("\n".join(["camera,frame,time_s", *rows]) + "\n")
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(rate_hz)
+
+
+def test_one_clock_only_and_a_sane_one(scene: Path) -> None:
+    assert "two_clocks" in problems_of(scene, frame_rate_hz=30.0)
+    assert "frame_rate" in problems_of(scene, timed=False, frame_rate_hz=0.0)
+
+
+def retime(scene: Path, time_s: Callable[[int], float], cameras: slice = slice(None)) -> None:
+    """Give the frames of some cameras other times."""
+    chosen = sorted((scene / "keypoints").iterdir())[cameras]
+    head, *rows = (scene / "timestamps.csv").read_text().splitlines()
+    others = [row for row in rows if row.split(",")[0] not in {folder.name for folder in chosen}]
+    ours = [
+        f"{folder.name},{int(path.name[6:18])},{time_s(number)!r}"
+        for folder in chosen
+        for number, path in enumerate(sorted(folder.iterdir()))
+    ]
+    (scene / "timestamps.csv").write_text("\n".join([head, *others, *ours]) + "\n")
+
+
+def test_the_rate_of_uneven_times_is_their_mean(scene: Path) -> None:
+    """Intervals of 2 and 3 ticks of a 60 Hz clock: their median is 20 or 30 Hz."""
+    retime(scene, lambda number: int(2.5 * number) / 60)
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(24.0, rel=0.02)
+
+
+def test_the_rate_of_times_rounded_to_milliseconds(scene: Path) -> None:
+    """The median interval is 33 ms, which would be 30.3 Hz."""
+    retime(scene, lambda number: round(number / 30, 3))
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(30.0, rel=2e-3)
+
+
+def test_the_rate_of_even_times(scene: Path) -> None:
+    retime(scene, lambda number: number / 25)
+    assert opened(scene).timebase.frame_rate_hz == pytest.approx(25.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("last_s", "codes"),
+    [(40_000.0, ["too_many_frames"]), (100_000.0, ["session_too_long"] * 3), (1e8, ["timestamps_start"])],
+)
+def test_a_last_time_that_is_far_too_late(scene: Path, last_s: float, codes: list[str]) -> None:
+    retime(scene, lambda number: number / 100 if number < 20 else last_s + number / 100)
+    with pytest.raises(InputError) as raised:
+        opened(scene)
+    assert [problem.code for problem in raised.value.problems] == codes
+    assert all(problem.file == "timestamps.csv" and problem.hint for problem in raised.value.problems)
+    if codes != ["timestamps_start"]:
+        assert all(problem.camera and problem.field == "time_s" for problem in raised.value.problems)
+
+
+def test_a_camera_whose_times_are_of_another_hour(scene: Path) -> None:
+    retime(scene, lambda number: 3600.0 + number / 25, slice(1))
+    assert list(problems_of(scene)) == ["no_overlap"]
+
+
+@pytest.mark.parametrize("step_s", [5e-324, 1e-300, 1e-4])
+def test_times_too_close_to_be_frames(scene: Path, step_s: float) -> None:
+    retime(scene, lambda number: number * step_s)
+    assert list(problems_of(scene)) == ["frame_rate"]
+
+
+@pytest.mark.parametrize(
+    ("number", "frame_rate_hz", "codes"),
+    [
+        (999_999_999_999_999, None, {"session_too_long"}),
+        (1_100_000, 1.0, {"session_too_long"}),
+        (1_000_000, 1000.0, {"too_many_frames"}),
+        (999_999, 1000.0, set()),
+    ],
+)
+def test_numbers_of_files_are_times_too(scene: Path, number: int, frame_rate_hz: float | None, codes: set[str]) -> None:
+    for camera in range(3):
+        last = frames_of(scene, camera)[-1]
+        last.rename(last.with_name(f"frame_{number:015d}_keypoints.json"))
+    if not codes:
+        assert opened(scene, timed=False, frame_rate_hz=frame_rate_hz).timebase.num_frames == number + 1
+        return
+    with pytest.raises(InputError) as raised:
+        opened(scene, timed=False, frame_rate_hz=frame_rate_hz)
+    assert {problem.code for problem in raised.value.problems} == codes
+    assert all(problem.camera and problem.file and problem.hint for problem in raised.value.problems)
+
+
+def with_people(path: Path, num_people: int, person: list[float]) -> None:
+    path.write_text(json.dumps({"people": [{"pose_keypoints_2d": person}] * num_people}))
+
+
+def test_people_without_a_joint_are_left_out(scene: Path, simulation: Simulation) -> None:
+    before = opened(scene)
+    for path in (scene / "keypoints").rglob("*.json"):
+        edit(path, lambda people: people.extend([[0.0] * 51] * 200))
+    after = opened(scene)
+    for camera in simulation.cameras:
+        np.testing.assert_array_equal(
+            after.detections[camera.name].keypoints_px, before.detections[camera.name].keypoints_px
+        )
+
+
+def test_a_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
+    for path in (scene / "keypoints").rglob("*.json"):
+        with_people(path, 3, [0.0] * 51)
+    assert [warning for warning in opened(scene).warnings if "saw nobody" in warning]
+
+
+def test_too_many_people_are_named_with_camera_and_frame(scene: Path) -> None:
+    first, other = frames_of(scene)[3], frames_of(scene, 1)[5]
+    with_people(first, MAX_PEOPLE + 1, [100.0, 100.0, 0.5] * 17)
+    with_people(other, 5000, [0.0] * 51)
+    with pytest.raises(InputError) as raised:
+        opened(scene)
+    problems = {problem.camera: problem for problem in raised.value.problems}
+    assert {problem.code for problem in problems.values()} == {"too_many_people"}
+    assert problems[first.parent.name].message == "Frame 3 shows 129 people; at most 128 are taken."
+    assert problems[other.parent.name].message.startswith("Frame 5 shows 5000 people")
+    with_people(first, MAX_PEOPLE, [100.0, 100.0, 0.5] * 17)
+    other.unlink()
+    assert max(np.bincount(opened(scene).detections[first.parent.name].frame)) == MAX_PEOPLE
+
+
+def test_more_joints_than_a_session_may_hold_are_not_read(scene: Path, simulation: Simulation) -> None:
+    files = scene / "keypoints", scene / "calibration.json", scene / "timestamps.csv"
+    num_joints = sum(one.score.size for one in simulation.detections.values())
+    assert open_keypoints(*files, max_joints=num_joints)
+    with pytest.raises(InputError, match="more than") as raised:
+        open_keypoints(*files, max_joints=num_joints - 1)
+    assert "session_too_large" in {problem.code for problem in raised.value.problems}

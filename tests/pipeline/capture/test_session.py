@@ -1,0 +1,293 @@
+"""Sessions from good and bad folders: every problem is said at once, with the file or camera that has it."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+from pipeline.capture.session import CaptureSession, Recording, open_session
+from pipeline.errors import InputError
+from pipeline.video.decode import decode
+from tests.pipeline.media import rewrite_packets, write_audio, write_video
+
+
+def calibration(path: Path, names: list[str], size_px: tuple[int, int] = (64, 48), **changes: Any) -> Path:
+    cameras = [
+        {
+            "name": name,
+            "size_px": list(size_px),
+            "matrix": [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]],
+            "distortion": [],
+            "rotation": np.eye(3).tolist(),
+            "translation_m": [float(k), 0.0, 3.0],
+        }
+        | changes
+        for k, name in enumerate(names)
+    ]
+    path.write_text(json.dumps({"schema_version": 1, "cameras": cameras}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_video(tmp_path_factory.mktemp("clip") / "clip.mp4", 10)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, clip: Path) -> Path:
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    for name in ("a", "b"):
+        shutil.copy(clip, videos / f"{name}.mp4")
+    return videos
+
+
+def problems_of(videos: Any, cameras: Path) -> set[tuple[str, str | None]]:
+    """Codes, each with its camera or else its file."""
+    with pytest.raises(InputError) as error:
+        open_session(videos, cameras)
+    for problem in error.value.problems:
+        assert str(cameras.parent) not in str(problem)
+    return {(problem.code, problem.camera or problem.file) for problem in error.value.problems}
+
+
+def test_frames_that_repeat_a_time_are_said(folder: Path, tmp_path: Path) -> None:
+    def repeat(number: int, packet: "av.Packet[Any]") -> "list[av.Packet[Any]]":
+        packet.pts, packet.dts = 40 * (number - (number == 7)), number - 1000
+        return [packet]
+
+    for name in ("a", "b"):
+        (folder / f"{name}.mp4").unlink()
+    good = write_video(tmp_path / "good.mkv", 30, options={"bf": "0"})
+    rewrite_packets(good, folder / "a.mkv", repeat)
+    shutil.copy(good, folder / "b.mkv")
+    session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
+    assert session.warnings == ("a.mkv: 1 frame is left out, for another frame has the same time.",)
+
+
+def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
+    clip = write_video(tmp_path / "clip.mp4", 3, rate_hz=30)
+    names = [f"cam{k:02}" for k in range(31)]
+    videos = [Path(shutil.copy(clip, tmp_path / f"{name}.mp4")) for name in names]
+    session = open_session(videos, calibration(tmp_path / "c.json", names))
+    assert session.timebase.num_frames == 3
+    for video in session.videos:
+        assert [number for number, _ in decode(video, 0, 3)] == [0, 1, 2]
+
+
+def test_videos_match_cameras_by_name_in_the_calibrations_order(folder: Path, tmp_path: Path) -> None:
+    session = open_session(folder, calibration(tmp_path / "c.json", ["b", "a"]))
+    assert [camera.name for camera in session.cameras] == ["b", "a"]
+    assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
+    assert len(session.times["a"].time_s) == 10
+    assert session.warnings == ()
+
+
+def test_without_common_names_the_sorted_order_decides_and_is_said(folder: Path, tmp_path: Path) -> None:
+    session = open_session(folder, calibration(tmp_path / "c.json", ["right", "left"]))
+    pairs = {camera.name: video.path.name for camera, video in zip(session.cameras, session.videos, strict=True)}
+    assert pairs == {"left": "a.mp4", "right": "b.mp4"}
+    (warning,) = session.warnings
+    assert "left: a, right: b" in warning
+
+
+def test_never_half_by_name_half_by_order(folder: Path, tmp_path: Path) -> None:
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a", "other"])) == {
+        ("camera_without_video", "other"),
+        ("video_without_camera", "b"),
+    }
+
+
+def test_calibration_with_a_camera_too_few_or_too_many(folder: Path, tmp_path: Path) -> None:
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a"])) == {("video_without_camera", "b")}
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a", "b", "c"])) == {("camera_without_video", "c")}
+
+
+def test_other_files_in_the_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
+    (folder / "notes.txt").write_text("hello")
+    session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
+    assert session.warnings == ("notes.txt is ignored: it is no video.",)
+
+
+def test_no_video_and_one_video(folder: Path, tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b"])
+    (folder / "b.mp4").unlink()
+    assert ("too_few_videos", None) in problems_of(folder, cameras)
+    (folder / "a.mp4").unlink()
+    assert ("too_few_videos", None) in problems_of(folder, cameras)
+
+
+def test_two_videos_with_the_same_name(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "a.mp4", folder / "a.mov")
+    cameras = calibration(tmp_path / "c.json", ["a", "b"])
+    assert problems_of(folder, cameras) == {("duplicate_video", "a")}
+    same = [folder / "a.mp4", folder / "a.mp4", folder / "b.mp4"]
+    assert problems_of(same, cameras) == {("duplicate_video", "a")}
+
+
+def test_video_and_calibration_of_different_size(folder: Path, tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b"], size_px=(48, 64))
+    assert problems_of(folder, cameras) == {("size_mismatch", "a"), ("size_mismatch", "b")}
+
+
+def test_everything_wrong_is_said_at_once(folder: Path, tmp_path: Path) -> None:
+    write_audio(folder / "c.mp4")
+    (folder / "d.mp4").write_text("no video")
+    content = (folder / "b.mp4").read_bytes()
+    (folder / "b.mp4").write_bytes(content[: len(content) // 2])
+    cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"], rotation=np.diag([1.0, 1.0, 2.0]).tolist())
+    assert problems_of(folder, cameras) == {
+        ("no_video_stream", "c.mp4"),
+        ("video_unreadable", "d.mp4"),
+        ("video_unreadable", "b.mp4"),
+        *(("invalid_rotation", name) for name in "abcd"),
+    }
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b"])
+    assert ("video_missing", "nowhere") in problems_of(tmp_path / "nowhere", cameras)
+
+
+class TestRecordings:
+    """What a person knows of videos that neither they nor the calibration say."""
+
+    def test_offsets_shift_a_camera_s_times(self, folder: Path, tmp_path: Path) -> None:
+        cameras = calibration(tmp_path / "c.json", ["a", "b"])
+        plain = open_session(folder, cameras)
+        shifted = open_session(folder, cameras, [Recording("b", offset_s=-0.2), Recording("a", offset_s=0.04)])
+        np.testing.assert_allclose(shifted.times["b"].time_s, plain.times["b"].time_s - 0.2)
+        np.testing.assert_allclose(shifted.times["a"].time_s, plain.times["a"].time_s + 0.04)
+        assert shifted.timebase.start_time_s == pytest.approx(-0.2)
+        assert shifted.timebase.num_frames == plain.timebase.num_frames + 6  # 25 frames a second
+        np.testing.assert_array_equal(shifted.videos[1].time_s, plain.videos[1].time_s)  # frames are found as before
+
+    def test_a_rate_replaces_the_times_of_the_video(self, folder: Path, tmp_path: Path) -> None:
+        cameras = calibration(tmp_path / "c.json", ["a", "b"])
+        session = open_session(folder, cameras, [Recording("a", frame_rate_hz=50.0, offset_s=0.1)])
+        np.testing.assert_allclose(session.times["a"].time_s, 0.1 + np.arange(10) / 50.0)
+        assert session.timebase.frame_rate_hz == pytest.approx(50.0)
+
+    @pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
+    @pytest.mark.parametrize("offset_s", [0.0, 0.1, 0.25])
+    def test_the_limits_of_rates_are_taken_whatever_the_offset(
+        self, folder: Path, tmp_path: Path, rate_hz: float, offset_s: float
+    ) -> None:
+        """Rounding makes 1000.0000000000002 Hz of 1000 Hz from 0.1 s on."""
+        said = [Recording(name, frame_rate_hz=rate_hz, offset_s=offset_s) for name in ("a", "b")]
+        session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), said)
+        assert session.timebase.frame_rate_hz == pytest.approx(rate_hz)
+
+    @pytest.mark.parametrize("rate_hz", [0.99, 1010.0])
+    def test_rates_beyond_the_limits_are_refused(self, folder: Path, tmp_path: Path, rate_hz: float) -> None:
+        with pytest.raises(InputError) as error:
+            open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), [Recording("a", frame_rate_hz=rate_hz)])
+        assert [problem.code for problem in error.value.problems] == ["frame_rate"]
+
+    def test_files_are_the_cameras_that_they_are_said_to_be(self, folder: Path, tmp_path: Path) -> None:
+        cameras = calibration(tmp_path / "c.json", ["left", "right"])
+        session = open_session(folder, cameras, [Recording("left", "b.mp4"), Recording("right", "a.mp4")])
+        assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
+        assert session.warnings == ()
+        some = calibration(tmp_path / "d.json", ["a", "right"])
+        session = open_session(folder, some, [Recording("right", "b.mp4")])
+        assert [video.path.name for video in session.videos] == ["a.mp4", "b.mp4"]
+
+    @pytest.mark.parametrize(
+        ("recordings", "found"),
+        [
+            ([Recording("c")], {("recording_camera_unknown", "c")}),
+            ([Recording("a"), Recording("a", offset_s=1.0)], {("recording_doubled", "a")}),
+            (
+                [Recording("a", "c.mp4"), Recording("d")],
+                {("recording_file_unknown", "a"), ("recording_camera_unknown", "d")},
+            ),
+            ([Recording("a", "b.mp4"), Recording("b", "b.mp4")], {("recording_file_doubled", "b")}),
+            ([Recording("a", "b.mp4")], {("video_doubled", "a"), ("camera_without_video", "b")}),
+            ([Recording("a", offset_s=100.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
+            ([Recording("a", offset_s=-86_400.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
+            (
+                [Recording("a", offset_s=86_401.0), Recording("b", offset_s=float("nan"), frame_rate_hz=float("inf"))],
+                {("offset_range", "a"), ("offset_range", "b"), ("frame_rate", "b")},
+            ),
+        ],
+    )  # fmt: skip
+    def test_what_can_not_be(
+        self, folder: Path, tmp_path: Path, recordings: list[Recording], found: set[tuple[str, str]]
+    ) -> None:
+        with pytest.raises(InputError) as error:
+            open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), recordings)
+        assert {(problem.code, problem.camera) for problem in error.value.problems} == found
+
+    def test_offsets_of_days_with_a_rate_of_1000(self, folder: Path, tmp_path: Path) -> None:
+        """172 million output frames, of videos of ten frames."""
+        for name in ("c", "d"):
+            shutil.copy(folder / "a.mp4", folder / f"{name}.mp4")
+        cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"])
+        offsets_s = {"a": -86_400.0, "b": -86_400.0, "c": 86_400.0, "d": 86_400.0}
+        stated = [Recording(name, offset_s=offset_s, frame_rate_hz=1000.0) for name, offset_s in offsets_s.items()]
+        with pytest.raises(InputError) as error:
+            open_session(folder, cameras, stated)
+        (problem,) = error.value.problems
+        assert (problem.code, problem.file, problem.camera, problem.field) == (
+            "session_too_long",
+            "c.mp4",
+            "c",
+            "offset_s",
+        )
+
+    def test_cameras_that_start_much_later(self, folder: Path, tmp_path: Path) -> None:
+        for name in ("c", "d"):
+            shutil.copy(folder / "a.mp4", folder / f"{name}.mp4")
+        cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"])
+        session = open_session(folder, cameras, [Recording(name, offset_s=36_000.0) for name in ("c", "d")])
+        assert session.timebase.num_frames == 900_010
+        assert session.stretches == (range(11), range(899_999, 900_010))
+
+
+class TestTimesOfVideos:
+    """Uneven frames are ordinary; a video that lasts for days is not."""
+
+    def open(self, tmp_path: Path, stamps_ms: list[int], ending: str = "mp4") -> CaptureSession:
+        videos = [write_video(tmp_path / f"{name}.{ending}", len(stamps_ms), stamps=stamps_ms) for name in ("a", "b")]
+        return open_session(videos, calibration(tmp_path / "c.json", ["a", "b"]))
+
+    @pytest.mark.parametrize("ending", ["mp4", "mkv"])
+    def test_24_frames_a_second_on_a_clock_of_60_hz(self, tmp_path: Path, ending: str) -> None:
+        ticks = np.floor(np.arange(97) * 2.5)
+        session = self.open(tmp_path, [round(tick * 1000 / 60) for tick in ticks], ending)
+        assert session.timebase.frame_rate_hz == pytest.approx(24.0, rel=1e-3)
+        assert session.timebase.num_frames == 97
+
+    @pytest.mark.parametrize("ending", ["mp4", "mkv"])
+    def test_a_phone_s_frames_that_jitter(self, tmp_path: Path, ending: str) -> None:
+        jitter_s = np.random.default_rng(3).uniform(-0.004, 0.004, 90)
+        jitter_s[[0, -1]] = 0.0
+        session = self.open(
+            tmp_path, np.round(1000 * (np.arange(90) * 1001 / 30_000 + jitter_s)).astype(int).tolist(), ending
+        )
+        assert session.timebase.frame_rate_hz == pytest.approx(30_000 / 1001, rel=1e-3)
+        assert session.timebase.num_frames == 90
+
+    @pytest.mark.parametrize("num_frames", [2, 3])
+    def test_a_tenth_of_a_second(self, tmp_path: Path, num_frames: int) -> None:
+        session = self.open(tmp_path, [0, 40, 80][:num_frames])
+        assert session.timebase.frame_rate_hz == pytest.approx(25.0)
+        assert session.timebase.num_frames == num_frames
+
+    def test_a_pause_within_the_videos(self, tmp_path: Path) -> None:
+        session = self.open(tmp_path, [*range(0, 400, 40), *range(3_600_000, 3_600_400, 40)])
+        assert session.timebase.num_frames == 90_010
+        assert session.stretches == (range(11), range(89_999, 90_010))
+
+    def test_one_time_of_two_days(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError) as error:
+            self.open(tmp_path, [*range(0, 400, 40), 172_800_000], "mkv")
+        assert [(one.code, one.file, one.camera, one.field) for one in error.value.problems] == [
+            ("session_too_long", "a.mkv", "a", "rate"),
+            ("session_too_long", "b.mkv", "b", "rate"),
+        ]

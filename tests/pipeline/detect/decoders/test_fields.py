@@ -1,0 +1,159 @@
+"""Peaks, fields and bodies of a synthetic network, whose output is known."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from pipeline.data import MapGrid
+from pipeline.detect.chunk import stack_fields
+from pipeline.detect.decoders.fields import FieldGrid, find_peaks
+from pipeline.detect.decoders.grouping import group
+from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
+from pipeline.detect.detector import Detector
+from pipeline.detect.registry import REGISTRY, Head, NetworkInput
+from pipeline.joints import COCO_18
+
+# In the last three, rounded sizes make the axes' scales differ.
+SIZES = [(1920, 1080), (1088, 1920), (640, 480), (333, 517), (1279, 719), (411, 305)]
+SHIFTS = [(0.0, 0.0), (0.6, 0.0)]
+SIGMA_CELLS = 0.9
+
+
+def gaussian(shape: tuple[int, int], center: np.ndarray, sigma: float = SIGMA_CELLS) -> np.ndarray:
+    height, width = shape
+    squared = (np.arange(width) - center[0]) ** 2 + ((np.arange(height) - center[1]) ** 2)[:, None]
+    return np.asarray(np.exp(-squared / (2 * sigma**2)), np.float32)
+
+
+def find_blob(shift_px: tuple[float, float]) -> Detector:
+    """Stand-in for a network of stride 8: every joint is where the image's blob is, moved as the network moves it."""
+
+    def run(tensor: np.ndarray) -> Mapping[str, np.ndarray]:
+        gray = tensor[0].sum(0).astype(float)
+        height, width = gray.shape
+        x, y = np.array([gray.sum(0) @ np.arange(width), gray.sum(1) @ np.arange(height)]) / gray.sum()
+        cells = (np.array([x, y]) + shift_px - 3.5) / 8
+        heatmap = gaussian((height // 8, width // 8), cells)
+        pafs = np.zeros((1, 38, height // 8, width // 8), np.float32)
+        return {"heatmaps": np.tile(0.9 * heatmap, (1, 19, 1, 1)), "pafs": pafs}
+
+    network_input = NetworkInput("bgr", multiple=8, scaled_px=480, scaled_side="height")
+    return Detector(run, network_input, Head.OPENPOSE, COCO_18, FieldGrid(8, shift_px, 0.3))
+
+
+@pytest.mark.parametrize("size_px", SIZES)
+@pytest.mark.parametrize("shift_px", SHIFTS)
+@pytest.mark.parametrize("place", [(0.31, 0.36), (0.68, 0.55)])
+def test_from_image_to_map_and_back_nothing_is_shifted(
+    size_px: tuple[int, int], shift_px: tuple[float, float], place: tuple[float, float]
+) -> None:
+    center_px = np.array(size_px) * place + (0.23, -0.31)
+    sigma_px = 4 * size_px[1] / 480
+    width, height = size_px
+    squared_px = (np.arange(width) - center_px[0]) ** 2 + ((np.arange(height) - center_px[1]) ** 2)[:, None]
+    image = np.repeat((255 * np.exp(-squared_px / (2 * sigma_px**2))).round().astype(np.uint8)[..., None], 3, axis=2)
+    found = find_blob(shift_px).detect_fields(image)
+    assert found.joint.tolist() == list(range(18))
+    cell_px = 8 * size_px[1] / 480
+    np.testing.assert_allclose(found.points_px, np.tile(center_px, (18, 1)), atol=cell_px / 30)
+    np.testing.assert_allclose(found.grid.map_from_image(found.grid.image_from_map(found.points_px)), found.points_px)
+
+
+@pytest.mark.parametrize("center", [(10.0, 7.0), (10.25, 7.5), (10.5, 7.9), (3.3, 12.7)])
+def test_peaks_are_found_within_a_thirtieth_of_a_cell(center: tuple[float, float]) -> None:
+    heatmaps = np.stack([0.8 * gaussian((20, 24), np.array(center)), np.zeros((20, 24), np.float32)])
+    joint, cells, score = find_peaks(heatmaps)
+    assert joint.tolist() == [0]
+    np.testing.assert_allclose(cells, [center], atol=1 / 30)
+    assert 0.5 < score[0] <= 0.8
+
+
+def test_two_peaks_in_one_map_and_none_in_noise() -> None:
+    rng = np.random.default_rng(1)
+    heatmap = np.maximum(gaussian((20, 24), np.array([6.2, 9.0])), 0.5 * gaussian((20, 24), np.array([9.4, 9.0])))
+    joint, cells, _ = find_peaks(np.stack([heatmap, 0.005 * rng.standard_normal((20, 24)).astype(np.float32)]))
+    assert joint.tolist() == [0, 0]
+    np.testing.assert_allclose(np.sort(cells[:, 0]), [6.2, 9.4], atol=0.1)
+
+
+def test_peaks_at_the_border_and_on_the_padding() -> None:
+    heatmaps = np.zeros((1, 19, 10, 12), np.float32)
+    heatmaps[0, 0, 0, 0], heatmaps[0, 1, 5, 11] = 0.9, 0.9
+    outputs = {"heatmaps": heatmaps, "pafs": np.zeros((1, 38, 10, 12), np.float32)}
+    found = decode_openpose(outputs, MapGrid((3.5, 3.5), (8.0, 8.0)), (88, 80))  # eleven cells are on the image
+    assert found.joint.tolist() == [0]
+    assert (np.abs(found.points_px[0] - 3.5) < 4).all()
+
+
+def people(*offsets_cells: tuple[float, float]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Maps of people who stand apart, and their joints in cells (people, joints, 2)."""
+    standing = {
+        "neck": (0, 0), "shoulder": (2, 0), "hip": (1.2, 7), "nose": (0, -2), "elbow": (3, 3.5), "wrist": (3.5, 7),
+        "knee": (1.3, 11), "ankle": (1.4, 15), "eye": (0.5, -2.5), "ear": (1, -2.2),
+    }  # fmt: skip
+    joints = np.array([standing[name.rpartition("_")[2]] for name in COCO_18.names])
+    joints[[name.startswith("right") for name in COCO_18.names], 0] *= -1
+    every = np.array([joints + offset for offset in offsets_cells])
+    shape = 30, 60
+    heatmaps = np.zeros((1, 19, *shape), np.float32)
+    pafs = np.zeros((1, 38, *shape), np.float32)
+    channels = {tuple(LIMBS[k].tolist()): c for k, c in enumerate(CHANNELS)}
+    rows, columns = np.indices(shape)
+    for body in every:
+        for j, cells in enumerate(body):
+            heatmaps[0, j] = np.maximum(heatmaps[0, j], gaussian(shape, cells, 0.6))
+        for (first, second), channel in channels.items():
+            along = body[second] - body[first]
+            length = np.linalg.norm(along)
+            unit = along / length
+            x, y = columns - body[first, 0], rows - body[first, 1]
+            on = (np.abs(x * unit[1] - y * unit[0]) <= 1) & (x * unit[0] + y * unit[1] >= -0.5)
+            on &= x * unit[0] + y * unit[1] <= length + 0.5
+            pafs[0, channel][on], pafs[0, channel + 1][on] = unit
+    return {"heatmaps": heatmaps, "pafs": pafs}, every
+
+
+# The x channel of each limb, as OpenPose's COCO model has them.
+CHANNELS = [12, 20, 0, 6, 28, 14, 22, 16, 24, 2, 8, 4, 10, 30, 32, 34, 36, 18, 26]
+
+
+def test_bodies_are_grouped_and_are_nobody_elses() -> None:
+    outputs, every = people((15.0, 6.0), (30.0, 7.0), (44.0, 5.0))
+    grid = MapGrid((3.5, 3.5), (8.0, 8.0))
+    bodies = group(decode_openpose(outputs, grid, (480, 240)), LIMBS, 18)
+    assert len(bodies.score) == 3
+    order = np.argsort(bodies.keypoints_px[:, 1, 0])
+    np.testing.assert_allclose(bodies.keypoints_px[order], grid.image_from_map(every), atol=2.0)
+    assert (bodies.score > 0.3).all()
+    assert (np.diff(bodies.center_score) <= 0.05).all()
+    np.testing.assert_allclose(bodies.box_px[:, :2], bodies.keypoints_px.min(1))
+
+
+def test_half_a_body_is_one_and_a_stray_peak_is_none() -> None:
+    outputs, _ = people((15.0, 6.0))
+    below = [j for j, name in enumerate(COCO_18.names) if name.endswith(("knee", "ankle", "hip"))]
+    outputs["heatmaps"][0, below] = 0.0
+    outputs["heatmaps"][0, 4, 25, 50] = 0.9
+    (body,) = group(decode_openpose(outputs, MapGrid((3.5, 3.5), (8.0, 8.0)), (480, 240)), LIMBS, 18).keypoints_px
+    assert np.isnan(body[below]).all()
+    assert np.isfinite(np.delete(body, below, axis=0)).all()
+    empty = {name: np.zeros_like(maps) for name, maps in outputs.items()}
+    assert group(decode_openpose(empty, MapGrid((3.5, 3.5), (8.0, 8.0)), (480, 240)), LIMBS, 18).score.shape == (0, 18)
+
+
+def test_frames_without_peaks_stack() -> None:
+    outputs, _ = people((15.0, 6.0))
+    grid = MapGrid((3.5, 3.5), (8.0, 8.0))
+    full = decode_openpose(outputs, grid, (480, 240))
+    empty = decode_openpose({name: np.zeros_like(maps) for name, maps in outputs.items()}, grid, (480, 240))
+    stacked = stack_fields("left", [(7, empty), (8, full)])
+    assert stacked.fields.shape == (2, 19, 2, 30, 60)
+    assert set(stacked.peak_row.tolist()) == {1}
+    assert stack_fields("left", []).frame.shape == (0,)
+
+
+def test_the_registrys_networks_with_fields_are_those_of_this_kind() -> None:
+    assert {entry.name for entry in REGISTRY.values() if entry.fields is not None} == {
+        entry.name for entry in REGISTRY.values() if entry.head is Head.OPENPOSE
+    }

@@ -1,0 +1,73 @@
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.data import Animation, Reconstruction, Source, Timebase, Track3D
+from pipeline.export.writers import skeletons_json
+from pipeline.joints import JointSet
+
+
+def encoded(of: Reconstruction) -> bytes:
+    return b"".join(skeletons_json.encode(of))
+
+
+JOINTS = JointSet(("left_hip", "left_knee"), (("left_hip", "left_knee"),))
+
+
+def track() -> Track3D:
+    xyz_m = np.array([[[0.123449, -0.00001, 1.6], [np.nan] * 3], [[1.0, 2.0, 3.00005], [4.0, 5.0, np.nan]]])
+    return Track3D(
+        track_id=7,
+        start_frame=3,
+        xyz_m=xyz_m,
+        score=np.array([[0.9304, 0.0], [0.5, 0.0]]),
+        source=np.array([[Source.MEASURED, Source.ABSENT], [Source.INTERPOLATED, Source.PREDICTED]], dtype=np.int8),
+        error_px=np.array([[3.144, np.nan], [np.nan, np.nan]]),
+        views=np.array([[3, 0], [0, 0]]),
+    )
+
+
+def reconstruction(*tracks: Track3D) -> Reconstruction:
+    return Reconstruction((), JOINTS, Timebase(0.5, 29.97, 300), tracks, (), Animation(tracks, (), None))
+
+
+def test_everything_stands_where_the_contract_says() -> None:
+    content = encoded(reconstruction(track()))
+    assert json.loads(content) == {
+        "schema_version": 1,
+        "frame_rate_hz": 29.97,
+        "start_time_s": 0.5,
+        "num_frames": 300,
+        "joint_names": ["left_hip", "left_knee"],
+        "bones": [["left_hip", "left_knee"]],
+        "tracks": [
+            {
+                "id": 7,
+                "name": "person-7",
+                "start_frame": 3,
+                "positions_m": [[[0.1234, 0.0, 1.6], None], [[1.0, 2.0, 3.0], None]],
+                "scores": [[0.93, 0.0], [0.5, 0.0]],
+                "sources": ["m-", "ip"],
+                "error_px": [[3.14, None], [None, None]],
+            }
+        ],
+    }
+
+
+def test_bytes_are_strict_json_and_always_the_same() -> None:
+    content = encoded(reconstruction(track(), track()))
+    assert content == encoded(reconstruction(track(), track()))
+    assert b"NaN" not in content
+    assert b"-0.0," not in content
+    assert len(json.loads(content)["tracks"]) == 2
+
+
+def test_nobody_is_an_empty_list() -> None:
+    assert json.loads(encoded(reconstruction()))["tracks"] == []
+
+
+def test_numbers_that_json_does_not_know_are_refused() -> None:
+    broken = Reconstruction((), JOINTS, Timebase(0.0, np.nan, 1), (), (), Animation((), (), None))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        encoded(broken)

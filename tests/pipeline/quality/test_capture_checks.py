@@ -1,0 +1,92 @@
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.data import Camera, DamagedVideo, Observations
+from pipeline.quality.capture_checks import capture_checks
+from pipeline.quality.report import all_checks, quality_report
+from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
+from tests.pipeline.skeleton.people import track_of, walker
+
+TRACK = track_of(walker(40))
+
+
+def unseen(observations: Observations, frames: slice, *cameras: int) -> Observations:
+    points_px, score = observations.points_px.copy(), observations.score.copy()
+    for index in cameras:
+        points_px[frames, index], score[frames, index] = np.nan, 0.0
+    return replace(observations, points_px=points_px, score=score)
+
+
+def checks(observations: Observations, cameras: tuple[Camera, ...] = CAMERAS) -> list[tuple[str, str]]:
+    report = quality_report(reconstruction(TRACK, observations=(observations,), cameras=cameras))
+    assert all_checks(report) == report["capture_checks"]
+    return [(check["code"], check["message"]) for check in report["capture_checks"]]
+
+
+def test_nothing_is_wrong_with_somebody_whom_three_cameras_see() -> None:
+    assert checks(observe(TRACK)) == []
+
+
+def test_an_empty_result_says_so() -> None:
+    report = quality_report(reconstruction())
+    assert [check["code"] for check in all_checks(report)] == ["nobody_found"]
+
+
+def test_two_cameras_are_few() -> None:
+    two = CAMERAS[:2]
+    ((code, message),) = checks(observe(TRACK, two), two)
+    assert code == "too_few_cameras"
+    assert "2 cameras" in message
+
+
+def test_a_camera_that_was_matched_with_nobody_is_named() -> None:
+    four = (*CAMERAS, camera("elsewhere", 4.0))
+    ((code, message),) = checks(unseen(observe(TRACK, four), slice(None), 3), four)
+    assert code == "camera_without_people"
+    assert message.startswith("elsewhere ")
+
+
+def test_somebody_whom_two_cameras_see_in_most_frames_is_named() -> None:
+    assert checks(unseen(observe(TRACK), slice(0, 20), 2)) == []
+    ((code, message),) = checks(unseen(observe(TRACK), slice(0, 21), 2))
+    assert code == "few_views"
+    assert message.startswith(f"person-{TRACK.track_id} ")
+
+
+def test_many_people_whom_two_cameras_see_are_one_check() -> None:
+    doubtful = np.tile([True, True, False], (10, 1))
+    seen = dict.fromkeys(range(1, 13), doubtful) | {20: np.ones((10, 3), bool)}
+    (check,) = capture_checks(reconstruction(), seen)
+    assert check == {
+        "code": "few_views",
+        "message": "12 people were seen by fewer than 3 cameras in most frames: person-1, person-2, person-3, "
+        "person-4, person-5, person-6, person-7, person-8, person-9, person-10 and 2 more.",
+    }
+
+
+def test_many_cameras_that_were_matched_with_nobody_are_one_check() -> None:
+    others = tuple(camera(f"elsewhere-{k}", 4.0) for k in range(60))
+    ((code, message),) = checks(
+        unseen(observe(TRACK, (*CAMERAS, *others)), slice(None), *range(3, 63)), (*CAMERAS, *others)
+    )
+    assert code == "camera_without_people"
+    assert message.startswith("60 cameras were matched with nobody: elsewhere-0, ")
+    assert "elsewhere-9 and 50 more." in message
+
+
+def test_frames_with_approximate_association_are_counted() -> None:
+    crowded = replace(reconstruction(TRACK, observations=(observe(TRACK),)), num_approximate_frames=7)
+    (check,) = all_checks(quality_report(crowded))
+    assert check["code"] == "approximate_association"
+    assert check["message"].startswith("In 7 of 100 frames ")
+
+
+def test_damaged_videos_are_named_with_what_is_damaged() -> None:
+    one = DamagedVideo("left", "left.mp4", 3, 60, 0.8, 0.88)
+    take = reconstruction(TRACK, observations=(observe(TRACK),), cameras=CAMERAS)
+    (check,) = quality_report(replace(take, damaged=(one,)))["capture_checks"]
+    assert check["code"] == "damaged_video"
+    assert check["message"].startswith("A video is damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s).")
+    (check,) = quality_report(replace(take, damaged=(one, replace(one, file="right.mp4"))))["capture_checks"]
+    assert check["message"].startswith("2 videos are damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s), right.mp4 ")

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from pipeline.data import Camera
+from pipeline.joints import COCO_17
+from pipeline.quality.report import estimate_stature_m
+from pipeline.quality.world_checks import world_checks
+from tests.pipeline.quality.test_report import CAMERAS, camera, reconstruction
+from tests.pipeline.skeleton.people import track_of, walker
+
+
+def codes(xyz_m: np.ndarray, cameras: tuple[Camera, ...] = CAMERAS) -> list[str]:
+    track = track_of(xyz_m)
+    statures_m = {track.track_id: estimate_stature_m(track, COCO_17)}
+    return [check["code"] for check in world_checks(reconstruction(track, cameras=cameras), statures_m)]
+
+
+WALK_M = walker(60)
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift_m", "expected"),
+    [
+        ((1.0, 1.0, 1.0), 0.0, []),
+        ((1.0, 1.0, 1.0), 0.4, ["floor_not_at_zero"]),
+        ((0.1, 0.1, 0.1), 0.0, ["stature_out_of_range"]),
+        ((1000.0, 1000.0, 1000.0), 0.0, ["floor_not_at_zero", "stature_out_of_range", "camera_below_floor"]),
+        ((1.0, -1.0, -1.0), 1.75, ["upside_down", "floor_not_at_zero"]),
+    ],
+)
+def test_each_kind_of_wrong_world_is_named(scale: tuple[float, ...], shift_m: float, expected: list[str]) -> None:
+    assert codes(WALK_M * scale + np.array([0.0, 0.0, shift_m])) == expected
+
+
+def test_people_along_another_axis_are_not_upright() -> None:
+    assert "not_upright" in codes(WALK_M[..., [2, 0, 1]])
+
+
+def test_nothing_is_wrong_where_nothing_is_known() -> None:
+    assert codes(np.full((5, 17, 3), np.nan)) == []
+
+
+def test_cameras_below_the_floor_are_named() -> None:
+    sunk = (*CAMERAS, camera("low", 0.0, height_m=-1.0))
+    track = track_of(WALK_M)
+    (check,) = world_checks(reconstruction(track, cameras=sunk), {1: 1.7})
+    assert check["code"] == "camera_below_floor"
+    assert "low" in check["message"]
+    assert codes(np.full((5, 17, 3), np.nan), sunk) == ["camera_below_floor"]
+
+
+def test_messages_say_who_and_how_much() -> None:
+    (check,) = world_checks(reconstruction(track_of(WALK_M)), {1: 0.17})
+    assert check["message"].startswith("person-1 would be 0.17 m tall")
+
+
+def test_many_people_of_no_human_size_are_one_check() -> None:
+    statures_m = dict.fromkeys(range(1, 12), 0.17) | {12: 1.7, 13: 2.5, 14: np.nan}
+    (check,) = world_checks(reconstruction(track_of(WALK_M)), statures_m)
+    assert check["code"] == "stature_out_of_range"
+    assert check["message"].startswith("12 people would not be 1 to 2.3 m tall: person-1 (0.17 m), person-2 (0.17 m), ")
+    assert "person-10 (0.17 m) and 2 more. " in check["message"]
+
+
+def test_many_cameras_below_the_floor_are_not_all_named() -> None:
+    sunk = (*CAMERAS, *(camera(f"low-{k}", 0.0, height_m=-1.0) for k in range(12)))
+    (check,) = world_checks(reconstruction(track_of(WALK_M), cameras=sunk), {1: 1.7})
+    assert check["message"].endswith("low-8, low-9 and 2 more.")

@@ -1,0 +1,106 @@
+import time
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from tests.worker.jobs.conftest import Bench
+from worker.jobs.database.connection import Database, now, upsert
+from worker.jobs.database.tables import artifacts, metadata
+from worker.jobs.store import JobStore
+
+
+def test_migrations_lead_to_the_tables(jobs: Bench) -> None:
+    engine = sa.create_engine(jobs.url)
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, metadata) == []
+    engine.dispose()
+
+
+def test_migrating_again_keeps_what_is_there(jobs: Bench) -> None:
+    job = jobs.queue()
+    jobs.store.migrate()
+    assert jobs.store.job(job.id) == job
+
+
+def test_several_may_migrate_at_once(empty_database_url: str) -> None:
+    stores = [JobStore(empty_database_url) for _ in range(6)]
+    with ThreadPoolExecutor(len(stores)) as pool:
+        list(pool.map(JobStore.migrate, stores))
+    assert all(store.ping() for store in stores)
+    for store in stores:
+        store.close()
+
+
+def test_ping_wants_the_schema(empty_database_url: str) -> None:
+    store = JobStore(empty_database_url)
+    assert not store.ping()
+    store.migrate()
+    assert store.ping()
+    store.close()
+
+
+def test_ping_of_a_database_that_is_away(tmp_path: Path) -> None:
+    assert not JobStore(f"sqlite:///{tmp_path / 'missing' / 'jobs.db'}").ping()
+
+
+def test_clock_counts_seconds_in_utc(database_url: str) -> None:
+    database = Database(database_url)
+    with database.reading() as connection:
+        first = connection.scalar(sa.select(now()))
+        time.sleep(0.05)
+        second = connection.scalar(sa.select(now()))
+    database.close()
+    assert first == pytest.approx(datetime.now(UTC).timestamp(), abs=5)
+    assert second - first == pytest.approx(0.05, abs=0.04)
+
+
+def test_times_are_read_in_utc(jobs: Bench) -> None:
+    created_at = jobs.queue().created_at
+    assert created_at.tzinfo is UTC
+    assert abs(datetime.now(UTC) - created_at) < timedelta(seconds=5)
+
+
+def test_sqlite_is_set_up(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'jobs.db'}")
+    with database.reading() as connection:
+        pragmas = {
+            name: connection.scalar(sa.text(f"PRAGMA {name}"))
+            for name in ("journal_mode", "foreign_keys", "busy_timeout")
+        }
+    database.close()
+    assert pragmas == {"journal_mode": "wal", "foreign_keys": 1, "busy_timeout": 30_000}
+
+
+def test_an_error_undoes_the_whole_transaction(jobs: Bench) -> None:
+    database = Database(jobs.url)
+    row = {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1}
+
+    def write_and_fail() -> None:
+        with database.writing() as connection:
+            upsert(connection, artifacts, row)
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write_and_fail()
+    assert jobs.store.artifact(jobs.session_id, "k") is None
+    with database.writing() as connection:
+        upsert(connection, artifacts, row)
+        upsert(connection, artifacts, {**row, "sha256": "1"})
+    database.close()
+    assert jobs.store.artifact(jobs.session_id, "k") == ("1", 1)
+
+
+def test_readers_see_a_state_while_another_writes(jobs: Bench) -> None:
+    database = Database(jobs.url)
+    with database.writing() as connection:
+        upsert(connection, artifacts, {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1})
+        assert jobs.store.artifact(jobs.session_id, "k") is None
+        assert jobs.store.session(jobs.session_id).name == "take"
+    database.close()
+    assert jobs.store.artifact(jobs.session_id, "k") == ("0", 1)

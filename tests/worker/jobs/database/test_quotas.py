@@ -1,0 +1,97 @@
+"""At a quota, one over it, and after there is room again."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from tests.worker.jobs.conftest import Bench, result, stages
+from worker.jobs.database.quotas import Quotas
+from worker.jobs.errors import QuotaExceeded
+from worker.jobs.model import Actor, InputFile, Problem, Usage
+from worker.jobs.repositories.records import Records
+from worker.jobs.spec import JobSpec
+from worker.jobs.store import JobStore
+
+PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
+
+
+def add_session(jobs: Bench, records: Records, num_bytes: int = 100) -> str:
+    files = [InputFile("cam.mp4", "video", "sessions/x/inputs/0-cam.mp4", num_bytes, "1" * 64)]
+    return records.create_session("take", files, PREFLIGHT, jobs.store.announce_session()).id
+
+
+def test_sessions(jobs: Bench) -> None:
+    mine, theirs = (jobs.store.of(tenant, Quotas(sessions=2), Actor()) for tenant in ("mine", "theirs"))
+    first = add_session(jobs, mine)
+    add_session(jobs, mine)
+    for refused in (lambda: add_session(jobs, mine), lambda: mine.require_room(0)):
+        with pytest.raises(QuotaExceeded, match="At most 2 sessions") as error:
+            refused()
+        assert (error.value.name, error.value.limit, error.value.used) == ("sessions", 2, 2)
+    assert len(mine.sessions()) == 2
+    add_session(jobs, theirs)
+    mine.delete_session(first)
+    mine.require_room(10**12)
+    add_session(jobs, mine)
+
+
+def test_bytes(jobs: Bench) -> None:
+    mine = jobs.store.of("mine", Quotas(stored_bytes=1000), Actor())
+    session_id = add_session(jobs, mine, 900)
+    mine.require_room(100)
+    with pytest.raises(QuotaExceeded):
+        mine.require_room(101)
+    full = add_session(jobs, mine, 100)
+    with pytest.raises(QuotaExceeded, match="stored bytes"):
+        add_session(jobs, mine, 1)
+    mine.delete_session(full)
+    # Work that was accepted is not stopped by what it leaves; the next session is.
+    job = mine.create_job(session_id, JobSpec(), stages(1))
+    jobs.finish(jobs.claim())
+    jobs.finish(jobs.claim())
+    expected = Usage(sessions=1, unfinished_jobs=0, stored_bytes=900 + 2 * 7 + result(job.id).num_bytes, uploads=0)
+    assert mine.usage() == expected
+    with pytest.raises(QuotaExceeded):
+        add_session(jobs, mine, 100)
+    mine.delete_job(job.id)
+    assert mine.usage().stored_bytes == 914
+    add_session(jobs, mine, 86)
+
+
+def test_unfinished_jobs(jobs: Bench) -> None:
+    mine = jobs.store.of("mine", Quotas(unfinished_jobs=2), Actor())
+    session_id = add_session(jobs, mine)
+    first = mine.create_job(session_id, JobSpec(), stages(1))
+    second = mine.create_job(session_id, JobSpec(), stages(1))
+    claim = jobs.claim()
+    with pytest.raises(QuotaExceeded, match="At most 2 unfinished jobs"):
+        mine.create_job(session_id, JobSpec(), stages(1))
+    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    third = mine.create_job(session_id, JobSpec(), stages(1))
+    with pytest.raises(QuotaExceeded):
+        mine.retry(first.id, stages(1))
+    mine.cancel(second.id)
+    mine.retry(first.id, stages(1))
+    assert {one.id for one in mine.jobs() if one.finished_at is None} == {first.id, third.id}
+
+
+def test_a_quota_of_nothing(jobs: Bench) -> None:
+    with pytest.raises(QuotaExceeded):
+        add_session(jobs, jobs.store.of("mine", Quotas(sessions=0), Actor()))
+
+
+def test_two_at_once_don_t_take_the_last_place_twice(jobs: Bench, new_store: Callable[[], JobStore]) -> None:
+    quotas = Quotas(unfinished_jobs=3)
+    session_id = add_session(jobs, jobs.store.of("mine", quotas, Actor()))
+
+    def try_it(store: JobStore) -> bool:
+        try:
+            store.of("mine", quotas, Actor()).create_job(session_id, JobSpec(), stages(1))
+        except QuotaExceeded:
+            return False
+        return True
+
+    stores = [new_store() for _ in range(8)]
+    with ThreadPoolExecutor(len(stores)) as pool:
+        assert sum(pool.map(try_it, stores)) == 3

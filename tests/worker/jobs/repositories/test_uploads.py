@@ -1,0 +1,129 @@
+"""What is said of uploads; their bytes are the API's."""
+
+import pytest
+from uuid_utils import uuid7
+
+from tests.worker.jobs.conftest import Bench, stages
+from worker.jobs.database.quotas import Quotas
+from worker.jobs.database.tables import uploads
+from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
+from worker.jobs.model import Actor, Session
+from worker.jobs.repositories.records import Records
+from worker.jobs.spec import JobSpec
+
+HOUR_S = 3600.0
+PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
+
+
+def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> Records:
+    return jobs.store.of(tenant, quotas or Quotas(), Actor("key", "request"))
+
+
+def begin(records: Records, num_bytes: int = 100) -> str:
+    return records.create_upload(str(uuid7()), "cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S).id
+
+
+def expire(jobs: Bench, upload_id: str) -> None:
+    jobs.execute(uploads.update().where(uploads.c.id == upload_id).values(expires_at=0.0))
+
+
+def test_what_was_said_comes_back(jobs: Bench) -> None:
+    mine = of(jobs)
+    upload = mine.create_upload(str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S)
+    assert mine.upload(upload.id) == upload
+    assert (upload.name, upload.num_bytes, upload.metadata) == ("cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0")
+    assert mine.renew_upload(upload.id, 2 * HOUR_S).expires_at > upload.expires_at
+
+
+@pytest.mark.parametrize("act", ["upload", "delete_upload", "renew_upload"])
+def test_another_tenant_s_is_not_there(jobs: Bench, act: str) -> None:
+    upload_id = begin(of(jobs, "theirs"))
+    arguments = [HOUR_S] if act == "renew_upload" else []
+    for records in (of(jobs, "mine"), of(jobs, "nobody")):
+        with pytest.raises(NotFound):
+            getattr(records, act)(upload_id, *arguments)
+    assert of(jobs, "mine").known_uploads([upload_id]) == set()
+    assert of(jobs, "theirs").upload(upload_id).id == upload_id
+
+
+def test_one_that_was_deleted_is_gone(jobs: Bench) -> None:
+    mine = of(jobs)
+    upload_id = begin(mine)
+    mine.delete_upload(upload_id)
+    for act in (mine.upload, mine.delete_upload):
+        with pytest.raises(NotFound):
+            act(upload_id)
+    assert [deed.act for deed in jobs.store.deeds("mine")] == ["upload-deleted", "upload-created"]
+
+
+def test_one_whose_time_is_over_is_gone(jobs: Bench) -> None:
+    mine = of(jobs)
+    old, new = begin(mine), begin(mine)
+    expire(jobs, old)
+    with pytest.raises(NotFound):
+        mine.upload(old)
+    with pytest.raises(NotFound):
+        mine.renew_upload(old, HOUR_S)
+    assert jobs.store.expired_uploads() == [old]
+    for upload_id in (old, new):
+        jobs.store.forget_expired_upload(upload_id)
+    assert jobs.store.known_uploads([old, new]) == {new}
+
+
+def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: Bench) -> None:
+    mine, theirs = of(jobs), of(jobs, "theirs")
+    first, second, other = begin(mine), begin(mine), begin(theirs)
+
+    def make(*upload_ids: str) -> Session:
+        return mine.create_session("take", [], PREFLIGHT, jobs.store.announce_session(), upload_ids)
+
+    with pytest.raises(Conflict):
+        make(first, other)
+    assert mine.sessions() == []
+    assert mine.upload(first).id == first
+    make(first, second)
+    assert mine.usage().uploads == 0
+    with pytest.raises(Conflict):
+        make(first)
+    assert len(mine.sessions()) == 1
+    assert theirs.upload(other).id == other
+
+
+def test_session_and_job_come_together_or_not_at_all(jobs: Bench) -> None:
+    mine = of(jobs, quotas=Quotas(unfinished_jobs=1))
+    upload_id = begin(mine)
+
+    def make(*upload_ids: str) -> str:
+        session_id = jobs.store.announce_session()
+        return mine.create_session_and_job("take", [], PREFLIGHT, session_id, upload_ids, JobSpec(), stages(2)).id
+
+    job_id = make()
+    assert mine.job(job_id).stages[0].total == 20
+    with pytest.raises(QuotaExceeded):
+        make(upload_id)
+    assert len(mine.sessions()) == 1
+    assert mine.upload(upload_id).id == upload_id
+    mine.cancel(job_id)
+    make(upload_id)
+
+
+def test_quotas(jobs: Bench) -> None:
+    mine = of(jobs, quotas=Quotas(uploads=2, stored_bytes=1000))
+    first = begin(mine, 100)
+    with pytest.raises(QuotaExceeded, match="stored bytes"):
+        begin(mine, 901)
+    begin(mine, 900)
+    with pytest.raises(QuotaExceeded, match="At most 2 uploads"):
+        begin(mine, 0)
+    begin(of(jobs, "theirs", Quotas(uploads=2, stored_bytes=1000)), 1000)
+    mine.delete_upload(first)
+    begin(mine, 100)
+    assert (mine.usage().uploads, mine.usage().stored_bytes) == (2, 1000)
+
+
+def test_no_byte_counts_twice_when_an_upload_becomes_a_session_s(jobs: Bench) -> None:
+    mine = of(jobs, quotas=Quotas(uploads=1, stored_bytes=100))
+    upload_id = begin(mine, 100)
+    session = mine.create_session("take", [], PREFLIGHT, jobs.store.announce_session(), [upload_id])
+    assert mine.session(session.id) == session
+    begin(mine, 100)

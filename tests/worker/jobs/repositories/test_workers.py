@@ -1,0 +1,58 @@
+import pytest
+import sqlalchemy as sa
+
+from tests.worker.jobs.conftest import Bench
+from worker.jobs.database.tables import workers
+from worker.jobs.errors import NewerDatabase
+from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.repositories.workers import installed_detectors
+
+STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
+READY = WorkerStatus("host:2", WorkerState.READY, "A worker works", detectors=("movenet-multipose", "other"))
+
+
+def seen_ago(jobs: Bench, seconds: float) -> None:
+    jobs.execute(sa.update(workers).values(seen_at=workers.c.seen_at - seconds))
+
+
+def test_workers_are_listed_as_they_last_reported(jobs: Bench) -> None:
+    jobs.store.report_worker(READY)
+    jobs.store.report_worker(STARTING)
+    assert jobs.store.workers() == [STARTING, READY]
+    further = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 4, 75)
+    jobs.store.report_worker(further)
+    assert jobs.store.workers() == [further, READY]
+    jobs.store.remove_worker("host:1")
+    assert jobs.store.workers() == [READY]
+
+
+@pytest.mark.parametrize("seconds", [11.0, -11.0])
+def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: Bench, seconds: float) -> None:
+    jobs.store.report_worker(READY)
+    seen_ago(jobs, seconds)
+    assert jobs.store.workers() == []
+    seen_ago(jobs, 6 * seconds)
+    jobs.store.report_worker(STARTING)
+    engine = sa.create_engine(jobs.url)
+    with engine.connect() as connection:
+        assert connection.execute(sa.select(workers.c.id)).scalars().all() == ["host:1"]
+    engine.dispose()
+
+
+def test_only_workers_that_are_ready_know_their_detectors(jobs: Bench) -> None:
+    assert installed_detectors([]) is None
+    assert installed_detectors([STARTING]) is None
+    assert installed_detectors([STARTING, READY]) == frozenset({"movenet-multipose", "other"})
+
+
+def test_a_detector_is_installed_where_every_worker_has_it() -> None:
+    # Any of them may take a chunk.
+    other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
+    assert installed_detectors([READY, other]) == frozenset({"movenet-multipose"})
+
+
+def test_a_worker_refuses_a_database_of_a_newer_version(jobs: Bench) -> None:
+    jobs.store.require_known_schema()
+    jobs.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
+    with pytest.raises(NewerDatabase, match="0099"):
+        jobs.store.require_known_schema()

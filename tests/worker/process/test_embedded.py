@@ -1,0 +1,97 @@
+"""The data folder of an embedded service, and the broker in it."""
+
+import contextlib
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.small_disk import fill, small_disk
+from worker.jobs.files.disk import DiskSpace
+from worker.jobs.files.private_files import make_private
+from worker.jobs.queue import WorkQueue
+from worker.process import embedded
+from worker.process.lifeline import tied
+
+
+@contextlib.contextmanager
+def answering(place: embedded.Place) -> Iterator[WorkQueue]:
+    """The broker, until the end of the block."""
+    program, queue = embedded.broker(place), WorkQueue(place.broker_url)
+    with subprocess.Popen(tied(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
+        try:
+            deadline_s = time.monotonic() + 10
+            while not queue.ping() and time.monotonic() < deadline_s:
+                time.sleep(0.05)
+            yield queue
+        finally:
+            queue.close()
+            process.terminate()
+
+
+def test_a_folder_is_taken_once(tmp_path: Path) -> None:
+    refused = pytest.raises(embedded.DataFolderError, match="Another service runs")
+    with embedded.occupy(tmp_path), refused, embedded.occupy(tmp_path):
+        pass
+    with embedded.occupy(tmp_path):
+        pass
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(embedded.DataFolderError, match="can't be used"), embedded.occupy(tmp_path / "file" / "data"):
+        pass
+
+
+def test_what_a_killed_part_left_is_removed(tmp_path: Path) -> None:
+    with embedded.occupy(tmp_path) as place:
+        (place.temporary_dir / "left").mkdir()
+    with embedded.occupy(tmp_path) as place:
+        assert list(place.temporary_dir.iterdir()) == []
+        assert place.environment()["TMPDIR"] == str(place.temporary_dir)
+
+
+def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path) -> None:
+    old = tmp_path / "broker" / "appendonlydir"
+    old.mkdir(parents=True)
+    (old / "appendonly.aof.1.incr.aof").write_bytes(b"*3\r\n$3\r\nSET" + bytes(4096))  # as a loss of power leaves it
+    (old / "appendonly.aof.manifest").write_bytes(bytes(100))
+    (old.parent / "dump.rdb").write_bytes(b"REDIS0011" + bytes(100))
+    with embedded.occupy(tmp_path) as place, answering(place) as queue:
+        assert queue.publish()
+    assert not old.exists()
+
+
+def test_the_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
+    with embedded.occupy(tmp_path / ("x" * 100)) as place:
+        assert len(str(place.socket)) <= 100
+        assert place.socket.parent.stat().st_mode & 0o077 == 0
+    assert not place.socket.parent.exists()
+
+
+def test_the_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
+    with embedded.occupy(tmp_path / "ä b#c%41?") as place, answering(place) as queue:
+        assert queue.publish()
+        assert place.socket.stat().st_mode & 0o077 == 0
+
+
+def test_a_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 16) as disk, embedded.occupy(disk / "data"):
+        DiskSpace(disk / "data").set_aside()
+        fill(disk / "filler")
+        with pytest.raises(embedded.DataFolderError), embedded.occupy(disk / "data"):
+            pass
+        assert (disk / "data" / "reserve").exists()
+
+
+def test_folders_of_others_that_were_named_by_mistake_stay_as_they_are(tmp_path: Path) -> None:
+    for folder, content in ((tmp_path / "others", "film.mp4"), (tmp_path / "old", "multicap.db")):
+        folder.mkdir()
+        folder.chmod(0o755)
+        (folder / content).touch()
+        make_private(folder)
+    make_private(tmp_path / "new")
+    modes = {folder.name: folder.stat().st_mode & 0o777 for folder in tmp_path.iterdir()}
+    assert modes == {"others": 0o755, "old": 0o700, "new": 0o700}

@@ -1,0 +1,149 @@
+"""The code behind each stage has a digest, which tells other code from this one; and laws of the digest."""
+
+import ast
+import shutil
+import sys
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+from pipeline.runtime.code_digest import function_digest, reachable_modules
+from worker.stages.code import (
+    ASSOCIATE,
+    DETECT,
+    EXPORT,
+    FIT,
+    FUNCTIONS,
+    LENGTHS,
+    LIBRARIES,
+    POSES,
+    stage_codes,
+)
+from worker.stages.run import STAGES
+
+ROOT = Path(__file__).parents[2]
+# Packages that the stages import and that change no number.
+NOT_NUMERIC = {"defusedxml", "filelock", "google", "httpx2", "jaxtyping", "platformdirs", "threadpoolctl", "unearth"}
+
+
+def test_the_functions_are_those_of_the_stages() -> None:
+    assert {stage: function.__name__ for stage, function in STAGES.items()} == FUNCTIONS
+
+
+def imported_by(path: Path) -> set[str]:
+    nodes = list(ast.walk(ast.parse(path.read_bytes())))
+    absolute = {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module and not node.level}
+    return absolute | {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+
+
+def test_all_libraries_of_the_stages_count() -> None:
+    direct = {name for name in imported_by(ROOT / "worker/stages/run.py") if name.startswith("pipeline.")}
+    paths = [ROOT.joinpath(*name.split(".")) for name in reachable_modules(ROOT, direct)]
+    files = [path / "__init__.py" if path.is_dir() else path.with_suffix(".py") for path in paths]
+    packages = {name.partition(".")[0] for path in files for name in imported_by(path)}
+    others = packages - set(sys.stdlib_module_names) - {"pipeline"}
+    assert others >= NOT_NUMERIC
+    distributions = packages_distributions()
+    assert {distributions[name][0] for name in others - NOT_NUMERIC} == {*LIBRARIES} - {"llvmlite"}
+
+
+def test_another_version_of_a_library_is_other_code() -> None:
+    assert not {*stage_codes(ROOT, ("numpy",)).values()} & {*stage_codes(ROOT, ("numpy", "scipy")).values()}
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> Path:
+    """A copy of the sources."""
+    for package in ("pipeline", "worker"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def append(path: Path) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\nUNUSED = 1\n")
+
+
+def changed(sources: Path) -> set[str]:
+    before = stage_codes()
+    stage_codes.cache_clear()  # the sources may have changed since
+    return {stage for stage, code in stage_codes(sources).items() if code != before[stage]}
+
+
+def test_comments_docstrings_and_layout_change_nothing(sources: Path) -> None:
+    for path in sources.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        path.write_text(f'"""Something else."""\n# A comment.\n\n{text}\n\n# The end.\n', encoding="utf-8")
+    edit(sources / "pipeline/skeleton/feet.py", "\n    return ", '\n    """Said again."""\n    # Why.\n    return ')
+    assert changed(sources) == set()
+
+
+def test_a_constant_of_the_feet_counts_from_the_fit_on(sources: Path) -> None:
+    path = sources / "pipeline/skeleton/feet.py"
+    name = next(
+        line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("_") and " = " in line
+    )
+    edit(path, name, name.partition(" = ")[0] + " = 123.456")
+    assert changed(sources) == {FIT, EXPORT}
+
+
+def test_what_a_function_imports_inside_counts(sources: Path) -> None:
+    """``detect.registry`` imports the conversions of networks where it needs them."""
+    append(sources / "pipeline/detect/conversion/onnx_graph.py")
+    assert DETECT in changed(sources)
+
+
+def test_a_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
+    append(sources / "pipeline/simulation/motion/body.py")
+    (sources / "pipeline/new.py").write_text("NEW = 1\n", encoding="utf-8")
+    assert changed(sources) == set()
+
+
+def test_the_stage_s_own_function_and_its_helpers_count(sources: Path) -> None:
+    edit(
+        sources / "worker/stages/run.py",
+        "    first = cut.frames.start",
+        "    first = 1 + cut.frames.start",
+    )
+    assert changed(sources) == {LENGTHS}
+    edit(sources / "worker/stages/run.py", "cutoff_hz=spec.cutoff_hz", "cutoff_hz=2 * spec.cutoff_hz")
+    assert changed(sources) == {LENGTHS, POSES, ASSOCIATE, FIT}
+
+
+def write(root: Path, **modules: str) -> None:
+    for name, text in modules.items():
+        path = root.joinpath(*name.split("__")).with_suffix(".py")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+def test_the_graph_of_imports(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        pkg__a="import pkg.b\n",
+        pkg__b="def f():\n    from pkg import c\n    return c\n",
+        pkg__c="from pkg.inner.d import thing as other\n",
+        pkg__inner__d="import pkg.a\nimport numpy\nthing = 1\n",
+        pkg__e="",
+    )
+    (tmp_path / "pkg" / "inner" / "__init__.py").touch()
+    assert reachable_modules(tmp_path, ["pkg.a"], "pkg") == ["pkg.a", "pkg.b", "pkg.c", "pkg.inner", "pkg.inner.d"]
+
+
+def test_another_origin_of_a_name_is_another_function(tmp_path: Path) -> None:
+    main = "from pkg.{} import work\nfrom pkg.b import unused\n\n\ndef run():\n    return work()\n"
+    write(tmp_path, main=main.format("a"), pkg__a="def work(): return 1\n", pkg__b="def work(): return 1\nunused = 2\n")
+    first = function_digest(tmp_path, "main", "run", "pkg")
+    write(tmp_path, pkg__b="def work(): return 1\nunused = 3\n")
+    assert function_digest(tmp_path, "main", "run", "pkg") == first
+    write(tmp_path, main=main.format("b"))
+    assert function_digest(tmp_path, "main", "run", "pkg") != first
+    with pytest.raises(KeyError):
+        function_digest(tmp_path, "main", "walk", "pkg")

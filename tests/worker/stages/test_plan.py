@@ -1,0 +1,294 @@
+"""Laws of planning."""
+
+import tracemalloc
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.config import MAX_OUTPUT_FRAMES
+from pipeline.detect.registry import REGISTRY
+from pipeline.video.timeline import chunk_ranges
+from worker.jobs.model import InputFile, Session, StagePlan
+from worker.jobs.spec import JobSpec
+from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, stage_codes
+from worker.stages.plan import MAX_CHUNKS, FrameCut, plan
+
+FILES = tuple(
+    InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
+    for k, (name, kind, digit) in enumerate(
+        [("left.mp4", "video", "a"), ("right.mp4", "video", "b"), ("rig.toml", "calibration", "c")]
+    )
+)
+
+
+def make_session(num_frames: int = 100, rates_hz: tuple[float, ...] = (25.0, 25.0), **changes: Any) -> Session:
+    """Session of as many output frames, at the rate of the fastest camera."""
+    preflight = {
+        "cameras": [{"name": str(k), "frame_rate_hz": rate_hz} for k, rate_hz in enumerate(rates_hz)],
+        "timebase": {"start_time_s": 0.0, "frame_rate_hz": max(rates_hz), "num_frames": num_frames},
+        "warnings": [],
+    }
+    return Session(
+        **{
+            "id": "s",
+            "name": "take",
+            "created_at": datetime.now(UTC),
+            "files": FILES,
+            "preflight": preflight,
+            **changes,
+        }
+    )
+
+
+def keys(
+    session: Session, spec: JobSpec | None = None, chunk_frames: int = 25, codes: Mapping[str, str] | None = None
+) -> dict[str, list[str]]:
+    return {
+        stage.name: [chunk.output_key for chunk in stage.chunks]
+        for stage in plan(session, spec or JobSpec(), chunk_frames, codes)
+    }
+
+
+@given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
+def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
+    chunks = list(plan(make_session(num_frames), JobSpec(), chunk_frames)[0].chunks)
+    assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
+    for camera in ("0", "1"):
+        of_camera = [chunk for chunk in chunks if chunk.payload["camera"] == camera]
+        frames = [k for chunk in of_camera for k in range(chunk.payload["start_frame"], chunk.payload["stop_frame"])]
+        assert frames == list(range(num_frames))
+        assert all(chunk.payload["start_frame"] == k * chunk_frames for k, chunk in enumerate(of_camera))
+    assert all(chunk.unit_count >= 1 for chunk in chunks)
+
+
+def test_the_stages_and_their_sizes() -> None:
+    stages = plan(make_session(60), JobSpec(), 25)
+    assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
+        (DETECT, 6),
+        (ASSOCIATE, 1),
+        (FIT, 1),
+        (EXPORT, 1),
+    ]
+    assert [chunk.unit_count for chunk in stages[0].chunks] == [25, 25, 25, 25, 10, 10]
+
+
+def test_a_cutoff_counts_where_it_is_used() -> None:
+    session = make_session()
+    assert keys(session, JobSpec(cutoff_hz=3.0)) == keys(session)
+    low, high = (keys(session, JobSpec(smoothing="butterworth", cutoff_hz=hz)) for hz in (3.0, 6.0))
+    assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
+
+
+CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
+
+
+def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
+    detect, lengths, poses, *_ = stages = plan(make_session(60), CLUSTERING, 25)
+    assert [stage.name for stage in stages] == [DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
+    assert next(iter(lengths.chunks)).payload == {"chunk_frames": 25}
+    ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
+    assert ranges == [(0, 25), (25, 50), (50, 60)]
+    assert [chunk.unit_count for chunk in poses.chunks] == [25, 25, 10]
+    of_ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in detect.chunks]
+    assert of_ranges == [one for one in ranges for _ in range(2)]  # cameras
+
+
+def test_fields_are_another_output_than_bodies() -> None:
+    session = make_session()
+    bodies = keys(session, JobSpec(detector=CLUSTERING.detector))
+    assert not set(bodies[DETECT]) & set(keys(session, CLUSTERING)[DETECT])
+    # Whole bodies serve both methods.
+    assert keys(session)[DETECT] == keys(session, JobSpec(method="clustering"))[DETECT]
+
+
+@given(chunk_frames=st.integers(1, 300))
+def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
+    one, other = keys(make_session(), CLUSTERING, chunk_frames), keys(make_session(), CLUSTERING)
+    assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, FIT, EXPORT))
+
+
+def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
+    chunks = plan(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
+    assert [chunk.unit_count for chunk in chunks] == [50, 25, 30]
+
+
+@given(chunk_frames=st.integers(1, 300))
+def test_keys_of_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
+    one, other = keys(make_session(), chunk_frames=chunk_frames), keys(make_session())
+    assert {name: one[name] for name in (ASSOCIATE, FIT, EXPORT)} == {
+        name: other[name] for name in (ASSOCIATE, FIT, EXPORT)
+    }
+
+
+def test_equal_work_has_equal_keys_whatever_it_is_called() -> None:
+    again = make_session(id="t", name="other", created_at=datetime(2020, 1, 1, tzinfo=UTC), files=FILES[::-1])
+    assert keys(again) == keys(make_session())
+
+
+@pytest.mark.parametrize("changed", [replace(FILES[0], sha256="d" * 64), replace(FILES[0], name="centre.mp4")])
+def test_another_input_changes_all_keys(changed: InputFile) -> None:
+    other = keys(make_session(files=(changed, *FILES[1:])))
+    ours = keys(make_session())
+    assert not {key for found in other.values() for key in found} & {key for found in ours.values() for key in found}
+
+
+@pytest.mark.parametrize(
+    ("field", "changed"),
+    [
+        ("detector", {DETECT, ASSOCIATE, FIT, EXPORT}),
+        ("method", {ASSOCIATE, FIT, EXPORT}),
+        ("smoothing", {FIT, EXPORT}),
+        ("feet", {FIT, EXPORT}),
+        ("exports", {EXPORT}),
+    ],
+)
+def test_a_choice_changes_the_keys_of_its_stage_and_those_after(field: str, changed: set[str]) -> None:
+    ours, other = (
+        keys(make_session()),
+        keys(make_session(), JobSpec.model_construct(**{**JobSpec().model_dump(), field: "x"})),
+    )
+    assert {name for name in ours if ours[name] != other[name]} == changed
+
+
+@pytest.mark.parametrize(
+    ("stage", "changed"),
+    [(DETECT, {DETECT, ASSOCIATE, FIT, EXPORT}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
+)
+def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, changed: set[str]) -> None:
+    before = keys(make_session())
+    after = keys(make_session(), codes={**stage_codes(), stage: "other"})
+    assert {name for name in before if before[name] != after[name]} == changed
+
+
+def test_keys_are_unique_and_safe_as_names() -> None:
+    found = [key for stage in keys(make_session(1000)).values() for key in stage]
+    assert len(set(found)) == len(found)
+    assert all(len(key) == 64 and key.isalnum() for key in found)
+
+
+def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
+    files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
+    session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
+    assert list(keys(session)) == [ASSOCIATE, FIT, EXPORT]
+    assert list(keys(session, CLUSTERING)) == [LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
+    assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, FIT, EXPORT))
+
+
+def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
+    for name, entry in REGISTRY.items():
+        spec = JobSpec.model_validate({"method": "clustering", "detector": name})
+        assert spec.uses_fields == (entry.fields is not None)
+        assert bool(spec.warnings(of_keypoints=False)) == (entry.fields is None)
+        assert spec.warnings(of_keypoints=True)
+        assert not JobSpec.model_validate({"detector": name}).warnings(of_keypoints=True)
+
+
+def test_what_was_said_of_the_videos_is_an_input() -> None:
+    def said(**recording: object) -> Session:
+        plain = make_session()
+        return replace(plain, preflight={**plain.preflight, "recordings": [{"camera": "0", **recording}]})
+
+    plain = make_session()
+    in_mm = replace(plain, preflight={**plain.preflight, "units": "mm"})
+    found = [keys(plain), keys(said(offset_s=0.1)), keys(said(offset_s=0.2)), keys(in_mm)]
+    for stage in found[0]:
+        assert len({key for one in found for key in one[stage]}) == 4 * len(found[0][stage])
+
+
+@given(num_frames=st.integers(1, 500), chunk_frames=st.integers(1, 60), data=st.data())
+def test_of_the_frames_that_are_wanted_each_is_there_once(
+    num_frames: int, chunk_frames: int, data: st.DataObject
+) -> None:
+    start = data.draw(st.integers(0, num_frames - 1))
+    stop = data.draw(st.integers(start + 1, num_frames))
+    session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
+    detect, _, poses, *_ = plan(session, spec, chunk_frames)
+    ranges = [(one.start, one.stop) for one in chunk_ranges(range(start, stop), chunk_frames)]
+    for camera in ("0", "1"):
+        payloads = [chunk.payload for chunk in detect.chunks if chunk.payload["camera"] == camera]
+        assert [(one["start_frame"], one["stop_frame"]) for one in payloads] == ranges
+    found = [(chunk.payload["start_frame"] + start, chunk.payload["stop_frame"] + start) for chunk in poses.chunks]
+    assert found == ranges
+    assert [frame for one in ranges for frame in range(*one)] == list(range(start, stop))
+
+
+def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
+    whole, part = keys(make_session(100)), keys(make_session(100), JobSpec(frame_range=(25, 90)))
+    assert whole[DETECT][2:6] == part[DETECT][:4]  # 25-50 and 50-75 of both cameras
+    assert not set(whole[DETECT]) & set(part[DETECT][4:])  # 75-90
+    assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, FIT, EXPORT))
+
+
+def test_how_many_people_are_wanted_counts_from_association_on() -> None:
+    everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
+    assert {name for name in two if two[name] != everybody[name]} == {ASSOCIATE, FIT, EXPORT}
+
+
+def paused(num_frames: int, stretches: list[list[int]], **changes: Any) -> Session:
+    plain = make_session(num_frames, **changes)
+    return replace(plain, preflight={**plain.preflight, "stretches": stretches})
+
+
+def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:
+    payloads = [chunk.payload for chunk in stage.chunks]
+    return list(dict.fromkeys((one["start_frame"], one["stop_frame"]) for one in payloads))
+
+
+def test_pauses_have_no_chunks() -> None:
+    session = paused(900_000, [[0, 60], [899_950, 900_000]])
+    detect, lengths, poses, *_ = plan(session, CLUSTERING, 25)
+    assert (
+        ranges_of(detect) == ranges_of(poses) == [(0, 25), (25, 50), (50, 75), (899_950, 899_975), (899_975, 900_000)]
+    )
+    assert next(iter(lengths.chunks)).unit_count == round(5 * 110 / 25)
+
+
+def test_stretches_within_one_range_share_its_chunk() -> None:
+    detect, *_ = plan(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
+    assert ranges_of(detect) == [(0, 50), (50, 100), (100, 150)]
+
+
+def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
+    detect, *_ = plan(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
+    assert ranges_of(detect) == [(5000, 5100)]
+
+
+@given(
+    stretches=st.lists(st.tuples(st.integers(0, 50), st.integers(1, 80)), min_size=1, max_size=6),
+    chunk_frames=st.integers(1, 60),
+    data=st.data(),
+)
+def test_the_pipeline_cuts_alike(stretches: list[tuple[int, int]], chunk_frames: int, data: st.DataObject) -> None:
+    borders, end = [], 0
+    for pause, length in stretches:
+        borders.append([end + pause, end + pause + length])
+        end += pause + length
+    start = data.draw(st.integers(0, end - 1))
+    stop = data.draw(st.integers(start + 1, end))
+    session, spec = paused(end, borders), JobSpec(frame_range=(start, stop))
+    ours = chunk_ranges(range(start, stop), chunk_frames, [range(*one) for one in borders])
+    assert list(FrameCut.of(session, spec, chunk_frames)) == ours
+
+
+def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
+    session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
+    detect, *_ = plan(session, JobSpec(), 1)
+    assert sum(1 for _ in detect.chunks) <= MAX_CHUNKS
+    part, *_ = plan(session, JobSpec(frame_range=(0, 10_000)), 1)
+    assert ranges_of(part)[:-1] == ranges_of(detect)[: len(ranges_of(part)) - 1]  # jobs of a session cut alike
+
+
+def test_a_plan_takes_no_memory() -> None:
+    session = make_session(MAX_OUTPUT_FRAMES)
+    tracemalloc.start()
+    try:
+        stages = plan(session, CLUSTERING, 100)
+        assert sum(1 for stage in stages for _ in stage.chunks) > 20_000
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()

@@ -1,0 +1,121 @@
+"""What the stages read of a session: whole files only, from the first frame of a chunk to its last."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from pipeline.capture import preflight
+from pipeline.errors import InputError
+from pipeline.stages.records_npz import decode_detections
+from tests.e2e.captures import video_capture
+from tests.worker.jobs.damage import overwrite
+from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key
+from worker.jobs.model import Claim, InputFile, Session
+from worker.jobs.spec import JobSpec
+from worker.stages import run as stages
+from worker.stages.execution import StoppedError, Work
+
+NUM_FRAMES = 20
+
+
+def keep(artifacts: LocalArtifacts, session_id: str, number: int, path: Path, kind: str) -> InputFile:
+    key, content = input_key(session_id, number, path.name), path.read_bytes()
+    artifacts.put_bytes(key, content)
+    return InputFile(path.name, kind, key, len(content), hashlib.sha256(content).hexdigest())
+
+
+@pytest.fixture
+def artifacts(tmp_path: Path) -> LocalArtifacts:
+    return LocalArtifacts(tmp_path / "artifacts")
+
+
+@pytest.fixture
+def session(
+    tmp_path: Path, artifacts: LocalArtifacts, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Session]:
+    """A session of two videos as the API keeps it, which no process has opened."""
+    video_capture(tmp_path, NUM_FRAMES)
+    videos = sorted((tmp_path / "videos").iterdir())
+    calibration, record = tmp_path / "calibration.json", tmp_path / "record"
+    arguments = ["--videos", *map(str, videos), "--calibration", str(calibration), "--record", str(record)]
+    assert preflight.main(arguments) == 0
+    found = json.loads(capsys.readouterr().out)
+    session_id = "0190"
+    files = [keep(artifacts, session_id, number, path, "video") for number, path in enumerate(videos)]
+    files.append(keep(artifacts, session_id, len(files), calibration, "calibration"))
+    artifacts.put_bytes(record_key(session_id), record.read_bytes())
+    digest = hashlib.sha256(record.read_bytes()).hexdigest()
+    opened = stages._OpenSession()
+    monkeypatch.setattr(stages, "_open", opened)
+    yield Session(session_id, "take", datetime.now(UTC), tuple(files), found, record_sha256=digest)
+    opened._files.close()
+
+
+def work(
+    session: Session, artifacts: LocalArtifacts, scratch: Path, on_unit: Callable[[], None] = lambda: None
+) -> Work:
+    """The chunk of all frames of the camera on the left."""
+    payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES}
+    claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, JobSpec(), "token", 1, None)
+    return Work(claim, session, artifacts, lambda stage, chunks=slice(None): [], scratch, on_unit, lambda: None)
+
+
+def stored(session: Session, tmp_path: Path) -> Path:
+    (file,) = [file for file in session.files if file.name == "left.mp4"]
+    return tmp_path / "artifacts" / file.key
+
+
+def flip(path: Path) -> None:
+    middle = path.stat().st_size // 2
+    overwrite(path, middle, bytes(byte ^ 255 for byte in path.read_bytes()[middle : middle + 40]))
+
+
+def test_a_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+    outcome = stages.detect(work(session, artifacts, tmp_path))
+    assert decode_detections(outcome.content).camera == "left"
+
+
+def test_a_video_that_is_damaged_between_chunks_is_noticed(
+    session: Session, artifacts: LocalArtifacts, tmp_path: Path
+) -> None:
+    stages.detect(work(session, artifacts, tmp_path))
+    flip(stored(session, tmp_path))
+    with pytest.raises(InputError) as refused:
+        stages.detect(work(session, artifacts, tmp_path))
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.file, problem.camera) == ("input_damaged", "left.mp4", "left")
+    assert problem.hint is not None
+
+
+@pytest.mark.parametrize("damage", [flip, Path.unlink])
+def test_a_video_that_is_damaged_while_it_is_decoded_leaves_no_output(
+    session: Session, artifacts: LocalArtifacts, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    damages = iter([damage])
+
+    def on_unit() -> None:
+        for once in damages:
+            once(stored(session, tmp_path))
+
+    with pytest.raises(InputError) as refused:
+        stages.detect(work(session, artifacts, tmp_path, on_unit))
+    assert [problem.code for problem in refused.value.problems] == ["input_damaged"]
+
+
+def test_an_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+    def stop() -> None:
+        raise StoppedError
+
+    with pytest.raises(StoppedError):
+        stages.detect(work(session, artifacts, tmp_path, stop))
+
+
+def test_a_record_without_a_digest_is_read_as_before(
+    session: Session, artifacts: LocalArtifacts, tmp_path: Path
+) -> None:
+    old = Session(session.id, session.name, session.created_at, session.files, session.preflight)
+    assert stages.detect(work(old, artifacts, tmp_path)).content

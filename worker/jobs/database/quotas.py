@@ -1,0 +1,70 @@
+"""How much a tenant may have, and how much it has."""
+
+from dataclasses import asdict, dataclass
+
+from sqlalchemy import Connection, func, select
+
+from worker.jobs.database.tables import artifacts, jobs, results, sessions, uploads
+from worker.jobs.errors import QuotaExceeded
+from worker.jobs.model import FINISHED, JobState, Usage
+
+
+@dataclass(frozen=True, slots=True)
+class Quotas:
+    """How much each tenant may have; ``None``: as much as there is room for."""
+
+    sessions: int | None = None
+    unfinished_jobs: int | None = None
+    stored_bytes: int | None = None
+    uploads: int | None = None
+
+
+NO_QUOTAS = Quotas()
+
+
+def read_usage(connection: Connection, tenant: str) -> Usage:
+    """How much a tenant has now.
+
+    ``stored_bytes`` are of its sessions' files, of what was found in them, of results, and what uploads are to be.
+    """
+    mine = jobs.c.tenant == tenant
+    num_sessions, input_bytes = connection.execute(
+        select(func.count(), func.coalesce(func.sum(sessions.c.num_bytes), 0)).where(sessions.c.tenant == tenant)
+    ).one()
+    found = select(func.coalesce(func.sum(artifacts.c.num_bytes), 0)).join(sessions).where(sessions.c.tenant == tenant)
+    shown = (
+        select(func.coalesce(func.sum(results.c.num_bytes), 0)).join(jobs).where(mine, jobs.c.state != JobState.EXPIRED)
+    )
+    num_uploads, upload_bytes = connection.execute(
+        select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
+    ).one()
+    unfinished = select(func.count()).select_from(jobs).where(mine, jobs.c.state.not_in(FINISHED))
+    return Usage(
+        sessions=num_sessions,
+        unfinished_jobs=connection.scalar(unfinished) or 0,
+        stored_bytes=sum(
+            int(some or 0) for some in (input_bytes, connection.scalar(found), connection.scalar(shown), upload_bytes)
+        ),
+        uploads=num_uploads,
+    )
+
+
+def require_room(
+    quotas: Quotas,
+    used: Usage,
+    *,
+    sessions: int = 0,
+    unfinished_jobs: int = 0,
+    stored_bytes: int = 0,
+    uploads: int = 0,
+) -> None:
+    """Raise ``QuotaExceeded`` if a tenant that has so much may not have so much more."""
+    more = {
+        "sessions": sessions,
+        "unfinished_jobs": unfinished_jobs,
+        "stored_bytes": stored_bytes,
+        "uploads": uploads,
+    }
+    for name, limit in asdict(quotas).items():
+        if limit is not None and more[name] > 0 and getattr(used, name) + more[name] > limit:
+            raise QuotaExceeded(name, limit, getattr(used, name))

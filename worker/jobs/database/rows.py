@@ -1,0 +1,171 @@
+"""Rows of the tables as the model's records."""
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
+
+from worker.jobs.database.connection import now
+from worker.jobs.database.tables import chunks, jobs, sessions
+from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, ResultWarning, Session, Stage
+from worker.jobs.spec import JobSpec
+
+_ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
+
+
+def session_of(row: Row[Any]) -> Session:
+    """A session from its row."""
+    return Session(
+        id=row.id,
+        name=row.name,
+        created_at=row.created_at,
+        files=tuple(InputFile(**file) for file in row.files),
+        preflight=row.preflight,
+        metadata=row.client_metadata,
+        record_sha256=row.record_sha256,
+    )
+
+
+def result_of(row: Row[Any]) -> Result:
+    """A result from its row."""
+    return Result(
+        name=row.name,
+        kind=row.kind,
+        person=row.person,
+        media_type=row.media_type,
+        key=row.key,
+        num_bytes=row.num_bytes,
+        sha256=row.sha256,
+    )
+
+
+# Clients ask for jobs all the time, and to put a query together takes longer than to run it: once is enough.
+@functools.cache
+def select_jobs() -> Select[Any]:
+    """Jobs with their sessions' preflight and their places in the queue, for ``jobs_of``."""
+    ahead = jobs.alias("ahead")
+    place = (
+        select(func.count() + 1)
+        .select_from(ahead)
+        .where(
+            ahead.c.state == JobState.QUEUED,
+            or_(
+                ahead.c.queued_at < jobs.c.queued_at,
+                and_(ahead.c.queued_at == jobs.c.queued_at, ahead.c.id < jobs.c.id),
+            ),
+        )
+    )
+    queue_position = case((jobs.c.state == JobState.QUEUED, place.scalar_subquery()))
+    elapsed_s = now() - jobs.c.started_at
+    return select(
+        jobs,
+        sessions.c.name.label("session_name"),
+        sessions.c.preflight,
+        queue_position.label("queue_position"),
+        elapsed_s.label("elapsed_s"),
+    ).join(sessions)
+
+
+def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
+    """Jobs with their stages, from rows of ``select_jobs``."""
+    stages = _stages(connection, [row.id for row in rows])
+    return [_job(row, stages[row.id]) for row in rows]
+
+
+def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
+    spec = JobSpec.model_validate(row.spec)
+    timebase = row.preflight["timebase"]
+    of_keypoints = all(stage.name != "detect" for stage in stages)
+    found = tuple(ResultWarning(**warning) for warning in row.warnings)
+    return Job(
+        id=row.id,
+        session_id=row.session_id,
+        session_name=row.session_name,
+        num_frames=timebase["num_frames"],
+        duration_s=timebase["num_frames"] / timebase["frame_rate_hz"],
+        state=JobState(row.state),
+        spec=spec,
+        attempt=row.attempt,
+        stages=stages,
+        progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
+        queue_position=row.queue_position,
+        created_at=row.created_at,
+        started_at=row.started_at,
+        finished_at=row.finished_at,
+        expires_at=row.expires_at,
+        eta_s=_eta_s(row, stages),
+        problem=None if row.problem is None else Problem(**row.problem),
+        warnings=(
+            *row.preflight.get("warnings", ()),
+            *spec.warnings(of_keypoints),
+            *(warning.message for warning in found),
+        ),
+        result_warnings=found,
+    )
+
+
+def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
+    if row.state != JobState.RUNNING:
+        return None
+    # What was taken from an earlier job took no time.
+    worked_on = [stage for stage in stages if not stage.reused]
+    done, total = sum(stage.done for stage in worked_on), sum(stage.total for stage in worked_on)
+    return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
+
+
+def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[Stage, ...]]:
+    rows = connection.execute(_select_stages(), {"job_ids": job_ids})
+    return {
+        job_id: tuple(_stage(row) for row in of_job) for job_id, of_job in groupby(rows, key=lambda row: row.job_id)
+    }
+
+
+@functools.cache
+def _select_stages() -> Select[Any]:
+    return (
+        select(
+            chunks.c.job_id,
+            chunks.c.stage,
+            *(_count(chunks.c.state == state).label(state) for state in ChunkState),
+            _count(chunks.c.reused).label("reused"),
+            func.count().label("num_chunks"),
+            func.sum(chunks.c.done_units).label("done_units"),
+            func.sum(chunks.c.unit_count).label("total_units"),
+            func.min(chunks.c.started_at).label("started_at"),
+            func.max(chunks.c.finished_at).label("finished_at"),
+        )
+        .where(chunks.c.job_id.in_(bindparam("job_ids", expanding=True)))
+        .group_by(chunks.c.job_id, chunks.c.stage_index, chunks.c.stage)
+        .order_by(chunks.c.job_id, chunks.c.stage_index)
+    )
+
+
+def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:
+    return func.sum(case((condition, 1), else_=0))
+
+
+def _stage(row: Row[Any]) -> Stage:
+    counts = {state: row._mapping[state] for state in ChunkState if row._mapping[state]}
+    state = stage_state(counts.keys())
+    return Stage(
+        name=row.stage,
+        state=state,
+        done=row.done_units,
+        total=row.total_units,
+        started_at=row.started_at,
+        finished_at=row.finished_at if state in _ENDED else None,
+        reused=row.reused == row.num_chunks,
+    )
+
+
+def stage_state(states: Iterable[ChunkState]) -> ChunkState:
+    """State of a stage whose chunks are in some states: what is worst, else what is under way, else what they share."""
+    found = frozenset(states)
+    for decisive in (ChunkState.FAILED, ChunkState.RUNNING, ChunkState.CANCELED):
+        if decisive in found:
+            return decisive
+    if len(found) > 1:
+        return ChunkState.RUNNING  # some are done, the others wait for a worker
+    return next(iter(found))

@@ -1,0 +1,46 @@
+"""What is counted of all jobs, in the transactions in which it happens: a crash neither doubles nor loses any.
+
+A transaction adds to sums in the order in which they stand in ``Total``, so two never wait for each other in a circle.
+"""
+
+from enum import StrEnum
+
+from sqlalchemy import Connection, func, select
+
+from worker.jobs.database.connection import add_up, now
+from worker.jobs.database.tables import chunks, jobs, totals
+from worker.jobs.model import FINISHED, ChunkState, Figures, JobState
+
+
+class Total(StrEnum):
+    """A sum, and what its label says."""
+
+    LEASES_LOST = "leases_lost"  # by stage
+    CHUNKS_DONE = "chunks_done"  # by stage, without those that were reused
+    CHUNKS_REUSED = "chunks_reused"  # by stage
+    CHUNKS_RETRIED = "chunks_retried"  # by stage
+    CHUNK_SECONDS = "chunk_seconds"  # by stage, of those that were done, from the first try's start
+    CHUNK_UNITS = "chunk_units"  # by stage, likewise
+    JOBS_ENDED = "jobs_ended"  # by state
+
+
+def count(connection: Connection, total: Total, label: str, amount: float = 1.0) -> None:
+    """Add to a sum."""
+    add_up(connection, totals, {"name": total, "label": label}, "value", amount)
+
+
+def read_figures(connection: Connection) -> Figures:
+    """All sums, and how much there is to do now."""
+    by_state = select(jobs.c.state, func.count().label("number")).group_by(jobs.c.state)
+    unfinished = select(chunks.c.state, func.count().label("number")).join(jobs).where(jobs.c.state.not_in(FINISHED))
+    waiting = select(func.max(now() - jobs.c.queued_at)).where(jobs.c.state == JobState.QUEUED)
+    return Figures(
+        totals={(row.name, row.label): row.value for row in connection.execute(select(totals))},
+        jobs={row.state: row.number for row in connection.execute(by_state)},
+        chunks={
+            row.state: row.number
+            for row in connection.execute(unfinished.group_by(chunks.c.state))
+            if row.state in {ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING}
+        },
+        longest_queued_s=max(0.0, connection.scalar(waiting) or 0.0),
+    )

@@ -1,0 +1,108 @@
+"""Moves of jobs and chunks from state to state, inside a transaction of the caller's.
+
+Whoever changes a job or its chunks locks the job first, so two changes of one job never overlap and never wait for each
+other in a circle. (A heartbeat touches one row and locks nothing else.)
+"""
+
+from collections.abc import Collection
+from dataclasses import asdict
+from typing import Any, Literal
+
+from sqlalchemy import Connection, Row, insert, select, update
+
+from worker.jobs.database.connection import now
+from worker.jobs.database.tables import chunks, events, jobs
+from worker.jobs.database.totals import Total, count
+from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
+from worker.jobs.repositories.deliveries import queue_delivery
+
+EventKind = Literal["state", "stage"]
+
+_NO_LEASE = {"lease_token": None, "lease_until": None}
+_ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
+
+
+def lock_job(connection: Connection, job_id: str) -> Row[Any] | None:
+    """Keep a job from being changed by others until the transaction ends; ``None`` if there is no such job."""
+    return connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
+
+
+def note(connection: Connection, job_id: str, kind: EventKind, value: str) -> None:
+    """Add to what happened to a locked job, or to one that nobody else can see yet."""
+    connection.execute(insert(events).values(job_id=job_id, created_at=now(), kind=kind, value=value))
+
+
+def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
+    """Move a job if that is legal from where it is; whether it was moved."""
+    sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
+    if to in FINISHED - {JobState.EXPIRED}:
+        values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s}
+    moved = connection.execute(
+        update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
+    )
+    if moved.rowcount == 1:
+        note(connection, job_id, "state", to)
+        if to in FINISHED:
+            count(connection, Total.JOBS_ENDED, to)
+            queue_delivery(connection, job_id, to)
+    return moved.rowcount == 1
+
+
+def move_chunk(connection: Connection, chunk_id: int, to: ChunkState, **values: Any) -> None:
+    """End the lease of a chunk whose job is locked, and say what it is now."""
+    if to in _ENDED:
+        values["finished_at"] = now()
+    connection.execute(update(chunks).where(chunks.c.id == chunk_id).values(state=to, **_NO_LEASE, **values))
+
+
+def cancel_chunks(connection: Connection, job_id: str, states: Collection[ChunkState]) -> None:
+    """Cancel a locked job's chunks that are in some states."""
+    connection.execute(
+        update(chunks)
+        .where(chunks.c.job_id == job_id, chunks.c.state.in_(states))
+        .values(state=ChunkState.CANCELED, finished_at=now(), **_NO_LEASE)
+    )
+
+
+def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
+    """Go on after a chunk of a stage was done: to the next stage, or to the job's end. Whether chunks became ready.
+
+    The next stage is the first one that is not done. That is an earlier one while outputs are computed again.
+    """
+    unfinished = select(chunks.c.id).where(
+        chunks.c.job_id == job_id, chunks.c.stage_index == stage_index, chunks.c.state != ChunkState.DONE
+    )
+    if connection.execute(unfinished.limit(1)).first() is not None:
+        return False
+    not_done = (
+        select(chunks.c.stage_index, chunks.c.stage)
+        .where(chunks.c.job_id == job_id, chunks.c.state != ChunkState.DONE)
+        .order_by(chunks.c.stage_index)
+    )
+    next_stage = connection.execute(not_done.limit(1)).one_or_none()
+    if next_stage is None:
+        move_job(connection, job_id, JobState.SUCCEEDED)
+        return False
+    waiting = (
+        chunks.c.job_id == job_id,
+        chunks.c.stage_index == next_stage.stage_index,
+        chunks.c.state == ChunkState.WAITING,
+    )
+    if connection.execute(update(chunks).where(*waiting).values(state=ChunkState.READY)).rowcount == 0:
+        return False
+    note(connection, job_id, "stage", next_stage.stage)
+    return True
+
+
+def fail_job(connection: Connection, job_id: str, chunk_id: int, problem: Problem) -> None:
+    """End a locked job by one chunk's problem; its other chunks are canceled, and their workers lose their leases."""
+    move_chunk(connection, chunk_id, ChunkState.FAILED)
+    cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING))
+    move_job(connection, job_id, JobState.FAILED, problem=asdict(problem))
+
+
+def settle_canceling(connection: Connection, job_id: str) -> None:
+    """End a locked job that is being canceled, unless one of its chunks still runs."""
+    running = select(chunks.c.id).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.RUNNING)
+    if connection.execute(running.limit(1)).first() is None:
+        move_job(connection, job_id, JobState.CANCELED)

@@ -1,0 +1,1 @@
+"""Stored files: artifact stores, copies on this machine, checksums, removals."""

@@ -1,0 +1,202 @@
+"""Artifacts in a bucket of S3, or of what speaks its protocol."""
+
+import contextlib
+import io
+import os
+from collections.abc import Callable, Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import obstore
+from obstore.exceptions import BaseError
+from obstore.store import S3Store
+
+from worker.jobs.errors import ArtifactsUnavailable, DamagedArtifact, NotFound
+from worker.jobs.files.artifacts import require_key, require_prefix
+from worker.jobs.files.checksums import Verified, no_check, require_file, sha256_of
+from worker.jobs.files.file_cache import FileCache
+
+# A part of a large file as it is sent, and how many at once: what a put takes of memory.
+_MIN_PART_BYTES = 8 * 2**20
+_PARTS_AT_ONCE = 4
+# S3 takes 10,000 parts.
+_MAX_PARTS = 9_000
+_READ_BYTES = 2**20
+
+# Longer and callers wait in vain: what fails is tried again by whoever asked.
+_RETRY: Any = {"max_retries": 4, "retry_timeout": timedelta(seconds=20)}
+
+
+class S3Artifacts:
+    """Artifacts as objects.
+
+    Who may, and where else than at Amazon, is in the environment: ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``,
+    ``AWS_REGION``, ``AWS_ENDPOINT_URL``.
+
+    Parameters
+    ----------
+    url
+        ``s3://bucket``, or ``s3://bucket/prefix``.
+    cache
+        For files that have to be on disk.
+
+    Raises
+    ------
+    ValueError
+        If that is no such URL.
+    """
+
+    def __init__(self, url: str, cache: FileCache) -> None:
+        if not url.startswith("s3://"):
+            raise ValueError(f"{url!r} does not begin with s3://")
+        # Whoever gives an address without TLS means it.
+        plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")
+        client: Any = {"connect_timeout": "5s", "timeout": "120s", "allow_http": plain}
+        self._store = S3Store.from_url(url, client_options=client, retry_config=_RETRY)
+        self._cache = cache
+        self._verified = Verified()
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Send a file, in parts if it is large; then it goes here."""
+        require_key(key)
+        num_bytes = path.stat().st_size
+        with _reached(key):
+            obstore.put(
+                self._store,
+                key,
+                path,
+                attributes=_attributes(key),
+                chunk_size=max(_MIN_PART_BYTES, num_bytes // _MAX_PARTS),
+                max_concurrency=_PARTS_AT_ONCE,
+            )
+        path.unlink()
+
+    def put_bytes(self, key: str, data: bytes) -> None:
+        """Keep bytes."""
+        require_key(key)
+        with _reached(key):
+            obstore.put(self._store, key, data, attributes=_attributes(key), max_concurrency=_PARTS_AT_ONCE)
+
+    def open(self, key: str, sha256: str | None = None) -> BinaryIO:
+        """Open an object; it is read a piece at a time, and once more if it has to be compared."""
+        head = self._head(key)
+        file = io.BufferedReader(_Object(self._store, key, head["size"], head["e_tag"]), _READ_BYTES)
+        version = key, head["size"], head["e_tag"]
+        if sha256 is not None and not self._verified.holds(version, sha256):
+            if sha256_of(file) != sha256:
+                raise DamagedArtifact(key)
+            self._verified.add(version, sha256)
+            file.seek(0)
+        return file
+
+    @contextlib.contextmanager
+    def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> Iterator[Path]:
+        """A copy on this machine; one that is damaged is fetched again."""
+        num_bytes = self.size(key)
+        with contextlib.ExitStack() as stack:
+            path = stack.enter_context(self._copy(key, num_bytes))
+            try:
+                require_file(path, key, sha256, check)
+            except DamagedArtifact:
+                self._cache.drop(key)
+                path = stack.enter_context(self._copy(key, num_bytes))
+                require_file(path, key, sha256, check)
+            yield path
+
+    def size(self, key: str) -> int:
+        """Bytes of an object."""
+        return int(self._head(key)["size"])
+
+    def exists(self, key: str) -> bool:
+        """Whether an object is there."""
+        try:
+            self._head(key)
+        except NotFound:
+            return False
+        return True
+
+    def delete_prefix(self, prefix: str) -> None:
+        """Remove objects, some hundreds at a time."""
+        require_prefix(prefix)
+        with _reached(prefix):
+            for some in obstore.list(self._store, prefix.removesuffix("/"), chunk_size=1000):
+                obstore.delete(self._store, [one["path"] for one in some])
+
+    def signed_url(self, key: str, lifetime_s: float) -> str | None:
+        """An address that anybody may get the object from for a while."""
+        require_key(key)
+        with _reached(key):
+            return obstore.sign(self._store, "GET", key, timedelta(seconds=lifetime_s))
+
+    def ping(self) -> bool:
+        """Whether the bucket answers."""
+        try:
+            for _ in obstore.list(self._store, "ping", chunk_size=1):
+                break
+        except (BaseError, OSError):
+            return False
+        return True
+
+    def sweep(self) -> None:
+        """Remove copies that nobody uses."""
+        self._cache.sweep()
+
+    def _head(self, key: str) -> Any:
+        require_key(key)
+        with _reached(key):
+            return obstore.head(self._store, key)
+
+    def _copy(self, key: str, num_bytes: int) -> contextlib.AbstractContextManager[Path]:
+        return self._cache.copy(key, num_bytes, lambda path: self._download(key, path))
+
+    def _download(self, key: str, path: Path) -> None:
+        with _reached(key), path.open("wb") as file:
+            for block in obstore.get(self._store, key).stream(min_chunk_size=_READ_BYTES):
+                file.write(block)
+
+
+class _Object(io.RawIOBase):
+    """An object as a file; that it is replaced meanwhile is an error, never a mixture."""
+
+    def __init__(self, store: S3Store, key: str, num_bytes: int, etag: str | None) -> None:
+        self._store, self._key, self._num_bytes, self._etag = store, key, num_bytes, etag
+        self._offset = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._offset, io.SEEK_END: self._num_bytes}[whence]
+        self._offset = max(0, start + offset)
+        return self._offset
+
+    def readinto(self, buffer: Any) -> int:
+        stop = min(self._offset + len(buffer), self._num_bytes)
+        if stop <= self._offset:
+            return 0
+        options: Any = {"range": (self._offset, stop), "if_match": self._etag}
+        with _reached(self._key):
+            data = obstore.get(self._store, self._key, options=options).bytes()
+        buffer[: len(data)] = memoryview(data)
+        self._offset += len(data)
+        return len(data)
+
+
+def _attributes(key: str) -> Any:
+    # For who downloads from a signed address.
+    return {"Content-Disposition": f'attachment; filename="{key.rpartition("/")[2]}"'}
+
+
+@contextlib.contextmanager
+def _reached(key: str) -> Iterator[None]:
+    """Errors of the library in the store's words."""
+    try:
+        yield
+    except FileNotFoundError as error:  # which the library raises where there is no object
+        raise NotFound(f"There is no artifact {key}.") from error
+    except (BaseError, PermissionError) as error:
+        raise ArtifactsUnavailable(f"The artifact store failed at {key}.") from error

@@ -1,0 +1,1 @@
+"""Rows of one resource each: read, written, and moved from state to state."""

@@ -1,0 +1,338 @@
+"""Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, reap."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, case, func, insert, select, update
+from uuid_utils import uuid7
+
+from worker.jobs.database.connection import Database, now, upsert
+from worker.jobs.database.tables import artifacts, chunks, jobs, results
+from worker.jobs.database.totals import Total, count
+from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
+from worker.jobs.model import AT_WORK, ChunkOutput, ChunkState, Claim, JobState, Problem, Result, ResultWarning
+from worker.jobs.repositories.attempts import note_failure
+from worker.jobs.repositories.turns import has_share, next_job, of_code
+from worker.jobs.spec import JobSpec
+
+# Tries that a chunk has: lost leases, failures worth another try and damaged outputs count alike.
+MAX_ATTEMPTS = 5
+
+
+class Leases:
+    """The workers' side of the store.
+
+    A claim carries a token; reports with another token, or after the lease was taken back, change nothing and are
+    answered by ``False``. Times come from the database's clock.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def claim(self, worker: str, lease_s: float, codes: Collection[str] | None = None) -> Claim | None:
+        """Take the next ready chunk; ``None`` if no job has one.
+
+        Tenants have equal shares of the workers, and one worker stays free where there are several, see
+        ``worker.jobs.repositories.turns``; a tenant's jobs are worked on in the order of their creation.
+
+        Parameters
+        ----------
+        codes
+            Digests of the worker's code: it takes chunks that were planned for it. ``None``: any.
+        """
+        while True:
+            with self._database.reading() as connection:
+                job_id = next_job(connection, codes)
+            if job_id is None:
+                return None
+            if (claim := self._claim_of(job_id, worker, lease_s, codes)) is not None:
+                return claim
+
+    def _claim_of(self, job_id: str, worker: str, lease_s: float, codes: Collection[str] | None) -> Claim | None:
+        """Take a job's next ready chunk, unless others took its last one or its tenant's share in the meantime."""
+        first = (
+            select(chunks.c.id)
+            .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, of_code(codes))
+            .order_by(chunks.c.stage_index, chunks.c.chunk_index)
+            .limit(1)
+        )
+        take = (
+            update(chunks)
+            .where(chunks.c.id == first.scalar_subquery())
+            .values(
+                state=ChunkState.RUNNING,
+                worker=worker,
+                lease_token=str(uuid7()),
+                lease_until=now() + lease_s,
+                started_at=func.coalesce(chunks.c.started_at, now()),
+            )
+            .returning(chunks)
+        )
+        with self._database.writing() as connection:
+            job = lock_job(connection, job_id)
+            if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
+                return None
+            chunk = connection.execute(take).one_or_none()
+            if chunk is None:
+                return None
+            move_job(connection, job_id, JobState.RUNNING, started_at=now())
+        return Claim(
+            chunk_id=chunk.id,
+            job_id=job_id,
+            session_id=job.session_id,
+            stage=chunk.stage,
+            index=chunk.chunk_index,
+            payload=chunk.payload,
+            unit_count=chunk.unit_count,
+            output_key=chunk.output_key,
+            spec=JobSpec.model_validate(job.spec),
+            lease_token=chunk.lease_token,
+            attempt=chunk.attempt,
+            trace=job.trace,
+        )
+
+    def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
+        """Renew a lease and say how far its chunk is. ``False``: the work is no longer wanted, stop now.
+
+        A chunk's progress stays between what any try of it got to and ``unit_count``.
+        """
+        at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
+        further = case(
+            (chunks.c.unit_count < done_units, chunks.c.unit_count),
+            (chunks.c.done_units < done_units, done_units),
+            else_=chunks.c.done_units,
+        )
+        with self._database.writing() as connection:
+            renewed = connection.execute(
+                update(chunks)
+                .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
+                .values(lease_until=now() + lease_s, done_units=further)
+            )
+        return renewed.rowcount == 1
+
+    def finish(
+        self,
+        chunk_id: int,
+        lease_token: str,
+        sha256: str,
+        num_bytes: int,
+        reused: bool = False,
+        results: Sequence[Result] = (),
+        warnings: Sequence[ResultWarning] = (),
+    ) -> bool:
+        """Record a chunk's output, and its job's result files and their warnings if it left any.
+
+        Returns
+        -------
+            Whether the next stage became ready.
+        """
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            upsert(
+                connection,
+                artifacts,
+                {
+                    "session_id": job.session_id,
+                    "output_key": chunk.output_key,
+                    "sha256": sha256,
+                    "num_bytes": num_bytes,
+                },
+            )
+            _record_results(connection, job.id, results, warnings)
+            move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
+            _count_done(connection, chunk, reused)
+            if job.state == JobState.CANCELING:
+                settle_canceling(connection, job.id)
+                return False
+            return advance(connection, job.id, chunk.stage_index)
+
+    def fail(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
+        """Give a chunk back after a problem: for another try, or as the end of its job. Whether it became ready."""
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            return held is not None and _try_again(connection, *held, problem)
+
+    def release(self, chunk_id: int, lease_token: str) -> bool:
+        """Give a chunk back unfinished, because its job is canceled or its worker stops. Whether it became ready."""
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, chunk)
+                return False
+            move_chunk(connection, chunk.id, ChunkState.READY)
+            return True
+
+    def artifact(self, session_id: str, output_key: str) -> tuple[str, int] | None:
+        """SHA-256 and bytes of a chunk's output if any job of the session has finished it."""
+        query = select(artifacts.c.sha256, artifacts.c.num_bytes).where(
+            artifacts.c.session_id == session_id, artifacts.c.output_key == output_key
+        )
+        with self._database.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else (row.sha256, row.num_bytes)
+
+    def outputs(self, job_id: str, stage: str) -> list[ChunkOutput]:
+        """Outputs of a job's stage, in the order of its chunks."""
+        stored = (artifacts.c.session_id == jobs.c.session_id) & (artifacts.c.output_key == chunks.c.output_key)
+        query = (
+            select(chunks.c.chunk_index, chunks.c.output_key, artifacts.c.sha256)
+            .select_from(chunks.join(jobs).outerjoin(artifacts, stored))
+            .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
+            .order_by(chunks.c.chunk_index)
+        )
+        with self._database.reading() as connection:
+            return [ChunkOutput(*row) for row in connection.execute(query)]
+
+    def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
+        """Give a chunk back until chunks of an earlier stage have run again, because it found their outputs damaged.
+
+        A chunk of that stage that has had ``MAX_ATTEMPTS`` tries ends the job.
+
+        Parameters
+        ----------
+        stage, damaged
+            The earlier stage, and indices of its chunks.
+
+        Returns
+        -------
+            Whether a chunk became ready.
+        """
+        with self._database.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, waiting = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, waiting)
+                return False
+            move_chunk(connection, waiting.id, ChunkState.WAITING)
+            # Others may have found the same: what is not done is being computed already.
+            done = select(chunks).where(
+                chunks.c.job_id == job.id, chunks.c.stage == stage, chunks.c.state == ChunkState.DONE
+            )
+            again = [chunk for chunk in connection.execute(done).all() if chunk.chunk_index in damaged]
+            # The first one without another try ends the job.
+            return bool(again) and all(
+                _try_again(connection, job, chunk, _output_damaged(chunk), started_at=None, finished_at=None)
+                for chunk in again
+            )
+
+    def reap(self, lease_s: float) -> bool:
+        """Take back chunks whose workers have fallen silent; whether a chunk is ready for a worker now.
+
+        Such a chunk is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled
+        ends when its last running chunk is taken back.
+
+        Parameters
+        ----------
+        lease_s
+            For how long workers hold chunks. Where the clock was put back, a lease would last for as much longer; it
+            is shortened.
+        """
+        with self._database.writing() as connection:
+            connection.execute(
+                update(chunks)
+                .where(chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until > now() + lease_s)
+                .values(lease_until=now() + lease_s)
+            )
+        expired = select(chunks.c.id, chunks.c.lease_token).where(
+            chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
+        )
+        with self._database.reading() as connection:
+            found = connection.execute(expired).all()
+        for chunk_id, lease_token in found:
+            with self._database.writing() as connection:
+                held = _lock_held(connection, chunk_id, lease_token, expired=True)
+                if held is not None:
+                    count(connection, Total.LEASES_LOST, held[1].stage)
+                    _try_again(connection, *held, _worker_lost(held[1].stage))
+        with self._database.reading() as connection:
+            return next_job(connection) is not None
+
+
+def _is_held(lease_token: str) -> Any:
+    return (chunks.c.lease_token == lease_token) & (chunks.c.state == ChunkState.RUNNING)
+
+
+def _lock_held(
+    connection: Connection, chunk_id: int, lease_token: str, expired: bool = False
+) -> tuple[Row[Any], Row[Any]] | None:
+    """Lock the job of a chunk that is held by a token; job and chunk, or ``None`` if it is not (or not expired)."""
+    held = select(chunks).where(chunks.c.id == chunk_id, _is_held(lease_token))
+    if expired:
+        held = held.where(chunks.c.lease_until < now())
+    seen = connection.execute(held).one_or_none()
+    if seen is None:
+        return None
+    job = lock_job(connection, seen.job_id)
+    # Again: it may have been taken back while we waited for the lock; and a heartbeat has to wait now.
+    chunk = connection.execute(held.with_for_update()).one_or_none()
+    return None if job is None or chunk is None else (job, chunk)
+
+
+def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem, **values: Any) -> bool:
+    """Make a chunk ready for its next try, or end its job; whether it became ready. ``values`` are of its columns."""
+    if job.state == JobState.CANCELING:
+        _cancel(connection, job, chunk)
+        return False
+    note_failure(connection, job, chunk, problem)
+    if problem.retryable and chunk.attempt < MAX_ATTEMPTS:
+        move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
+        count(connection, Total.CHUNKS_RETRIED, chunk.stage)
+        return True
+    if problem.retryable:
+        problem = replace(problem, detail=f"{problem.detail} It was the last of {MAX_ATTEMPTS} tries.")
+    fail_job(connection, job.id, chunk.id, problem)
+    return False
+
+
+def _cancel(connection: Connection, job: Row[Any], chunk: Row[Any]) -> None:
+    move_chunk(connection, chunk.id, ChunkState.CANCELED)
+    settle_canceling(connection, job.id)
+
+
+def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
+    if reused:
+        count(connection, Total.CHUNKS_REUSED, chunk.stage)
+        return
+    seconds = connection.scalar(select(now() - chunks.c.started_at).where(chunks.c.id == chunk.id)) or 0.0
+    count(connection, Total.CHUNKS_DONE, chunk.stage)
+    count(connection, Total.CHUNK_SECONDS, chunk.stage, max(0.0, seconds))
+    count(connection, Total.CHUNK_UNITS, chunk.stage, chunk.unit_count)
+
+
+def _worker_lost(stage: str) -> Problem:
+    return Problem(
+        "worker_lost",
+        f"A worker of the stage {stage} fell silent.",
+        stage=stage,
+        hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
+        retryable=True,
+    )
+
+
+def _output_damaged(chunk: Row[Any]) -> Problem:
+    return Problem(
+        "output_damaged",
+        f"The stored output of chunk {chunk.chunk_index} of the stage {chunk.stage} was damaged.",
+        stage=chunk.stage,
+        hint="Check the disk that holds the service's artifacts, then retry the job: whole outputs are used again.",
+        retryable=True,
+    )
+
+
+def _record_results(
+    connection: Connection, job_id: str, found: Sequence[Result], warnings: Sequence[ResultWarning]
+) -> None:
+    if found:
+        connection.execute(insert(results), [{"job_id": job_id, **asdict(result)} for result in found])
+    if warnings:
+        said = [asdict(warning) for warning in warnings]
+        connection.execute(update(jobs).where(jobs.c.id == job_id).values(warnings=said))

@@ -1,0 +1,80 @@
+"""Plans of jobs as rows: inserted with a job, and replaced when no worker runs the code that they were made for."""
+
+from collections.abc import Iterable, Sequence
+from itertools import islice
+from typing import Any
+
+from sqlalchemy import Connection, delete, insert, or_, select
+
+from worker.jobs.database.connection import Database
+from worker.jobs.database.tables import chunks, jobs
+from worker.jobs.database.transitions import lock_job
+from worker.jobs.model import AT_WORK, ChunkPlan, ChunkState, StagePlan
+from worker.jobs.repositories.workers import codes_at_work
+
+_ROWS_AT_ONCE = 1000
+
+
+class Plans:
+    """The store's view of plans that were made by another version of the code."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def unclaimable(self) -> list[str]:
+        """Unfinished jobs without running chunks whose next chunks no ready worker can run."""
+        with self._database.reading() as connection:
+            foreign = or_(chunks.c.code.is_(None), chunks.c.code.not_in(codes_at_work(connection)))
+            of_job = chunks.c.job_id == jobs.c.id
+            is_waiting = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.READY, foreign).exists()
+            is_running = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.RUNNING).exists()
+            query = select(jobs.c.id).where(jobs.c.state.in_(AT_WORK), is_waiting, ~is_running)
+            return list(connection.scalars(query.order_by(jobs.c.queued_at, jobs.c.id)))
+
+    def is_run(self, codes: Iterable[str]) -> bool:
+        """Return whether ready workers run all of some code, so that they could run a plan for it."""
+        with self._database.reading() as connection:
+            return codes_at_work(connection).issuperset(codes)
+
+    def plan_again(self, job_id: str, stages: Sequence[StagePlan]) -> bool:
+        """Replace the plan of an unfinished job without running chunks; outputs of equal keys are used again.
+
+        Returns
+        -------
+            Whether it was replaced.
+        """
+        with self._database.writing() as connection:
+            job = lock_job(connection, job_id)
+            running = select(chunks.c.id).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.RUNNING)
+            if job is None or job.state not in AT_WORK or connection.execute(running.limit(1)).first() is not None:
+                return False
+            connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
+            insert_chunks(connection, job_id, stages)
+            return True
+
+
+def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
+    """Insert the chunks of all stages, some at a time: a long session's rows never stand in memory at once."""
+    if not stages or any(next(iter(stage.chunks), None) is None for stage in stages):
+        raise ValueError("a job needs a stage, and every stage a chunk")
+    rows = (
+        _chunk_row(job_id, stage_index, stage, chunk)
+        for stage_index, stage in enumerate(stages)
+        for chunk in stage.chunks
+    )
+    while some := list(islice(rows, _ROWS_AT_ONCE)):
+        connection.execute(insert(chunks), some)
+
+
+def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan) -> dict[str, Any]:
+    return {
+        "job_id": job_id,
+        "stage_index": stage_index,
+        "stage": stage.name,
+        "code": stage.code_sha256,
+        "chunk_index": chunk.index,
+        "payload": dict(chunk.payload),
+        "output_key": chunk.output_key,
+        "unit_count": chunk.unit_count,
+        "state": ChunkState.READY if stage_index == 0 else ChunkState.WAITING,
+    }

@@ -1,0 +1,83 @@
+"""Turns of tenants: the job whose chunk a free worker takes next."""
+
+import math
+import random
+from collections import Counter
+from collections.abc import Collection, Iterator
+
+from sqlalchemy import ColumnElement, Connection, func, select, true
+
+from worker.jobs.database.connection import lock
+from worker.jobs.database.tables import chunks, jobs
+from worker.jobs.model import AT_WORK, ChunkState, JobState
+from worker.jobs.repositories.keys import count_tenants
+from worker.jobs.repositories.workers import count_ready
+
+
+def next_job(connection: Connection, codes: Collection[str] | None = None) -> str | None:
+    """Job whose chunk is next: of the tenant with the fewest running chunks, its oldest job with a ready chunk.
+
+    Tenants with equally few take turns at random, so that one tenant's long queue delays nobody else's jobs. A tenant
+    that has its share of the workers waits, see ``has_share``.
+
+    Parameters
+    ----------
+    codes
+        Only chunks of this code count; ``None``: of any.
+    """
+    tenants = sorted({tenant for state in AT_WORK for tenant in _tenants_in(connection, state)})
+    num_running = _num_running(connection)
+    most = _largest_share(connection)
+    random.shuffle(tenants)
+    tenants = sorted((one for one in tenants if num_running[one] < most), key=lambda tenant: num_running[tenant])
+    oldest = (_oldest_with_work(connection, tenant, codes) for tenant in tenants)
+    return next((job_id for job_id in oldest if job_id is not None), None)
+
+
+def has_share(connection: Connection, tenant: str) -> bool:
+    """Return whether a tenant may have one more chunk at work.
+
+    Where several tenants have keys, one worker stays free for the others: a chunk may take minutes. The answer holds
+    until the transaction, one that writes, ends.
+    """
+    lock(connection, f"workers of {tenant}")
+    return _num_running(connection)[tenant] < _largest_share(connection)
+
+
+def of_code(codes: Collection[str] | None) -> ColumnElement[bool]:
+    """Condition that a chunk was planned for some code; ``None``: for any."""
+    return true() if codes is None else chunks.c.code.in_(codes)
+
+
+def _num_running(connection: Connection) -> Counter[str]:
+    """Running chunks by tenant."""
+    return Counter(connection.scalars(select(jobs.c.tenant).join(chunks).where(chunks.c.state == ChunkState.RUNNING)))
+
+
+def _largest_share(connection: Connection) -> float:
+    """Chunks that one tenant may have at work."""
+    if count_tenants(connection) < 2 or (num_workers := count_ready(connection)) == 0:
+        return math.inf
+    return max(1, num_workers - 1)
+
+
+def _tenants_in(connection: Connection, state: JobState) -> Iterator[str]:
+    """Tenants that have jobs in a state: a step in the index for each, however long the queue is."""
+    tenant: str | None = ""
+    while tenant is not None:
+        behind = select(func.min(jobs.c.tenant)).where(jobs.c.state == state, jobs.c.tenant > tenant)
+        tenant = connection.scalar(behind)
+        if tenant is not None:
+            yield tenant
+
+
+def _oldest_with_work(connection: Connection, tenant: str, codes: Collection[str] | None) -> str | None:
+    """Oldest job of a tenant that has a ready chunk: all running ones are older than any that is still queued."""
+    ready = select(chunks.c.id).where(chunks.c.job_id == jobs.c.id, chunks.c.state == ChunkState.READY, of_code(codes))
+    for state in (JobState.RUNNING, JobState.QUEUED):
+        # A state at a time: the index has the jobs of one in their order, so that a long queue is not sorted.
+        oldest = select(jobs.c.id).where(jobs.c.state == state, jobs.c.tenant == tenant, ready.exists())
+        job_id: str | None = connection.scalar(oldest.order_by(jobs.c.queued_at, jobs.c.id).limit(1))
+        if job_id is not None:
+            return job_id
+    return None

@@ -1,0 +1,85 @@
+"""Worker processes: which there are, and whether they could start a chunk now.
+
+Each process keeps a row of its own fresh. A row that nobody has renewed for a while is of a process that is gone.
+"""
+
+from collections.abc import Collection, Iterable
+from dataclasses import asdict
+
+from sqlalchemy import ColumnElement, Connection, delete, func, or_, select
+
+from worker.jobs.database.connection import Database, now, upsert
+from worker.jobs.database.tables import workers
+from worker.jobs.model import WorkerState, WorkerStatus
+
+# Renewed every four seconds: two in a row were missed.
+SILENT_AFTER_S = 10.0
+_FORGOTTEN_AFTER_S = 60.0
+
+
+class Workers:
+    """The store's list of worker processes."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def report_worker(self, status: WorkerStatus) -> None:
+        """Say what a worker process does now; it is believed for ``SILENT_AFTER_S``."""
+        with self._database.writing() as connection:
+            lists = {"detectors": list(status.detectors), "codes": list(status.codes)}
+            upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
+            _forget_silent(connection)
+
+    def remove_worker(self, worker_id: str) -> None:
+        """Forget a worker process that ends."""
+        self.remove_workers([worker_id])
+
+    def remove_workers(self, worker_ids: Collection[str]) -> None:
+        """Forget worker processes that are gone."""
+        with self._database.writing() as connection:
+            connection.execute(delete(workers).where(workers.c.id.in_(worker_ids)))
+
+    def workers(self) -> list[WorkerStatus]:
+        """All worker processes that are there."""
+        with self._database.reading() as connection:
+            rows = connection.execute(select(workers).where(_is_alive()).order_by(workers.c.id))
+            return [
+                WorkerStatus(
+                    id=row.id,
+                    state=WorkerState(row.state),
+                    activity=row.activity,
+                    done=row.done,
+                    total=row.total,
+                    detectors=tuple(row.detectors),
+                    codes=tuple(row.codes),
+                )
+                for row in rows
+            ]
+
+
+def count_ready(connection: Connection) -> int:
+    """Number of worker processes that could start a chunk now, or are at work on one."""
+    ready = select(func.count()).select_from(workers).where(_is_alive(), workers.c.state == WorkerState.READY)
+    return connection.scalar(ready) or 0
+
+
+def codes_at_work(connection: Connection) -> frozenset[str]:
+    """Digests of the stages' code that ready workers run, each of some worker."""
+    ready = select(workers.c.codes).where(_is_alive(), workers.c.state == WorkerState.READY)
+    return frozenset(code for codes in connection.scalars(ready) for code in codes)
+
+
+def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
+    """Detectors that every ready worker has, for any of them may take a chunk; ``None`` if no worker is ready."""
+    ready = [frozenset(worker.detectors) for worker in found if worker.state is WorkerState.READY]
+    return frozenset.intersection(*ready) if ready else None
+
+
+def _is_alive() -> ColumnElement[bool]:
+    # Also not from the future: where the clock was put back, those would be there for ever.
+    return workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
+
+
+def _forget_silent(connection: Connection) -> None:
+    silent = or_(workers.c.seen_at < now() - _FORGOTTEN_AFTER_S, workers.c.seen_at > now() + _FORGOTTEN_AFTER_S)
+    connection.execute(delete(workers).where(silent))

@@ -1,0 +1,1 @@
+"""Processes of the service: start, supervise and end them, and what each one needs."""

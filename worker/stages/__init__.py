@@ -1,0 +1,1 @@
+"""Stages of a job, as workers run them."""

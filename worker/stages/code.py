@@ -1,0 +1,80 @@
+"""Digest of the code behind each stage, with the versions of the numeric libraries; standard library only.
+
+The digest is part of the keys of a stage's outputs: other code never finds the outputs of this one, and equal code
+finds them whatever else has changed. It also says which workers can run a chunk.
+"""
+
+import functools
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import MappingProxyType
+
+from pipeline.runtime.code_digest import forget_sources, function_digest
+
+DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
+
+FUNCTIONS: Mapping[str, str] = {
+    DETECT: "detect",
+    LENGTHS: "measure_lengths",
+    POSES: "find_poses",
+    ASSOCIATE: "associate_people",
+    FIT: "fit_skeletons",
+    EXPORT: "export",
+}
+"""Name of each stage's function in ``worker.stages.run``, which is not imported here: it loads the science."""
+
+LIBRARIES = (
+    "av",
+    "ezc3d",
+    "llvmlite",
+    "numba",
+    "numpy",
+    "onnx",
+    "onnxruntime",
+    "opencv-python-headless",
+    "pygltflib",
+    "scipy",
+    "tflite",
+)
+"""Distributions whose versions results may depend on."""
+
+_ROOT = Path(__file__).parents[2]
+
+
+@functools.cache
+def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Mapping[str, str]:
+    """Digest of the code of each stage, by name of the stage.
+
+    It takes about a second, once a process.
+
+    Parameters
+    ----------
+    root
+        Folder of the packages' sources.
+    libraries
+        Distributions whose installed versions count.
+
+    Returns
+    -------
+        SHA-256 in hexadecimal digits.
+    """
+    versions = [[name, _version(name)] for name in libraries]
+    digests = {stage: function_digest(root, "worker.stages.run", function) for stage, function in FUNCTIONS.items()}
+    forget_sources()
+    return MappingProxyType(
+        {
+            stage: hashlib.sha256(json.dumps([digest, versions]).encode()).hexdigest()
+            for stage, digest in digests.items()
+        }
+    )
+
+
+def _version(distribution: str) -> str:
+    # An API's machine may lack a library that its workers have; see `requirements.lock` for the versions of both.
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return ""

@@ -1,0 +1,1 @@
+"""Webhooks: messages about the ends of jobs, sent to clients' addresses."""
