@@ -15,6 +15,8 @@ from collections.abc import Callable
 
 import structlog
 
+from pipeline.stages.code import stage_codes
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
@@ -22,10 +24,9 @@ from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.files.removals import remove_files
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
+from worker.planning import plan_job
 from worker.process.descriptors import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
-from worker.stages.code import stage_codes
-from worker.stages.plan import DEFAULT_CHUNK_FRAMES, plan
 from worker.telemetry.logs import configure_logs
 from worker.webhooks.sender import Sender, deliver_forever
 
@@ -56,7 +57,7 @@ def reap(
             if not store.is_run(stage_codes().values()):
                 return  # workers of this version may come later
             job = store.job(job_id)
-            if store.plan_again(job_id, plan(store.session(job.session_id), job.spec, chunk_frames)):
+            if store.plan_again(job_id, plan_job(store.session(job.session_id), job.spec, chunk_frames)):
                 log.info("job_planned_again", job=job_id)
                 publish()
 

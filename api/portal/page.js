@@ -10,14 +10,6 @@ const STATES = {
   queued: "Waiting", running: "Running", canceling: "Canceling", succeeded: "Done",
   failed: "Failed", canceled: "Canceled", expired: "Expired",
 };
-const STAGES = {
-  detect: "Detect 2D joints",
-  lengths: "Measure bones",
-  poses: "Find people",
-  associate: "Track people",
-  fit: "Fit skeletons",
-  export: "Write files",
-};
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 
 const at = (id) => document.getElementById(id);
@@ -110,12 +102,11 @@ function fillStages(place, stages) {
   while (place.children.length < stages.length) place.append(clone("stage"));
   stages.forEach((stage, index) => {
     const row = place.children[index];
-    const label = STAGES[stage.name] ?? stage.name;
-    row.querySelector(".label").textContent = label;
+    row.querySelector(".label").textContent = stage.label;
     row.querySelector(".count").textContent = counted(stage);
     const bar = row.querySelector("progress");
     bar.value = stage.fraction;
-    bar.setAttribute("aria-label", label);
+    bar.setAttribute("aria-label", stage.label);
   });
 }
 

@@ -29,7 +29,7 @@ from worker.jobs.model import RETRYABLE, Job, JobState
 from worker.jobs.repositories.idempotency_keys import Answer
 from worker.jobs.repositories.records import Records
 from worker.jobs.spec import JobSpec
-from worker.stages.plan import is_of_keypoints, plan
+from worker.planning import has_videos, plan_job
 from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -66,12 +66,12 @@ def create_job(
     def act(records: Records) -> Job:
         session = records.session(session_id)
         errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, records)]
-        if not is_of_keypoints(session):
+        if has_videos(session):
             errors += detector_errors(spec, services, pointer_to("detector"))
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan(session, spec, services.settings.chunk_frames)
+        stages = plan_job(session, spec, services.settings.chunk_frames)
         job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
         _announce(services, job)
         return job
@@ -100,7 +100,7 @@ async def create_session_and_job(request: Request, services: ServicesDep, once: 
             new.id,
             new.upload_ids,
             new.spec,
-            plan(new, new.spec, services.settings.chunk_frames),
+            plan_job(new, new.spec, services.settings.chunk_frames),
             services.settings.retention_s,
             tracing.current(),
             new.metadata,
@@ -193,10 +193,10 @@ def retry_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
         job = records.job(job_id)
         session = records.session(job.session_id)
         may_retry = job.state in RETRYABLE  # else the store says why not
-        if may_retry and not is_of_keypoints(session) and (errors := detector_errors(job.spec, services, None)):
+        if may_retry and has_videos(session) and (errors := detector_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan(session, job.spec, services.settings.chunk_frames)
+        stages = plan_job(session, job.spec, services.settings.chunk_frames)
         job = records.retry(job_id, stages, tracing.current())
         services.queue.publish()
         return job

@@ -33,7 +33,7 @@ from worker.jobs.database.tables import deliveries
 from worker.jobs.model import Delivery, Job, WebhookSecret
 from worker.jobs.repositories.deliveries import MAX_TRIES
 from worker.jobs.spec import JobSpec
-from worker.stages.plan import plan
+from worker.planning import plan_job
 from worker.webhooks import sender as webhooks
 from worker.webhooks.addresses import is_public, url_fault
 from worker.webhooks.sender import Courier, Sender
@@ -105,7 +105,7 @@ def certify(folder: Path, name: str) -> tuple[Path, Path]:
 def end_job(bench: Bench, url: str) -> Job:
     """Have a job come to its end that somebody wants to be told of."""
     spec = JobSpec(callback_url=url)
-    job = bench.store.create_job(bench.session.id, spec, plan(bench.session, spec, 1000))
+    job = bench.store.create_job(bench.session.id, spec, plan_job(bench.session, spec, 1000))
     bench.runner().work(60.0)
     return bench.store.job(job.id)
 
@@ -155,7 +155,7 @@ def test_nobody_is_told_who_did_not_ask(bench: Bench) -> None:
 def test_every_end_is_told(bench: Bench, receiver: Receiver, end: str, state: str) -> None:
     bench.store.rotate_webhook_secret("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
-    job = bench.store.create_job(bench.session.id, spec, plan(bench.session, spec, 1000), retention_s=-1.0)
+    job = bench.store.create_job(bench.session.id, spec, plan_job(bench.session, spec, 1000), retention_s=-1.0)
     if end == "cancel":
         bench.store.cancel(job.id)
     else:

@@ -13,18 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from pipeline.runtime.code_digest import forget_sources, function_digest
-
-DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
-
-FUNCTIONS: Mapping[str, str] = {
-    DETECT: "detect",
-    LENGTHS: "measure_lengths",
-    POSES: "find_poses",
-    ASSOCIATE: "associate_people",
-    FIT: "fit_skeletons",
-    EXPORT: "export",
-}
-"""Name of each stage's function in ``worker.stages.run``, which is not imported here: it loads the science."""
+from pipeline.stages.plan import STAGES
 
 LIBRARIES = (
     "av",
@@ -42,6 +31,8 @@ LIBRARIES = (
 """Distributions whose versions results may depend on."""
 
 _ROOT = Path(__file__).parents[2]
+# Not imported here: it loads the science.
+_MODULE = "pipeline.stages.run"
 
 
 @functools.cache
@@ -62,7 +53,7 @@ def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Map
         SHA-256 in hexadecimal digits.
     """
     versions = [[name, _version(name)] for name in libraries]
-    digests = {stage: function_digest(root, "worker.stages.run", function) for stage, function in FUNCTIONS.items()}
+    digests = {stage.name: function_digest(root, _MODULE, stage.function) for stage in STAGES}
     forget_sources()
     return MappingProxyType(
         {
