@@ -2,8 +2,9 @@
 
 import contextlib
 import hashlib
+import json
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -18,9 +19,9 @@ from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
-from pipeline.stages.code import stage_codes
+from pipeline.stages.code import sources_sha256, stage_codes
 from pipeline.stages.output_folder import OutputFolder, output_folder
-from pipeline.stages.plan import EXPORT, STAGES, PlannedStage, SessionFacts, Task, plan
+from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, plan
 from pipeline.stages.records_npz import encode_keypoints, encode_session
 from pipeline.stages.run import Context, assemble, load_detector, run_task
 from pipeline.video.probe import mean_rate_hz
@@ -62,9 +63,9 @@ def reconstruct(
     """
     _check(session, config)
     facts = session_facts(session, () if cache is None else _inputs(session))
-    codes = dict.fromkeys((stage.name for stage in STAGES), "") if cache is None else stage_codes()
-    stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name != EXPORT]
     with output_folder(cache) as outputs, tempfile.TemporaryDirectory(prefix="multicap-") as scratch:
+        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
+        stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name != EXPORT]
         job = _Job(session, config, facts, stages, outputs, Path(scratch))
         for stage in stages:
             _run_stage(job, stage, on_progress)
@@ -92,6 +93,15 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
         },
         has_videos=not isinstance(session, KeypointSession),
     )
+
+
+def _codes(outputs: OutputFolder) -> Mapping[str, str]:
+    """Digests of the stages' code, which an earlier run has kept: to compute them takes a second."""
+    key = sources_sha256()
+    if (kept := outputs.read(key)) is None:
+        outputs.write(key, kept := json.dumps(dict(stage_codes())).encode())
+    codes: dict[str, str] = json.loads(kept)
+    return codes
 
 
 def _inputs(session: Session) -> tuple[str, ...]:
