@@ -234,7 +234,7 @@ function numberInput(choice, whole) {
 const FIELDS = {
   one(choice) {
     const select = Object.assign(document.createElement("select"), { name: choice.name, title: choice.description });
-    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default)));
+    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default, name === choice.default)));
     return labelled(choice.label, select);
   },
   several(choice) {
