@@ -21,9 +21,9 @@ from typing import Any
 from pipeline.calibration.registry import UNITS_M
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
-from pipeline.stages.records_npz import encode_keypoints, encode_session
 from pipeline.video.probe import mean_rate_hz
 
 EXIT_BAD_INPUT = 2

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.data import PafFields
 from pipeline.errors import PipelineError
-from pipeline.stages.records_npz import decode_fields
+from pipeline.stages.outputs_npz import decode_fields
 
 
 class FieldFiles:

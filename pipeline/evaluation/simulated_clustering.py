@@ -28,8 +28,8 @@ from pipeline.joints import COCO_18
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.simulation.scenes import Simulation
 from pipeline.simulation.views.fields import GRID, render
+from pipeline.stages.outputs_npz import encode_fields
 from pipeline.stages.plan import FrameCut
-from pipeline.stages.records_npz import encode_fields
 from pipeline.video.timeline import span_s
 
 _CHUNK_FRAMES = 25
