@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths, unlimited_lengths
-from pipeline.clustering.instant.candidates import Instant, Seen, SeenBodies
+from pipeline.clustering.instant.candidates import BodyEvidence, Instant, ViewEvidence
 from pipeline.clustering.instant.clusters import find_joints
 from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.parsing import Poses, parse
@@ -44,7 +44,7 @@ def sampled_frames(timebase: Timebase, parameters: ClusteringParameters) -> rang
 
 def find_people(
     cameras: Sequence[Camera],
-    seen: Seen,
+    seen: ViewEvidence,
     frames: Iterable[int],
     skeleton: Skeleton,
     lengths: LimbLengths,
@@ -92,7 +92,7 @@ def find_people(
 
 def first_lengths(
     cameras: Sequence[Camera],
-    seen: Iterable[tuple[Seen, Iterable[int]]],
+    seen: Iterable[tuple[ViewEvidence, Iterable[int]]],
     timebase: Timebase,
     skeleton: Skeleton,
     parameters: ClusteringParameters,
@@ -172,13 +172,13 @@ def reconstruct_by_clustering(
     ValueError
         If the detector lacks a joint of the paper's skeleton, beside the neck.
     """
-    seen = SeenBodies(cameras, times, detections, timebase, skeleton_of(joints), parameters)
-    return reconstruct_seen(cameras, lambda _: seen, [range(timebase.num_frames)], timebase, joints, parameters)
+    seen = BodyEvidence(cameras, times, detections, timebase, skeleton_of(joints), parameters)
+    return reconstruct_evidence(cameras, lambda _: seen, [range(timebase.num_frames)], timebase, joints, parameters)
 
 
-def reconstruct_seen(
+def reconstruct_evidence(
     cameras: Sequence[Camera],
-    seen_in: Callable[[range], Seen],
+    evidence_in: Callable[[range], ViewEvidence],
     ranges: Sequence[range],
     timebase: Timebase,
     joints: JointSet,
@@ -188,7 +188,7 @@ def reconstruct_seen(
 
     Parameters
     ----------
-    seen_in
+    evidence_in
         What shows a range; asked twice for each.
     ranges
         All output frames, in order.
@@ -201,9 +201,9 @@ def reconstruct_seen(
     """
     skeleton = skeleton_of(joints)
     sampled = sampled_frames(timebase, parameters)
-    seen = ((seen_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
+    seen = ((evidence_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
     lengths = first_lengths(cameras, seen, timebase, skeleton, parameters)
-    poses = [find_people(cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges]
+    poses = [find_people(cameras, evidence_in(frames), frames, skeleton, lengths, parameters) for frames in ranges]
     return link_people(cameras, join_poses(poses), timebase, joints, parameters)
 
 

@@ -17,8 +17,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pipeline.clustering.associate import reconstruct_seen
-from pipeline.clustering.instant.candidates import SeenFields
+from pipeline.clustering.associate import reconstruct_evidence
+from pipeline.clustering.instant.candidates import FieldEvidence
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Observations, Track3D
@@ -68,12 +68,12 @@ def cluster_fields(
     parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
     skeleton, timebase = skeleton_of(COCO_18), simulation.timebase
 
-    def seen_in(frames: range) -> SeenFields:
+    def evidence_in(frames: range) -> FieldEvidence:
         fields = files.read(frames)
-        return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
+        return FieldEvidence(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
 
     ranges = chunk_ranges(range(timebase.num_frames), _CHUNK_FRAMES)
-    return reconstruct_seen(simulation.cameras, seen_in, ranges, timebase, COCO_18, parameters)
+    return reconstruct_evidence(simulation.cameras, evidence_in, ranges, timebase, COCO_18, parameters)
 
 
 def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:

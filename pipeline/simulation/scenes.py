@@ -11,7 +11,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.joints import COCO_17, JointSet
 from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast, improvise
-from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
 from pipeline.simulation.views.detector import Detector, detect

@@ -10,7 +10,7 @@ from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.track_assembly import number_people, record_life
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore, part_of
-from pipeline.tracking.observations import Bodies, gather, observations_at, people, undistorted
+from pipeline.tracking.observations import Bodies, gather, observations_at, rows_by_person, undistorted
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.tracker import Tracker, make_frames
 
@@ -61,7 +61,7 @@ def locate_people(
         Tracks numbered from 1 in order of their first frame, and the observations behind each.
     """
     bodies = gather(cameras, times, detections)
-    lives = list(people(bodies, np.concatenate([identities[camera.name] for camera in cameras])))
+    lives = list(rows_by_person(bodies, np.concatenate([identities[camera.name] for camera in cameras])))
     xyz_m = _triangulate(cameras, bodies, undistorted(cameras, bodies), lives, timebase, parameters, ignore)
     return _record(cameras, bodies, lives, xyz_m, timebase, parameters, ignore)
 
@@ -108,7 +108,7 @@ def track_bodies(
     # take half as much again as the result.
     ideal_px = undistorted(cameras, bodies)
     identity = _identify(cameras, times, bodies, ideal_px, parameters, part_of(on_share, 0.0, 0.5), on_approximate)
-    lives = list(people(bodies, identity))
+    lives = list(rows_by_person(bodies, identity))
     xyz_m = _triangulate(cameras, bodies, ideal_px, lives, timebase, parameters, part_of(on_share, 0.5, 0.75))
     del ideal_px
     return _record(cameras, bodies, lives, xyz_m, timebase, parameters, part_of(on_share, 0.75, 1.0))

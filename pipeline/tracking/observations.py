@@ -62,7 +62,7 @@ def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, 
     return ideal_px
 
 
-def people(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
+def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
     """Rows of each person's detections, ascending; of two in a frame the one with the higher scores."""
     by_person = np.argsort(identity, kind="stable")
     for rows in np.split(by_person, np.flatnonzero(np.diff(identity[by_person])) + 1):

@@ -12,7 +12,7 @@ from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.kernels import tracking_kernels as kernels
-from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
+from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_targets, make_workspace
 from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
 
@@ -94,7 +94,7 @@ class Tracker:
         self._rig = make_rig(cameras)
         most = int((frames.last - frames.first).max(initial=1))
         self._targets = make_targets(_FIRST_SLOTS, len(cameras), frames.score.shape[1], most)
-        self._room = make_room(_FIRST_SLOTS, most)
+        self._workspace = make_workspace(_FIRST_SLOTS, most)
         self._pool = Pool(
             np.zeros((len(cameras), most), np.int64), np.zeros(len(cameras), np.int64), np.full(len(cameras), -np.inf)
         )
@@ -128,7 +128,7 @@ class Tracker:
             stop = min(event + _FRAMES_AT_ONCE, num_frames)
             frames = self._frames._replace(time_s=self._frames.time_s[:stop])
             event = kernels.track(
-                event, frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._room
+                event, frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._workspace
             )
             if event < stop:
                 time_s = float(self._frames.time_s[event])
@@ -213,7 +213,7 @@ class Tracker:
         return slot
 
     def _new_slot(self) -> int:
-        self._make_room()
+        self._grow()
         slot = int(self._targets.order[self._targets.alive[0]])
         self._targets.alive[0] += 1
         kernels.clear(self._targets, slot, self._num_born)
@@ -240,7 +240,7 @@ class Tracker:
         rows[: len(left)] = left
         self._pool.num_rows[claimed.camera] = len(left)
 
-    def _make_room(self) -> None:
+    def _grow(self) -> None:
         """Twice as many slots where all are taken, twice as many identities likewise."""
         num_slots = len(self._targets.state)
         if self._targets.alive[0] == num_slots:
@@ -252,7 +252,7 @@ class Tracker:
             for old, new in zip(self._targets[2:], larger[2:], strict=True):
                 new[: len(old)] = old
             self._targets = larger
-            self._room = make_room(2 * num_slots, len(self._targets.bodies))
+            self._workspace = make_workspace(2 * num_slots, len(self._targets.bodies))
         if self._num_born == len(self._outcome.earned):
             self._outcome = self._outcome._replace(
                 replaced_by=_doubled(self._outcome.replaced_by, -1), earned=_doubled(self._outcome.earned, False)

@@ -22,7 +22,7 @@ class Instant(NamedTuple):
 
 
 @runtime_checkable
-class Seen(Protocol):
+class ViewEvidence(Protocol):
     """What cameras saw over time."""
 
     def at(self, frame: int) -> Instant:
@@ -40,7 +40,7 @@ def frame_at(times: FrameTimes, timebase: Timebase, frame: int) -> int | None:
     return int(first + np.abs(times.time_s[first:stop] - timebase.time_s(frame)).argmin())
 
 
-class SeenBodies:
+class BodyEvidence:
     """Candidates of whole bodies that a detector found; those of one body are connected.
 
     Parameters
@@ -70,7 +70,7 @@ class SeenBodies:
         self._evidence = Membership(skeleton, parameters.tau2)
 
     def at(self, frame: int) -> Instant:
-        """Candidates, whose body is the row of its detection among its camera's; see ``Seen``."""
+        """Candidates, whose body is the row of its detection among its camera's; see ``ViewEvidence``."""
         views = []
         for view, times in enumerate(self._times):
             mine = frame_at(times, self._timebase, frame)
@@ -93,7 +93,7 @@ class SeenBodies:
         )
 
 
-class SeenFields:
+class FieldEvidence:
     """Candidates from peaks of heatmaps; part affinity fields connect them.
 
     Parameters
@@ -119,7 +119,7 @@ class SeenFields:
         (self._limbs,) = {one.limbs.tobytes(): one.limbs for one in self._fields}.values()
 
     def at(self, frame: int) -> Instant:
-        """Candidates and fields; see ``Seen``."""
+        """Candidates and fields; see ``ViewEvidence``."""
         views, shown = [], []
         for view, (camera, one) in enumerate(zip(self._cameras, self._fields, strict=True)):
             mine = frame_at(self._times[view], self._timebase, frame)

@@ -119,7 +119,7 @@ class Targets(NamedTuple):
     sums: np.ndarray  # (1,) of sums_dtype
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
 
     affinity: np.ndarray  # (slots, most detections in a frame)
@@ -156,7 +156,7 @@ class Outcome(NamedTuple):
 
 
 def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detections: int) -> Targets:
-    """Room for so many targets, none of them alive."""
+    """Workspace for so many targets, none of them alive."""
     lanes = round_up(num_joints)
     return Targets(
         alive=np.zeros(1, np.int64),
@@ -170,10 +170,10 @@ def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detecti
     )
 
 
-def make_room(num_slots: int, most_detections: int) -> Room:
+def make_workspace(num_slots: int, most_detections: int) -> Workspace:
     """Arrays to work in."""
     side = max(num_slots, most_detections)
-    return Room(
+    return Workspace(
         affinity=np.empty((num_slots, most_detections)),
         match=np.empty(num_slots, np.int64),
         rows=np.empty(num_slots, np.int64),

@@ -14,7 +14,7 @@ from trc import TRCData
 from pipeline.data import Timebase, Track3D
 from pipeline.export.writers import c3d_file, csv_table, trc
 from pipeline.joints import COCO_17
-from tests.pipeline.skeleton.people import track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 RATES_HZ = (25.0, 30000 / 1001, 120000 / 1001)
 START = 7

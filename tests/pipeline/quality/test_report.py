@@ -9,7 +9,7 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
 from pipeline.quality.report import acceleration_m_s2, bone_length_std_cm, encode, estimate_stature_m, quality_report
-from tests.pipeline.skeleton.people import SHIN_M, THIGH_M, TRUNK_M, track_of, walker, without
+from tests.pipeline.skeleton.synthetic_tracks import SHIN_M, THIGH_M, TRUNK_M, track_of, walker, without
 
 RATE_HZ = 30.0
 

@@ -22,7 +22,7 @@ from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, placed
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import ring_camera
-from tests.pipeline.skeleton.people import walker
+from tests.pipeline.skeleton.synthetic_tracks import walker
 
 HARD = Detector(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
 _Found = tuple[tuple[Track3D, ...], tuple[Observations, ...]]

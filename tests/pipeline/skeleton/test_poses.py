@@ -9,7 +9,7 @@ from pipeline.data import SkeletonMotion
 from pipeline.joints import COCO_17, JointSet
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
-from tests.pipeline.skeleton.people import (
+from tests.pipeline.skeleton.synthetic_tracks import (
     EARS_ABOVE_SHOULDERS_M,
     FOREARM_M,
     HALF_HIPS_M,

@@ -16,7 +16,7 @@ from pipeline.joints import COCO_17
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
-from tests.pipeline.skeleton.people import timebase, track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import timebase, track_of, walker
 
 TOLERANCE_CM = 0.1
 NTSC_HZ = 30000 / 1001

@@ -8,7 +8,7 @@ import pytest
 from pipeline.data import Camera, Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.joints import COCO_17
-from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 from pipeline.simulation.views.detector import NOBODY, PERFECT, Detector, detect

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.joints import COCO_17
-from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Role
 from pipeline.simulation.rigs import look_at
 from pipeline.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.joints import COCO_17, LIMBS
-from pipeline.simulation.motion.people import Person, joints_at, perform
+from pipeline.simulation.motion.performance import Person, joints_at, perform
 from pipeline.simulation.motion.script import Away, Cue, Gesture, Role, Stay, Turn, Walk
 
 RIGID = (
