@@ -1,4 +1,4 @@
-"""All files of a reconstruction at once: takes that are odd, and files that do not hold what they should."""
+"""Result files of a reconstruction: unusual takes, and files with wrong contents."""
 
 import json
 from collections.abc import Iterator

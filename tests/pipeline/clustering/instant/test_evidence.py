@@ -1,4 +1,4 @@
-"""Part affinity fields as evidence, on fields whose content is known."""
+"""Part affinity fields as evidence, with fields of known content."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def places(joint: int, xyz_m: np.ndarray, num_cameras: int) -> Places:
 
 
 def field_towards(camera: Camera, strength: float) -> ViewFields:
-    """Everywhere the direction from elbow to wrist as the camera sees it."""
+    """Fields with the projected direction from elbow to wrist in all cells."""
     begin, end = (project(camera, xyz_m)[0] for xyz_m in (ELBOW_M, WRIST_M))
     unit = (end - begin) / np.linalg.norm(end - begin)
     shape = camera.size_px[1] // 8, camera.size_px[0] // 8

@@ -1,4 +1,4 @@
-"""The compiled loops against plain numpy."""
+"""Compiled tracking loops, compared with the reference in NumPy."""
 
 from dataclasses import replace
 
