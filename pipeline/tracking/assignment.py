@@ -71,14 +71,14 @@ def partition(affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarr
     for label in np.unique(labels):
         nodes = np.flatnonzero(labels == label)
         inside = affinities[np.ix_(nodes, nodes)], groups[nodes]
-        found = _partition_by_best(*inside)
-        if found is None and len(nodes) <= min(_MAX_PROGRAMME_NODES, left_nodes):
+        solution = _partition_by_best(*inside)
+        if solution is None and len(nodes) <= min(_MAX_PROGRAMME_NODES, left_nodes):
             left_nodes -= len(nodes)
-            found = _partition_connected(*inside)
-        if found is None:
-            found = _partition_camera_by_camera(*inside)
+            solution = _partition_connected(*inside)
+        if solution is None:
+            solution = _partition_camera_by_camera(*inside)
             is_exact &= len(np.unique(inside[1])) == 2
-        parts.extend(tuple(nodes[list(part)].tolist()) for part in found)
+        parts.extend(tuple(nodes[list(part)].tolist()) for part in solution)
     return Partition(tuple(parts), is_exact)
 
 

@@ -124,10 +124,10 @@ class Target:
         fresh = age_s < parameters.velocity_window_s
         penalty = np.where(fresh, np.exp(-parameters.lambda_t_hz * np.where(fresh, age_s, 0.0)), 0.0)
         xyz_m = triangulate(image_from_world, self.last_px, penalty[:, None] * self.weight)
-        found = np.isfinite(xyz_m[:, 0])
-        self.xyz_m = np.where(found[:, None], xyz_m, self.xyz_m)
-        self.updated_s = np.where(found, time_s, self.updated_s)
-        self.moved_s = time_s if found.any() else self.moved_s
+        is_located = np.isfinite(xyz_m[:, 0])
+        self.xyz_m = np.where(is_located[:, None], xyz_m, self.xyz_m)
+        self.updated_s = np.where(is_located, time_s, self.updated_s)
+        self.moved_s = time_s if is_located.any() else self.moved_s
         self.is_fitted = False
         spacing_s = parameters.velocity_window_s / (NUM_RECENT - 1)
         if self.recent and time_s - self.recent_since_s < spacing_s:

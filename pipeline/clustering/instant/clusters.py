@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.clustering.instant.effort import MAX_CANDIDATES, MAX_DENSE, MAX_JOINTS, MAX_NEIGHBOURS, Effort
-from pipeline.clustering.instant.evidence import NOWHERE, Evidence, Places
+from pipeline.clustering.instant.evidence import NOWHERE, Evidence, Points
 from pipeline.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
 from pipeline.clustering.instant.joints import refine
 from pipeline.clustering.parameters import ClusteringParameters
@@ -41,29 +41,29 @@ class Joints(NamedTuple):
 
     Parameters
     ----------
-    places
+    points
         Kinds and positions of the joints.
     candidate
         Row of the candidate behind a joint in each view, (joints, cameras); ``NOWHERE`` for no candidate.
     """
 
-    places: Places
+    points: Points
     candidate: np.ndarray
 
     def where(self, chosen: Bool[np.ndarray, " joints"] | Int[np.ndarray, " chosen"]) -> "Joints":
         """Select joints by a mask or by rows."""
-        return Joints(Places(*(values[chosen] for values in self.places)), self.candidate[chosen])
+        return Joints(Points(*(values[chosen] for values in self.points)), self.candidate[chosen])
 
     def with_others(self, others: "Joints") -> "Joints":
         """Append other joints."""
-        places = Places(*(np.concatenate(pair) for pair in zip(self.places, others.places, strict=True)))
-        return Joints(places, np.concatenate([self.candidate, others.candidate]))
+        points = Points(*(np.concatenate(pair) for pair in zip(self.points, others.points, strict=True)))
+        return Joints(points, np.concatenate([self.candidate, others.candidate]))
 
 
 def no_joints(num_cameras: int) -> Joints:
     """Make an empty set of joints."""
     nothing = np.empty((0, num_cameras), int)
-    return Joints(Places(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
+    return Joints(Points(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
 
 
 def find_joints(
@@ -85,19 +85,19 @@ def find_joints(
     effort
         See ``effort.Effort``.
     """
-    found = no_joints(len(image_from_world))
+    joints = no_joints(len(image_from_world))
     certain = _most_certain(candidates, effort)
     for level in skeleton.levels:
         of_level = certain[np.isin(candidates.joint[certain], level)]
         here = candidates.where(of_level)
         hypotheses = meet(image_from_world, here, parameters.tau1_px, effort)
         drafts: list[_Draft] = []
-        is_small = len(found.places.joint) * len(hypotheses.pair) <= MAX_DENSE
+        is_small = len(joints.points.joint) * len(hypotheses.pair) <= MAX_DENSE
         for kinds in [level] if is_small else [[kind] for kind in level]:
             of_kinds = hypotheses.where(np.isin(here.joint[hypotheses.pair[:, 0]], kinds))
-            is_parent = np.isin(found.places.joint, [skeleton.parents[kind] for kind in kinds])
+            is_parent = np.isin(joints.points.joint, [skeleton.parents[kind] for kind in kinds])
             parent = np.flatnonzero(is_small | is_parent)
-            parents = found.where(parent).places
+            parents = joints.where(parent).points
             value = np.empty((0, len(of_kinds.pair)))
             if level != [0]:
                 value = _agreement(here, of_kinds, parents, evidence, skeleton, lengths, parameters)
@@ -110,10 +110,10 @@ def find_joints(
                     image_from_world, here, of_kinds, value, parents, skeleton, lengths, parameters, effort
                 )
             ]
-        located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m, effort)
+        located = _locate(image_from_world, here, drafts, joints.points, parameters.eps_m, effort)
         candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
-        found = found.with_others(located._replace(candidate=candidate))
-    return found
+        joints = joints.with_others(located._replace(candidate=candidate))
+    return joints
 
 
 def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _"]:
@@ -129,7 +129,7 @@ def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _
 def _agreement(
     candidates: Candidates,
     hypotheses: Hypotheses,
-    parents: Places,
+    parents: Points,
     evidence: Evidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
@@ -142,7 +142,7 @@ def _agreement(
     joint = candidates.joint[hypotheses.pair[:, 0]]
     body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
     np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
-    points = Places(joint, hypotheses.xyz_m, body)
+    points = Points(joint, hypotheses.xyz_m, body)
     error = length_error(parents, points, skeleton, lengths)
     possible = error <= parameters.leniency * parameters.tau3
     score = evidence.connect(parents, points, possible) if parameters.use_connectivity else np.full(error.shape, np.nan)
@@ -164,7 +164,7 @@ def _draft(
     candidates: Candidates,
     hypotheses: Hypotheses,
     value: Float[np.ndarray, "parents hypotheses"],
-    parents: Places,
+    parents: Points,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
@@ -228,7 +228,7 @@ def _split(
     members: Int[np.ndarray, " _"],
     joint: int,
     parent_of: Int[np.ndarray, " hypotheses"],
-    parents: Places,
+    parents: Points,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
@@ -238,8 +238,8 @@ def _split(
     if len(wanted) < 2 or not parameters.split_clusters:
         yield int(wanted[counts.argmax()]), members
         return
-    centre = Places(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
-    error = length_error(Places(*(values[wanted] for values in parents)), centre, skeleton, lengths)
+    centre = Points(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
+    error = length_error(Points(*(values[wanted] for values in parents)), centre, skeleton, lengths)
     if (error <= parameters.tau3).sum() < 2:
         yield int(wanted[counts.argmax()]), members
         return
@@ -260,15 +260,15 @@ def _outbid(
     cluster_of = np.empty(len(joint), int)
     for number, members in enumerate(clusters):
         cluster_of[members] = number
-    found: dict[int, list[int]] = {}
+    by_cluster: dict[int, list[int]] = {}
     for kind in np.unique(joint):
         of_kind = np.flatnonzero(joint == kind)
         could = np.any(value[:, of_kind] > -np.inf, axis=1)
         could[parent_of[of_kind]] = False
         for parent in np.flatnonzero(could).tolist():
             best = of_kind[value[parent, of_kind].argmax()]
-            found.setdefault(int(cluster_of[best]), []).append(parent)
-    return found
+            by_cluster.setdefault(int(cluster_of[best]), []).append(parent)
+    return by_cluster
 
 
 def _extract(
@@ -327,7 +327,7 @@ def _locate(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
     drafts: list[_Draft],
-    parents: Places,
+    parents: Points,
     eps_m: float,
     effort: Effort,
 ) -> Joints:
@@ -365,7 +365,7 @@ def _locate(
     body = np.append(candidates.body, NOWHERE)[chosen]
     if kept[0].parent != NOWHERE:
         body = np.where(body >= 0, body, parents.body[[draft.parent for draft in kept]])
-    return Joints(Places(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
+    return Joints(Points(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
 
 
 def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:

@@ -19,7 +19,7 @@ NOWHERE = -1
 """Number of a missing detection or candidate."""
 
 
-class Places(NamedTuple):
+class Points(NamedTuple):
     """3D points that may be joints.
 
     Parameters
@@ -47,7 +47,7 @@ class Evidence(Protocol):
         """Least score of each joint of the skeleton with its parent: tau2 of eq. 2."""
 
     def connect(
-        self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
         """Connectivity scores S of wanted pairs (eq. 1); NaN for other pairs and for pairs without evidence."""
 
@@ -65,7 +65,7 @@ class Membership:
         self.least = np.full(len(skeleton.names), tau2)
 
     def connect(
-        self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
         """Mean of s over the views with detections behind both points; see ``Evidence``."""
         num_known, num_same = np.zeros(wanted.shape, np.int32), np.zeros(wanted.shape, np.int32)
@@ -108,7 +108,7 @@ class AffinityFields:
         self.least = tau2 * np.array(skeleton.field_share)
 
     def connect(
-        self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
         """Mean of s over the views that contain both projections; see ``Evidence``."""
         limb = self._limb_of[points.joint]

@@ -84,7 +84,7 @@ def meet(
     views = image_from_world[candidates.view]
     rows = plane_rows(views, candidates.points_px[:, None])[:, 0]
     normal = rows.swapaxes(-1, -2) @ rows
-    found = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
+    of_joints = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
     for joint in np.unique(candidates.joint):
         pairs = _pairs(image_from_world, candidates, np.flatnonzero(candidates.joint == joint), effort)
         met, errors_px = [], [np.empty(0)]
@@ -100,8 +100,8 @@ def meet(
         if not effort.allows(len(together.pair), MAX_HYPOTHESES):
             best = np.argsort(np.concatenate(errors_px), kind="stable")[:MAX_HYPOTHESES]
             together = together.where(np.sort(best))
-        found.append(together)
-    return _joined(found)
+        of_joints.append(together)
+    return _joined(of_joints)
 
 
 def _joined(hypotheses: Sequence[Hypotheses]) -> Hypotheses:
@@ -135,9 +135,9 @@ def _views_that_meet(
     along = np.abs(axes @ axes.T)
     np.fill_diagonal(along, np.inf)
     rank = along.argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
-    one, other = np.nonzero(num_pairs)
-    in_order = np.argsort(np.minimum(rank, rank.T)[one, other], kind="stable")
-    kept = in_order[np.cumsum(num_pairs[one, other][in_order]) <= MAX_PAIRS]
+    first, second = np.nonzero(num_pairs)
+    in_order = np.argsort(np.minimum(rank, rank.T)[first, second], kind="stable")
+    kept = in_order[np.cumsum(num_pairs[first, second][in_order]) <= MAX_PAIRS]
     meeting = np.zeros(num_pairs.shape, bool)
-    meeting[one[kept], other[kept]] = True
+    meeting[first[kept], second[kept]] = True
     return meeting

@@ -107,7 +107,7 @@ def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
     candidates = candidates_of(ring, people_m, noise_px=1.0)
     parameters = ClusteringParameters(tau1_px=8.0)
     found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters, Effort())
-    of_wrists = found.candidate[found.places.joint == wrist]
+    of_wrists = found.candidate[found.points.joint == wrist]
     return [np.unique(candidates.body[chosen[chosen >= 0]]).tolist() for chosen in of_wrists]
 
 
