@@ -22,7 +22,7 @@ IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 def own(**changes: Any) -> dict[str, Any]:
-    """A camera of our own format, with some fields changed."""
+    """Camera in Multicap's format with some fields changed."""
     camera = {
         "name": "left",
         "size_px": [640, 480],
@@ -228,7 +228,7 @@ def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
 
 
 def test_coefficients_of_a_telephoto_lens_are_taken(tmp_path: Path) -> None:
-    """A lens that sees 5 degrees: at r = 0.05 from the middle k3 r^6 is 0.009, an ordinary distortion."""
+    """Lens with a view of 5 degrees: at r = 0.05 from the centre k3 r^6 is 0.009, an ordinary distortion."""
     matrix = [[22_000.0, 0.0, 959.5], [0.0, 22_000.0, 539.5], [0.0, 0.0, 1.0]]
     distortion = [0.5, -300.0, 0.001, -0.002, 6e5]
     path = write_own(tmp_path / "cameras.json", [own(size_px=[1920, 1080], matrix=matrix, distortion=distortion)])

@@ -1,4 +1,4 @@
-"""Keypoint folders: what is read, what is refused, and with which words."""
+"""Keypoint folders: accepted and rejected input, and messages of the problems."""
 
 import json
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def frames_of(scene: Path, camera: int = 0) -> list[Path]:
 
 
 def edit(path: Path, change: Callable[[list[list[float]]], object]) -> None:
-    """Change the people's numbers in a file."""
+    """Change the keypoints of the people in a file."""
     people = [one["pose_keypoints_2d"] for one in json.loads(path.read_bytes())["people"]]
     change(people)
     path.write_text(json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": one} for one in people]}))
@@ -258,7 +258,7 @@ def test_one_clock_only_and_a_sane_one(scene: Path) -> None:
 
 
 def retime(scene: Path, time_s: Callable[[int], float], cameras: slice = slice(None)) -> None:
-    """Give the frames of some cameras other times."""
+    """Change the frame times of some cameras."""
     chosen = sorted((scene / "keypoints").iterdir())[cameras]
     head, *rows = (scene / "timestamps.csv").read_text().splitlines()
     others = [row for row in rows if row.split(",")[0] not in {folder.name for folder in chosen}]
@@ -271,7 +271,7 @@ def retime(scene: Path, time_s: Callable[[int], float], cameras: slice = slice(N
 
 
 def test_the_rate_of_uneven_times_is_their_mean(scene: Path) -> None:
-    """Intervals of 2 and 3 ticks of a 60 Hz clock: their median is 20 or 30 Hz."""
+    """Intervals of 2 and 3 ticks of a 60 Hz clock, whose median is 20 or 30 Hz."""
     retime(scene, lambda number: int(2.5 * number) / 60)
     assert opened(scene).timebase.frame_rate_hz == pytest.approx(24.0, rel=0.02)
 

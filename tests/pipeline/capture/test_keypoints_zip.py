@@ -1,4 +1,4 @@
-"""Archives of keypoints from strangers."""
+"""Zip archives of keypoints from untrusted sources."""
 
 import zipfile
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Sessions from good and bad folders: every problem is said at once, with the file or camera that has it."""
+"""Sessions from valid and invalid folders: all problems at once, each with its file or camera."""
 
 import json
 import shutil
@@ -47,7 +47,7 @@ def folder(tmp_path: Path, clip: Path) -> Path:
 
 
 def problems_of(videos: Any, cameras: Path) -> set[tuple[str, str | None]]:
-    """Codes, each with its camera or else its file."""
+    """Codes of problems, each with its camera or else its file."""
     with pytest.raises(InputError) as error:
         open_session(videos, cameras)
     for problem in error.value.problems:
@@ -154,7 +154,7 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
 
 
 class TestRecordings:
-    """What a person knows of videos that neither they nor the calibration say."""
+    """Information about videos that neither the videos nor the calibration hold."""
 
     def test_offsets_shift_a_camera_s_times(self, folder: Path, tmp_path: Path) -> None:
         cameras = calibration(tmp_path / "c.json", ["a", "b"])
@@ -177,7 +177,7 @@ class TestRecordings:
     def test_the_limits_of_rates_are_taken_whatever_the_offset(
         self, folder: Path, tmp_path: Path, rate_hz: float, offset_s: float
     ) -> None:
-        """Rounding makes 1000.0000000000002 Hz of 1000 Hz from 0.1 s on."""
+        """A start at 0.1 s turns 1000 Hz into 1000.0000000000002 Hz by rounding."""
         said = [Recording(name, frame_rate_hz=rate_hz, offset_s=offset_s) for name in ("a", "b")]
         session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), said)
         assert session.timebase.frame_rate_hz == pytest.approx(rate_hz)
@@ -224,7 +224,7 @@ class TestRecordings:
         assert {(problem.code, problem.camera) for problem in error.value.problems} == found
 
     def test_offsets_of_days_with_a_rate_of_1000(self, folder: Path, tmp_path: Path) -> None:
-        """172 million output frames, of videos of ten frames."""
+        """Videos of ten frames give 172 million output frames."""
         for name in ("c", "d"):
             shutil.copy(folder / "a.mp4", folder / f"{name}.mp4")
         cameras = calibration(tmp_path / "c.json", ["a", "b", "c", "d"])
@@ -250,7 +250,7 @@ class TestRecordings:
 
 
 class TestTimesOfVideos:
-    """Uneven frames are ordinary; a video that lasts for days is not."""
+    """Uneven frames are accepted; a video of several days is not."""
 
     def open(self, tmp_path: Path, stamps_ms: list[int], ending: str = "mp4") -> CaptureSession:
         videos = [write_video(tmp_path / f"{name}.{ending}", len(stamps_ms), stamps=stamps_ms) for name in ("a", "b")]

@@ -1,4 +1,4 @@
-"""Motion at another rate."""
+"""Resampling of motion to another rate."""
 
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -6,7 +6,7 @@ from pipeline.data import Camera, DamagedVideo, Observations
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
 from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
-from tests.pipeline.skeleton.people import track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 TRACK = track_of(walker(40))
 

@@ -6,7 +6,7 @@ from pipeline.joints import COCO_17
 from pipeline.quality.report import estimate_stature_m
 from pipeline.quality.world_checks import world_checks
 from tests.pipeline.quality.test_report import CAMERAS, camera, reconstruction
-from tests.pipeline.skeleton.people import track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 
 def codes(xyz_m: np.ndarray, cameras: tuple[Camera, ...] = CAMERAS) -> list[str]:

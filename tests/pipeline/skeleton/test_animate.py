@@ -1,4 +1,4 @@
-"""Whole motions of simulated people, whose feet and elbows are known."""
+"""Animation of simulated people, with known feet and elbows."""
 
 from dataclasses import replace
 from functools import cache
@@ -22,7 +22,7 @@ from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, placed
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import ring_camera
-from tests.pipeline.skeleton.people import walker
+from tests.pipeline.skeleton.synthetic_tracks import walker
 
 HARD = Detector(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
 _Found = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
@@ -48,7 +48,7 @@ def animated(
 
 
 def bend_rad(motion: SkeletonMotion, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation of a hinge about its axis, and what is not about it."""
+    """Rotation of a hinge about its axis, and the remaining rotation."""
     hinge = np.array(KNEE_HINGE if name.endswith("Leg") else ARM_HINGES[name.removesuffix("ForeArm")])
     rotvec = Rotation.from_quat(motion.parent_from_joint[:, INDEX[name]]).as_rotvec()
     along = rotvec @ hinge
@@ -77,7 +77,7 @@ def test_joints_are_where_the_skeleton_has_them() -> None:
 
 
 def test_nothing_flips() -> None:
-    """From frame to frame no joint turns by more than 45 degrees, noise, misses and fast motion in it."""
+    """No joint turns by more than 45 degrees between frames, with noise, misses and fast motion."""
     for motion in animated("outdoor", 6.0, hard=True).motions:
         quat = motion.parent_from_joint
         cosine = np.abs((quat[1:] * quat[:-1]).sum(-1))
@@ -161,7 +161,7 @@ def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_toes_turn_feet() -> None:
-    """Somebody whose heels and toes are seen: the feet point outwards by 30 degrees."""
+    """A person with visible heels and toes, whose feet point outwards by 30 degrees."""
     num_frames, cameras = 40, tuple(ring_camera(f"cam{k}", angle) for k, angle in enumerate(np.radians([10, 130, 250])))
     coco_m = walker(num_frames) * [1.0, 1.0, 1.0] - [1.0, 1.6, 0.0]
     true_m = np.full((num_frames, 25, 3), np.nan)

@@ -1,4 +1,4 @@
-"""Floor, contacts and what leads feet to where they stand, on ankles known in closed form."""
+"""Floor, contacts and pinning of feet, on ankles in closed form."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ LEVEL = Floor(0.0, 0.0, 0.0)
 
 
 def steps(num_steps: int = 4, stance_s: float = 0.6, swing_s: float = 0.4, length_m: float = 1.2) -> np.ndarray:
-    """Ankles (frames, 2, 3) of somebody who walks along X; the right foot is half a stride behind."""
+    """World positions (frames, 2, 3) of the ankles of a walker along X; the right foot is half a stride behind."""
     time_s = np.arange(round(num_steps * (stance_s + swing_s) * RATE_HZ)) / RATE_HZ
     ankles_m = np.zeros((len(time_s), 2, 3))
     for foot, delay_s in enumerate((0.0, (stance_s + swing_s) / 2)):
@@ -39,7 +39,7 @@ def test_a_walk_s_stances_are_found_and_are_sure() -> None:
 
 
 def test_nothing_stands_in_the_air() -> None:
-    """At the top of a jump feet are still, and on their way down they are low."""
+    """Feet are still at the top of a jump, and low before they land."""
     time_s = np.arange(100) / RATE_HZ
     ankles_m = np.zeros((100, 2, 3))
     ankles_m[:, :, 0] = 0.2
@@ -77,7 +77,7 @@ def test_modes(feet: Feet, pinned: bool) -> None:
 
 
 def test_auto_leaves_alone_what_is_not_sure() -> None:
-    """A touch of a tenth of a second."""
+    """Contact of a tenth of a second."""
     brief_m = steps(stance_s=0.12, swing_s=0.6, length_m=2.0)
     auto, always = found(brief_m, "auto"), found(brief_m, "always")
     assert len(always) > 0

@@ -15,7 +15,7 @@ from tests.pipeline.media import write_audio, write_video
 
 
 def refused(path: Path) -> str:
-    """The code of the problem that a file has."""
+    """Code of the problem of a file."""
     found = probe(path)
     assert isinstance(found, Problem)
     assert found.file == path.name
@@ -92,7 +92,7 @@ def test_unsupported_codec(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("degrees", "turns"), [(90, 1), (180, 2), (-90, 3)])
 def test_rotation_is_applied(tmp_path: Path, degrees: int, turns: int) -> None:
-    """A phone's portrait video: the display matrix in the header turns the picture counterclockwise."""
+    """Portrait video of a phone: the display matrix in the header turns the picture counterclockwise."""
     path = write_video(tmp_path / "phone.mp4", 3)
     content = bytearray(path.read_bytes())
     position = content.find(b"tkhd") + 4 + 4 + 20 + 16

@@ -44,7 +44,7 @@ def test_a_pause_of_hours_is_no_stretch() -> None:
     wanted=st.tuples(st.integers(0, 9000), st.integers(1, 9000)).map(lambda one: range(one[0], one[0] + one[1])),
 )
 def test_every_frame_is_in_a_chunk_whatever_the_pauses(start_s: list[float], chunk_frames: int, wanted: range) -> None:
-    """Cameras that record for two seconds, each at another time."""
+    """Frame times of cameras that record for two seconds at different times."""
     times = {str(k): FrameTimes(one_s + np.arange(20) / 10.0) for k, one_s in enumerate(start_s)}
     timebase = session_timebase(times)
     stretches = recorded_stretches(timebase, (one.time_s for one in times.values()))
@@ -88,7 +88,7 @@ def test_mean_rate_of_even_times_does_not_depend_on_their_start(rate_hz: float, 
 
 
 def test_mean_rate_of_24_frames_a_second_on_a_clock_of_60_hz() -> None:
-    """Intervals of 2 and 3 ticks by turns; then with a gap of half a second, which does not count."""
+    """Alternating intervals of 2 and 3 ticks, then with a gap of half a second, which does not count."""
     ticks = np.floor(np.arange(241) * 2.5)
     assert mean_rate_hz(ticks / 60.0) == pytest.approx(24.0)
     ticks[120:] += 30
