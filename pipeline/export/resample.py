@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation, Slerp
 
 from pipeline.data import Animation, FootContact, Reconstruction, SkeletonMotion, Source, Timebase, Track3D, read_only
 
@@ -85,7 +86,7 @@ def _motion_at(motion: SkeletonMotion, frames: range, ratio: float, frame_rate_h
         frame_rate_hz=frame_rate_hz,
         root_m=read_only((1 - along) * motion.root_m[before] + along * motion.root_m[behind]),
         parent_from_joint=read_only(
-            _slerp(motion.parent_from_joint[before], motion.parent_from_joint[behind], weight[:, None, None])
+            _rotations_at(motion.parent_from_joint, np.minimum(before + weight, len(motion.root_m) - 1))
         ),
         contacts=tuple(_contact_at(one, motion.start_frame, frames, ratio) for one in motion.contacts),
     )
@@ -96,18 +97,12 @@ def _contact_at(contact: FootContact, start_frame: int, frames: range, ratio: fl
     return replace(contact, start_frame=held.start - frames.start, num_frames=len(held))
 
 
-def _slerp(
-    one: Float[np.ndarray, "*rotations 4"], other: Float[np.ndarray, "*rotations 4"], weight: Float[np.ndarray, "*_ 1"]
-) -> Float[np.ndarray, "*rotations 4"]:
-    """Between two unit quaternions, along the shorter arc (Shoemake, SIGGRAPH 1985)."""
-    cosine = np.sum(one * other, axis=-1, keepdims=True)
-    other, cosine = np.where(cosine < 0, -other, other), np.clip(np.abs(cosine), 0.0, 1.0)
-    angle = np.arccos(cosine)
-    sine = np.sin(angle)
-    # Where both are nearly one the arc is a line.
-    is_arc = sine > 1e-6
-    divisor = np.where(is_arc, sine, 1.0)
-    first = np.where(is_arc, np.sin((1 - weight) * angle) / divisor, 1 - weight)
-    second = np.where(is_arc, np.sin(weight * angle) / divisor, weight)
-    mixed = first * one + second * other
-    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+def _rotations_at(
+    quat_xyzw: Float[np.ndarray, "frames joints 4"], place: Float[np.ndarray, " new"]
+) -> Float[np.ndarray, "new joints 4"]:
+    """Rotations of all joints at frame numbers that need not be whole."""
+    if len(quat_xyzw) == 1:  # Slerp needs two rotations.
+        return np.repeat(quat_xyzw, len(place), axis=0)
+    frames = np.arange(len(quat_xyzw))
+    joints = (Slerp(frames, Rotation.from_quat(joint))(place).as_quat() for joint in quat_xyzw.swapaxes(0, 1))
+    return np.stack(list(joints), axis=1)
