@@ -11,7 +11,7 @@ from pipeline.capture.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TO
 from pipeline.config import MAX_OUTPUT_FRAMES
 from pipeline.data import FrameTimes
 from pipeline.errors import Problem
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import measured_rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ def _session_problems(
             hint=source.start_hint,
         )
     elif FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE) and num_frames > MAX_OUTPUT_FRAMES + 0.5:
-        fastest = max(times, key=lambda name: mean_rate_hz(times[name].time_s))
+        fastest = max(times, key=lambda name: measured_rate_hz(times[name].time_s))
         yield Problem(
             "too_many_frames",
             f"The session lasts {duration_s:,.2f} s, and its fastest camera takes {rate_hz:g} frames a second: that "

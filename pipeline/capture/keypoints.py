@@ -26,10 +26,10 @@ from pipeline.capture.session import MIN_CAMERAS
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.joints import BODY_25, COCO_17, COCO_18, JointSet
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 from pipeline.video.timeline import recorded_stretches
 
-DEFAULT_FRAME_RATE_HZ = 25.0
+DEFAULT_FRAME_RATE_HZ = float(DEFAULT_RATE)
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _FORMATS: Mapping[int, JointSet] = {3 * len(joints.names): joints for joints in (BODY_25, COCO_18, COCO_17)}
@@ -49,8 +49,6 @@ _MAX_PROBLEMS_A_CAMERA = 10
 # Far below any detector's, far above numbers whose squares are 0.
 _MIN_SCORE = 1e-9
 _MAX_START_S = 3600.0
-# Intervals that differ by less are even: only rounding sets them apart.
-_EVEN = 1e-9
 _START_HINT = "Subtract the time at which the capture started."
 
 People = Float[np.ndarray, "_ _ 3"]  # people and joints, which differ from frame to frame
@@ -330,6 +328,7 @@ def _times_from_rate(
     if not FRAME_RATE_HZ.holds(rate_hz):
         problems.append(Problem("frame_rate", f"{rate_hz:g} Hz is no frame rate.", hint=f"Use {FRAME_RATE_HZ}."))
         return {}, None
+    rate_hz = float(without_rounding(rate_hz))
     times = {camera: FrameTimes(np.array(list(of), dtype=np.float64) / rate_hz) for camera, of in frames.items()}
     source = TimeSource(
         files=folders,
@@ -370,7 +369,7 @@ def _times_from_file(
     if min(one.time_s[0] for one in times.values() if len(one.time_s)) > _MAX_START_S:
         problems.append(Problem("timestamps_start", "Times count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
-    rates_hz = [_rate_hz(one.time_s) for one in times.values() if len(one.time_s) > 1]
+    rates_hz = [measured_rate_hz(one.time_s) for one in times.values() if len(one.time_s) > 1]
     if not rates_hz:
         problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
         return times, None
@@ -392,13 +391,6 @@ def _times_from_file(
         return times, None
     end_s = max(float(one.time_s[-1]) for one in times.values())
     return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
-
-
-def _rate_hz(time_s: Float[np.ndarray, " frames"]) -> float:
-    """Mean rate of two frames at least; of even intervals the median one's, which rounding changes least."""
-    mean_hz = mean_rate_hz(time_s)
-    usual_s = float(np.median(np.diff(time_s)))
-    return 1.0 / usual_s if math.isclose(mean_hz * usual_s, 1.0, rel_tol=_EVEN) else mean_hz
 
 
 def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]] | None:

@@ -24,7 +24,7 @@ from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.stages.records_npz import encode_keypoints, encode_session
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import measured_rate_hz
 
 EXIT_BAD_INPUT = 2
 EXIT_DISK_FULL = 4
@@ -61,7 +61,7 @@ def report(
 def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
     """Mean rate of a camera; the session's for keypoints at the session's rate, or with too few frames to tell."""
     time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
-    camera_hz = mean_rate_hz(time_s)
+    camera_hz = measured_rate_hz(time_s)
     if isinstance(session, CaptureSession):
         return camera_hz
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz

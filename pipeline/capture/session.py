@@ -13,8 +13,8 @@ from pipeline.capture.pairing import pair_by_name
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
+from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import mean_rate_hz
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
 
@@ -193,13 +193,13 @@ def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
     if recording is None:
         return FrameTimes(video.time_s)
     rate_hz = recording.frame_rate_hz
-    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / rate_hz
+    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / float(without_rounding(rate_hz))
     return FrameTimes(recording.offset_s + own_s)
 
 
 def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
     """Cameras whose frames come faster or slower than any camera's."""
-    rates_hz = {name: mean_rate_hz(one.time_s) for name, one in times.items()}
+    rates_hz = {name: measured_rate_hz(one.time_s) for name, one in times.items()}
     return [
         Problem(
             "frame_rate",
@@ -216,7 +216,7 @@ def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoIn
 
 def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
     start_s = min(float(one.time_s[0]) for one in times.values())
-    rate_hz = max(mean_rate_hz(one.time_s) for one in times.values())
+    rate_hz = max(measured_rate_hz(one.time_s) for one in times.values())
     source = TimeSource(
         files={name: video.path.name for name, video in videos.items()},
         start_field="offset_s",

@@ -27,6 +27,7 @@ from pipeline.video.container import (
     open_container,
     shown_at,
 )
+from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.signatures import is_container
 
@@ -39,9 +40,6 @@ _MAX_REORDERED = 32
 _MAX_REPEATED_SHARE = 0.1
 _NUM_DECODED = 8
 _REPAIR_TIMES = "Export it again at a constant frame rate."
-
-# Of the usual interval: 3 ticks are like 2, a dropped frame is not.
-_EVEN = 0.6
 
 # Of a small file. A large one gets as much more as reading needs: its packets are read, its pictures are not decoded.
 _MAX_CPU_S = 8
@@ -128,7 +126,9 @@ def _probe(path: Path) -> VideoInfo:
     size_px, rotation_deg = _decode_ends(path, keyframe_pts)
     time_s = (pts - pts[0]) * float(time_base)
     num_repeated = len(stored_pts) - len(pts)
-    return VideoInfo(path, codec, size_px, rotation_deg, pts, keyframe_pts, time_s, mean_rate_hz(time_s), num_repeated)
+    return VideoInfo(
+        path, codec, size_px, rotation_deg, pts, keyframe_pts, time_s, measured_rate_hz(time_s), num_repeated
+    )
 
 
 def _read_packets(
@@ -205,20 +205,6 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
     rotation_deg = round(first.rotation / 90) * 90 % 360
     size_px = (first.width, first.height) if rotation_deg % 180 == 0 else (first.height, first.width)
     return size_px, rotation_deg
-
-
-def mean_rate_hz(time_s: np.ndarray) -> float:
-    """Mean rate over the intervals within 60 % of their median: uneven intervals average out, gaps don't count.
-
-    25 for a single frame, which has no interval; infinity where frames share their times.
-    """
-    intervals_s = np.sort(np.diff(time_s))
-    if not len(intervals_s):
-        return 25.0
-    # One that is there, never the mean of two: 24 Hz on a clock of 60 Hz have intervals of 2 and 3 ticks.
-    usual_s = intervals_s[(len(intervals_s) - 1) // 2]
-    mean_s = float(np.mean(intervals_s[np.abs(intervals_s - usual_s) <= _EVEN * usual_s]))
-    return 1.0 / mean_s if mean_s > 0 else math.inf
 
 
 def problem_at_once(path: Path) -> Problem | None:

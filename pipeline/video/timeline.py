@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import FrameTimes, Timebase
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import measured_rate_hz
 
 # A pause of the whole session that is longer is not worked on.
 _PAUSE_S = 60.0
@@ -16,7 +16,7 @@ def session_timebase(times: Mapping[str, FrameTimes]) -> Timebase:
     """Output frames from the earliest first frame to the latest last one, at the rate of the fastest camera."""
     start_s = min(float(one.time_s[0]) for one in times.values())
     end_s = max(float(one.time_s[-1]) for one in times.values())
-    rate_hz = max(mean_rate_hz(one.time_s) for one in times.values())
+    rate_hz = max(measured_rate_hz(one.time_s) for one in times.values())
     return Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1)
 
 

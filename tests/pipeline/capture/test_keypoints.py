@@ -249,7 +249,7 @@ def test_timestamps_at_the_limits_of_rates_are_taken(scene: Path, rate_hz: float
         for path in sorted(folder.iterdir())
     ]
     (scene / "timestamps.csv").write_text("\n".join(["camera,frame,time_s", *rows]) + "\n")
-    assert opened(scene).timebase.frame_rate_hz == pytest.approx(rate_hz)
+    assert opened(scene).timebase.frame_rate_hz == rate_hz
 
 
 def test_one_clock_only_and_a_sane_one(scene: Path) -> None:
@@ -279,12 +279,12 @@ def test_the_rate_of_uneven_times_is_their_mean(scene: Path) -> None:
 def test_the_rate_of_times_rounded_to_milliseconds(scene: Path) -> None:
     """The median interval is 33 ms, which would be 30.3 Hz."""
     retime(scene, lambda number: round(number / 30, 3))
-    assert opened(scene).timebase.frame_rate_hz == pytest.approx(30.0, rel=2e-3)
+    assert opened(scene).timebase.frame_rate_hz == 30.0
 
 
 def test_the_rate_of_even_times(scene: Path) -> None:
     retime(scene, lambda number: number / 25)
-    assert opened(scene).timebase.frame_rate_hz == pytest.approx(25.0, rel=1e-12)
+    assert opened(scene).timebase.frame_rate_hz == 25.0
 
 
 @pytest.mark.parametrize(
