@@ -67,7 +67,7 @@ def test_frames_that_repeat_a_time_are_said(folder: Path, tmp_path: Path) -> Non
     rewrite_packets(good, folder / "a.mkv", repeat)
     shutil.copy(good, folder / "b.mkv")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
-    assert session.warnings == ("a.mkv: 1 frame is left out, for another frame has the same time.",)
+    assert session.warnings == ("a.mkv: 1 frame is left out, because another frame has the same timestamp.",)
 
 
 def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_calibration_with_a_camera_too_few_or_too_many(folder: Path, tmp_path: P
 def test_other_files_in_the_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
     (folder / "notes.txt").write_text("hello")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
-    assert session.warnings == ("notes.txt is ignored: it is no video.",)
+    assert session.warnings == ("notes.txt is ignored: it is not a video.",)
 
 
 def test_no_video_and_one_video(folder: Path, tmp_path: Path) -> None:
