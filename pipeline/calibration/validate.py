@@ -134,12 +134,12 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
     if len(raw) > MAX_CAMERAS:
         problems.append(Problem("too_many_cameras", f"The calibration has more than {MAX_CAMERAS} cameras.", file=file))
     cameras: list[Camera] = []
-    for position, one in enumerate(raw[:MAX_CAMERAS]):
-        camera, camera_problems = _build(one, position, file)
+    for position, raw_camera in enumerate(raw[:MAX_CAMERAS]):
+        camera, camera_problems = _build(raw_camera, position, file)
         problems.extend(camera_problems)
         if camera is not None:
             cameras.append(camera)
-    names = Counter(one.name for one in raw if isinstance(one.name, str))
+    names = Counter(raw_camera.name for raw_camera in raw if isinstance(raw_camera.name, str))
     problems.extend(
         Problem("duplicate_camera", "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
         for name in sorted(name for name, count in names.items() if count > 1)
@@ -149,10 +149,10 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
     return tuple(cameras)
 
 
-def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
+def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
     problems: list[Problem] = []
-    fault = _name_problem(one.name)
-    label = f"number {position + 1}" if fault else str(one.name)
+    fault = _name_problem(raw_camera.name)
+    label = f"number {position + 1}" if fault else str(raw_camera.name)
 
     def complain(field: str, message: str) -> None:
         problems.append(Problem(f"invalid_{field}", f"The {field} {message}", file=file, camera=label, field=field))
@@ -161,11 +161,11 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
         complain("name", fault)
     values: dict[str, np.ndarray] = {}
     for field, value, shapes in (
-        ("size", one.size_px, [(2,)]),
-        ("matrix", one.matrix, [(3, 3)]),
-        ("distortion", one.distortion, [(n,) for n in _DISTORTION_LENGTHS]),
-        ("rotation", one.rotation, [(3, 3)]),
-        ("translation", one.translation_m, [(3,)]),
+        ("size", raw_camera.size_px, [(2,)]),
+        ("matrix", raw_camera.matrix, [(3, 3)]),
+        ("distortion", raw_camera.distortion, [(n,) for n in _DISTORTION_LENGTHS]),
+        ("rotation", raw_camera.rotation, [(3, 3)]),
+        ("translation", raw_camera.translation_m, [(3,)]),
     ):
         checked = _numbers(value, shapes)
         if isinstance(checked, str):
@@ -189,12 +189,12 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
         return None, problems
     return (
         Camera(
-            name=one.name,
+            name=raw_camera.name,
             size_px=(int(values["size"][0]), int(values["size"][1])),
             matrix=read_only(values["matrix"]),
             distortion=read_only(values["distortion"]),
             cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
-            section=one.section,
+            section=raw_camera.section,
         ),
         [],
     )

@@ -57,7 +57,9 @@ def clock_problems(
 
 def _overlap_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Iterator[Problem]:
     """Report cameras that recorded at no time together with another camera."""
-    spans_s = {name: (float(one.time_s[0]), float(one.time_s[-1])) for name, one in times.items()}
+    spans_s = {
+        name: (float(camera_times.time_s[0]), float(camera_times.time_s[-1])) for name, camera_times in times.items()
+    }
     for name, (begin_s, end_s) in spans_s.items():
         others_s = (span_s for other, span_s in spans_s.items() if other != name)
         if not any(begin_s <= other_end_s and other_begin_s <= end_s for other_begin_s, other_end_s in others_s):
@@ -73,8 +75,8 @@ def _overlap_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> It
 
 def _length_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Iterator[Problem]:
     """Report cameras that recorded for longer than a session may last."""
-    for name, one in times.items():
-        length_s = float(one.time_s[-1] - one.time_s[0])
+    for name, camera_times in times.items():
+        length_s = float(camera_times.time_s[-1] - camera_times.time_s[0])
         if not DURATION_S.holds(length_s):
             yield Problem(
                 "session_too_long",

@@ -88,7 +88,7 @@ class KeypointSession:
     def stretches(self) -> tuple[range, ...]:
         """Ranges of all output frames without long pauses in the detections; see ``recorded_stretches``."""
         return recorded_stretches(
-            self.timebase, (self.times[name].time_s[one.frame] for name, one in self.detections.items())
+            self.timebase, (self.times[name].time_s[detections.frame] for name, detections in self.detections.items())
         )
 
 
@@ -286,7 +286,7 @@ def _parse(path: Path) -> People:
     if len(listed) > _MAX_LISTED_PEOPLE:
         raise _CrowdError(len(listed))
     # People of zeros are dropped as lists: converting hundreds of them to arrays would take milliseconds a frame.
-    people = [one for one in listed if len(one) not in _FORMATS or any(one)]
+    people = [person for person in listed if len(person) not in _FORMATS or any(person)]
     if not people:
         return np.empty((0, len(listed[0]) // 3 if listed else 0, 3))
     values = read_numbers(people)
@@ -390,10 +390,12 @@ def _times_from_file(
         times[camera] = FrameTimes(time_s)
     if problems or not times:
         return times, None
-    if min(one.time_s[0] for one in times.values() if len(one.time_s)) > _MAX_START_S:
+    if min(camera_times.time_s[0] for camera_times in times.values() if len(camera_times.time_s)) > _MAX_START_S:
         problems.append(Problem("timestamps_start", "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
         return times, None
-    rates_hz = [measured_rate_hz(one.time_s) for one in times.values() if len(one.time_s) > 1]
+    rates_hz = [
+        measured_rate_hz(camera_times.time_s) for camera_times in times.values() if len(camera_times.time_s) > 1
+    ]
     if not rates_hz:
         problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
         return times, None
@@ -413,7 +415,7 @@ def _times_from_file(
         problems += clock_problems(times, 0.0, rate_hz, source)
     if problems:
         return times, None
-    end_s = max(float(one.time_s[-1]) for one in times.values())
+    end_s = max(float(camera_times.time_s[-1]) for camera_times in times.values())
     return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
 
 

@@ -38,7 +38,10 @@ def report(
     The report contains cameras with their files, the output frames, warnings, and the stated recordings. ``stretches``
     are the ranges of output frames to process, as first and stop; pauses lie between them.
     """
-    starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
+    starts_s = {
+        name: float(camera_times.time_s[0]) if len(camera_times.time_s) else 0.0
+        for name, camera_times in session.times.items()
+    }
     return {
         "cameras": [
             {
@@ -52,9 +55,9 @@ def report(
             for camera, file in zip(session.cameras, files, strict=True)
         ],
         "timebase": asdict(session.timebase),
-        "stretches": [[one.start, one.stop] for one in session.stretches],
+        "stretches": [[stretch.start, stretch.stop] for stretch in session.stretches],
         "warnings": [printable(warning) for warning in session.warnings],
-        "recordings": [asdict(one) for one in recordings],
+        "recordings": [asdict(recording) for recording in recordings],
         "units": units,
     }
 
@@ -69,7 +72,7 @@ def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> f
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
-    recordings = [Recording(**one) for one in json.loads(arguments.recordings)]
+    recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
     return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
         session

@@ -54,7 +54,9 @@ class CaptureSession:
     @property
     def stretches(self) -> tuple[range, ...]:
         """Ranges of all output frames without long pauses; see ``recorded_stretches``."""
-        return recorded_stretches(session_timebase(self.times), (one.time_s for one in self.times.values()))
+        return recorded_stretches(
+            session_timebase(self.times), (camera_times.time_s for camera_times in self.times.values())
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,23 +112,25 @@ def open_session(
     probed = probe_in_children(paths)
     problems.extend(result for result in probed if isinstance(result, Problem))
     problems += _range_problems(recordings)
-    known, unknown = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
-    problems += unknown
-    camera_of_file = {one.file: camera for camera, one in known.items() if one.file is not None}
+    recording_of_camera, recording_problems = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
+    problems += recording_problems
+    camera_of_file = {
+        recording.file: camera for camera, recording in recording_of_camera.items() if recording.file is not None
+    }
     names = [camera_of_file.get(path.name, path.stem) for path in paths]
     problems += [
         Problem(
             "video_doubled",
-            f"This video has the name of the camera {name}, but {known[name].file} is assigned to the camera.",
+            f"This video has the name of the camera {name}, but {recording_of_camera[name].file} is assigned to it.",
             file=path.name,
             camera=name,
             hint="Assign this video to its camera, or omit it.",
         )
         for path, name in zip(paths, names, strict=True)
-        if not unknown and path.name not in camera_of_file and name in camera_of_file.values()
+        if not recording_problems and path.name not in camera_of_file and name in camera_of_file.values()
     ]
     infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
-    if cameras and not unknown:
+    if cameras and not recording_problems:
         pairs, unpaired, pairing_warnings = pair_by_name(cameras, names, "video")
         problems += unpaired
         warnings += pairing_warnings
@@ -137,7 +141,7 @@ def open_session(
     if problems:
         raise InputError(problems)
     paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
-    times = {name: _times(video, known.get(name)) for name, video in paired.items()}
+    times = {name: _times(video, recording_of_camera.get(name)) for name, video in paired.items()}
     if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
         raise InputError(problems)
     warnings += [_repeated_times(video) for video in paired.values() if video.num_repeated]
@@ -147,13 +151,27 @@ def open_session(
 def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
     """Report stated offsets and frame rates that are out of range."""
     stated = [
-        ("offset_range", "offset_s", OFFSET_S, one.camera, one.offset_s, "Count from the start of the capture.")
-        for one in recordings
+        (
+            "offset_range",
+            "offset_s",
+            OFFSET_S,
+            recording.camera,
+            recording.offset_s,
+            "Count from the start of the capture.",
+        )
+        for recording in recordings
     ]
     stated += [
-        ("frame_rate", "rate", FRAME_RATE_HZ, one.camera, one.frame_rate_hz, "State the rate in frames a second.")
-        for one in recordings
-        if one.frame_rate_hz is not None
+        (
+            "frame_rate",
+            "rate",
+            FRAME_RATE_HZ,
+            recording.camera,
+            recording.frame_rate_hz,
+            "State the rate in frames a second.",
+        )
+        for recording in recordings
+        if recording.frame_rate_hz is not None
     ]
     return [
         Problem(code, f"{value:g} is not within {allowed}.", camera=camera, field=field, hint=hint)
@@ -170,24 +188,24 @@ def _known_recordings(
     files = {path.name for path in paths}
     known: dict[str, Recording] = {}
     problems = []
-    for one in recordings:
-        camera = names.get(one.camera)
+    for recording in recordings:
+        camera = names.get(recording.camera)
         hint = f"The calibration's cameras are {', '.join(sorted(names.values()))}."
         if camera is None:
             message = "The calibration has no camera of this name."
-            problems.append(Problem("recording_camera_unknown", message, camera=one.camera, hint=hint))
+            problems.append(Problem("recording_camera_unknown", message, camera=recording.camera, hint=hint))
         elif camera in known:
             problems.append(
                 Problem("recording_doubled", "There is more than one recording for this camera.", camera=camera)
             )
-        elif one.file is not None and one.file not in files:
+        elif recording.file is not None and recording.file not in files:
             message = "There is no video of this name."
-            problems.append(Problem("recording_file_unknown", message, file=one.file, camera=camera))
-        elif one.file is not None and one.file in {other.file for other in known.values()}:
+            problems.append(Problem("recording_file_unknown", message, file=recording.file, camera=camera))
+        elif recording.file is not None and recording.file in {other.file for other in known.values()}:
             message = "The video is already assigned to another camera."
-            problems.append(Problem("recording_file_doubled", message, file=one.file, camera=camera))
+            problems.append(Problem("recording_file_doubled", message, file=recording.file, camera=camera))
         else:
-            known[camera] = one
+            known[camera] = recording
     return known, problems
 
 
@@ -201,7 +219,7 @@ def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
 
 def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
     """Report cameras with a measured frame rate out of range."""
-    rates_hz = {name: measured_rate_hz(one.time_s) for name, one in times.items()}
+    rates_hz = {name: measured_rate_hz(camera_times.time_s) for name, camera_times in times.items()}
     return [
         Problem(
             "frame_rate",
@@ -217,8 +235,8 @@ def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoIn
 
 
 def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
-    start_s = min(float(one.time_s[0]) for one in times.values())
-    rate_hz = max(measured_rate_hz(one.time_s) for one in times.values())
+    start_s = min(float(camera_times.time_s[0]) for camera_times in times.values())
+    rate_hz = max(measured_rate_hz(camera_times.time_s) for camera_times in times.values())
     source = TimeSource(
         files={name: video.path.name for name, video in videos.items()},
         start_field="offset_s",

@@ -79,8 +79,8 @@ def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[
     ordered = sorted(people, key=lambda pair: pair[0].start_frame)
     return (
         tuple(
-            Track3D(k, one.start_frame, one.xyz_m, one.score, one.source, one.error_px, one.views)
-            for k, (one, _) in enumerate(ordered, start=1)
+            Track3D(k, track.start_frame, track.xyz_m, track.score, track.source, track.error_px, track.views)
+            for k, (track, _) in enumerate(ordered, start=1)
         ),
-        tuple(Observations(k, one.points_px, one.score) for k, (_, one) in enumerate(ordered, start=1)),
+        tuple(Observations(k, seen.points_px, seen.score) for k, (_, seen) in enumerate(ordered, start=1)),
     )

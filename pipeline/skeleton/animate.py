@@ -1,4 +1,4 @@
-"""Everybody's motion: smoothed or fit, with feet that stand still where they stand."""
+"""Motion of all people: smoothing or skeleton fit, and standing feet held in place."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,9 +18,9 @@ from pipeline.skeleton.rotations import from_axes
 from pipeline.skeleton.smooth import check_smoothing, smooth_track
 
 _LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
-# An ankle bends no further than this from the shin's right angle.
+# Limit on the bend of an ankle from the right angle with the shin.
 _MAX_BEND_RAD = np.radians(45.0)
-# Shares of a track's time: positions, the skeleton's motion, feet that are held, positions from the motion.
+# Shares of the computing time: positions, skeleton motion, holding feet, positions from the motion.
 _WORK = (6, 6, 3, 1)
 
 
@@ -33,26 +33,26 @@ def animate(
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
 ) -> Animation:
-    """Give everybody a skeleton that moves as they did.
+    """Compute the skeleton motion and the final joint positions of all people.
 
     Parameters
     ----------
     tracks
-        As association located the joints.
+        Tracks with the joints located by association.
     observations
-        Behind the tracks, in their order.
+        Observations of the tracks, in the same order.
     joints
-        Of the tracks.
+        Joint set of the tracks.
     config
-        How to smooth, and what to do with feet. With ``fit`` a track's joints are where the skeleton has them; else
-        they are smoothed by themselves and the skeleton follows them.
+        Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are those of the skeleton.
+        Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
     on_share
-        Called after every window of a track's frames.
+        Called with the progress after each window of a track's frames.
 
     Raises
     ------
     InputError
-        As ``check_smoothing``.
+        See ``check_smoothing``.
     """
     check_smoothing(timebase, config)
     num_frames = [track.num_frames for track in tracks]
@@ -70,7 +70,7 @@ def animate(
     finals: list[Track3D] = []
     for number, seen in enumerate(observations):
         contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
-        motions[number] = _stand(fits[number], motions[number], ankles_m[number], contacts, next(parts))
+        motions[number] = _hold_feet(fits[number], motions[number], ankles_m[number], contacts, next(parts))
         on_followed = next(parts)
         finals.append(
             follow(fits[number], seen, cameras, on_followed) if config.smoothing == "fit" else fits[number].track
@@ -105,14 +105,14 @@ def _ankles_known(track: Track3D, joints: JointSet) -> Bool[np.ndarray, "frames 
     return np.asarray(np.isfinite(track.xyz_m[:, joints.indices(tuple(names))]).all(-1))
 
 
-def _stand(
+def _hold_feet(
     fitted: SkeletonFit,
     motion: SkeletonMotion,
     ankles_m: Float[np.ndarray, "frames 2 3"],
     contacts: tuple[FootContact, ...],
     on_share: OnShare,
 ) -> SkeletonMotion:
-    """Hold feet that stand, and level them where nothing says how they are turned."""
+    """Hold standing feet in place; level them if neither toes nor heels are known."""
     places_m = places_of_feet(ankles_m, contacts, motion.frame_rate_hz)
     if np.isfinite(places_m).any():
         fitted.pin({f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)}, on_share)
@@ -127,10 +127,10 @@ def _stand(
 
 
 def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
-    """How a foot is turned to the shin of which the ankle alone is seen.
+    """Rotation from foot to shin where only the ankle is known.
 
-    At a right angle in the air, level on the floor. A standing foot points where the shin faces; it comes to be level,
-    and leaves that, as it comes to stand.
+    The foot is at a right angle to the shin in the air, and level on the floor. A standing foot points in the direction
+    that the shin faces. Both orientations are blended before and after a stance.
     """
     share = standing_share(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
     _, world_from_shin = placed(motion, f"{side.capitalize()}Leg")

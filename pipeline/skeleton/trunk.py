@@ -1,4 +1,4 @@
-"""The torso of every frame: where it is and how it is turned."""
+"""Position and orientation of the torso in each frame."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class Torso:
 def _girdle_center_m(
     landmarks: Landmarks, kind: str, axis: Float[np.ndarray, "frames 3"], half_width_m: float
 ) -> Float[np.ndarray, "frames 3"]:
-    """Centre of shoulders or hips; where one side is unknown, half the width away from the other one."""
+    """Centre of shoulders or hips; if a side is unknown, at half the width from the other side."""
     center = landmarks.middle(kind)
     from_left = landmarks[f"left_{kind}"] - half_width_m * axis
     from_right = landmarks[f"right_{kind}"] + half_width_m * axis
@@ -37,11 +37,11 @@ def _girdle_center_m(
 
 
 def solve_torso(landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"]) -> Torso:
-    """Hips, shoulders, pelvis and chest of every frame.
+    """Compute hips, shoulders, pelvis and chest of each frame.
 
-    The pelvis' X axis runs along the hips and the chest's along the shoulders, exactly; both point up along the trunk.
-    Where the hips are unknown they travel with the shoulders, and the other way round. A person of whom neither was
-    ever seen stands upright above the world's origin.
+    The X axis of the pelvis is along the hips, and that of the chest along the shoulders; both Z axes point up along
+    the trunk. Where the hips are unknown, they move with the shoulders, and vice versa. A person without known hips and
+    shoulders stands upright above the world's origin.
     """
     hip_axis = unit(landmarks["left_hip"] - landmarks["right_hip"])
     shoulder_axis = unit(landmarks["left_shoulder"] - landmarks["right_shoulder"])

@@ -1,8 +1,8 @@
 """Frame rates as fractions, measured from frame times that files round.
 
-Cameras run at whole rates (25 Hz) or at those of NTSC (30000/1001 Hz). Files store times in ticks of a clock, and
-programs compute with floats: the mean of such times is 29.970029970029973 or 59.99 Hz. A measured rate is replaced by
-the nearest usual rate if the two can't be told apart by the times.
+Cameras run at whole rates (25 Hz) or at NTSC rates (30000/1001 Hz). Files round times to ticks of a clock, and programs
+compute with floats, so that a mean rate is 29.970029970029973 or 59.99 Hz. A measured rate is replaced by the nearest
+usual rate if the times are not precise enough to distinguish both.
 """
 
 import math
@@ -12,27 +12,29 @@ import numpy as np
 from jaxtyping import Float
 
 DEFAULT_RATE = Fraction(25)
-"""Rate of a camera with a single frame, which has no interval."""
+"""Rate of a camera with a single frame, in frames a second."""
 
-# Intervals farther than this from the usual interval, as a share of it, are gaps: 3 ticks are like 2, a dropped frame
-# is not.
+# Largest difference from the usual interval, as a share of it, of an interval that is not a gap. Intervals of 2 and 3
+# ticks are both usual; the interval of a dropped frame is a gap.
 _EVEN = 0.6
 # Limit on the denominators of rates that are not usual: 27.3 Hz and not 27.299999999999997. It moves a rate by less
 # than 1e-6 Hz, which is two milliseconds in twelve hours at 25 Hz.
 _MAX_DENOMINATOR = 10**6
-# Largest change by snapping, as a share of the rate. Times that jitter, with many gaps, would allow more.
+# Largest change by snapping, as a share of the rate. Jitter and many gaps together would allow larger changes.
 _MAX_CHANGE = 0.01
 
 
 def nearest_usual_rate(rate_hz: float | Fraction) -> Fraction:
-    """Nearest rate of the forms n and n * 1000/1001, n = 1, 2, 3, ..."""
+    """Nearest rate of the forms n and n * 1000/1001 Hz, n = 1, 2, 3, ..."""
     whole = Fraction(max(1, round(rate_hz)))
     ntsc = Fraction(1000 * max(1, round(rate_hz * 1001 / 1000)), 1001)
     return min(whole, ntsc, key=lambda usual: abs(usual - Fraction(rate_hz)))
 
 
 def snapped(rate: Fraction, precision_hz: Fraction) -> Fraction:
-    """Replace a rate by the nearest usual rate if they differ by no more than ``precision_hz``.
+    """Replace a rate by the nearest usual rate if both differ by no more than ``precision_hz``.
+
+    Snapping is idempotent.
 
     Examples
     --------
@@ -49,16 +51,16 @@ def without_rounding(rate_hz: float) -> Fraction:
 
 
 def measured_rate(time_s: Float[np.ndarray, " frames"]) -> Fraction | None:
-    """Mean rate over the intervals within 60 % of the usual one: uneven intervals average out, gaps don't count.
+    """Mean rate over all intervals within 60 % of the usual interval, snapped within the precision of the times.
 
-    The rate is snapped within the precision of the times. Even times that are rounded to ticks have intervals that
-    differ by one tick. So the duration of a run of frames without a gap has an error of one tick at most. The error of
-    the mean interval is the sum over all runs, divided by the number of intervals. The same holds for jitter.
+    Regular times that are rounded to ticks have intervals that differ by one tick. So the duration of a run of frames
+    without a gap has an error of at most one tick. The error of the mean interval is the sum over all runs, divided by
+    the number of intervals. Jitter is treated as rounding.
 
     Parameters
     ----------
     time_s
-        Ascending times of frames, at least one.
+        Ascending times of frames in seconds, at least one.
 
     Returns
     -------
@@ -67,11 +69,11 @@ def measured_rate(time_s: Float[np.ndarray, " frames"]) -> Fraction | None:
     intervals_s = np.sort(np.diff(time_s))
     if not len(intervals_s):
         return DEFAULT_RATE
-    # An interval that exists, never the mean of two: 24 Hz on a clock of 60 Hz have intervals of 2 and 3 ticks.
+    # The lower median, not the mean of two: 24 Hz on a clock of 60 Hz has intervals of 2 and 3 ticks.
     usual_s = intervals_s[(len(intervals_s) - 1) // 2]
     even_s = intervals_s[np.abs(intervals_s - usual_s) <= _EVEN * usual_s]
     mean_s = float(np.mean(even_s))
-    # Times of a damaged file may be so near to each other that the rate is beyond the floats.
+    # Intervals of a damaged file may be so short that the rate exceeds the range of floats.
     if mean_s < np.finfo(np.float64).tiny:
         return None
     num_runs = 1 + len(intervals_s) - len(even_s)

@@ -40,10 +40,10 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
         try:
             with uninterrupted():
                 waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
-            return [one.result() for one in waiting]
+            return [future.result() for future in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            while not all(one.done() for one in waiting):
+            while not all(future.done() for future in waiting):
                 for child in list(running):
                     child.kill()
                 time.sleep(0.01)

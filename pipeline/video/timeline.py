@@ -20,9 +20,9 @@ def session_timebase(times: Mapping[str, FrameTimes]) -> Timebase:
     times
         Frame times by camera name, ascending, at least one frame a camera.
     """
-    start_s = min(float(one.time_s[0]) for one in times.values())
-    end_s = max(float(one.time_s[-1]) for one in times.values())
-    rate_hz = max(measured_rate_hz(one.time_s) for one in times.values())
+    start_s = min(float(camera_times.time_s[0]) for camera_times in times.values())
+    end_s = max(float(camera_times.time_s[-1]) for camera_times in times.values())
+    rate_hz = max(measured_rate_hz(camera_times.time_s) for camera_times in times.values())
     return Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1)
 
 
@@ -51,8 +51,8 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
         Ranges of output frames in order, at least one. The output frame of every time in ``time_s`` is in one of them.
     """
     is_recorded = np.zeros(timebase.num_frames, bool)
-    for one_s in time_s:
-        nearest = np.rint((one_s - timebase.start_time_s) * timebase.frame_rate_hz)
+    for camera_time_s in time_s:
+        nearest = np.rint((camera_time_s - timebase.start_time_s) * timebase.frame_rate_hz)
         is_recorded[np.clip(nearest, 0, timebase.num_frames - 1).astype(np.int64)] = True
     frames = np.flatnonzero(is_recorded)
     if not len(frames):
@@ -66,7 +66,7 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
 
 def cut_stretches(stretches: Iterable[range], frames: range) -> list[range]:
     """Intersect ascending stretches with ``frames``; the first frame alone if the intersection is empty."""
-    parts = (range(max(one.start, frames.start), min(one.stop, frames.stop)) for one in stretches)
+    parts = (range(max(stretch.start, frames.start), min(stretch.stop, frames.stop)) for stretch in stretches)
     return [part for part in parts if part] or [frames[:1]]
 
 
