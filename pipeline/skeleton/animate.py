@@ -11,9 +11,9 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Animation, Camera, FootContact, Observations, Side, SkeletonMotion, Timebase, Track3D
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore, split
-from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, places_of_feet, slide_of, standing_share
+from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, held_positions_m, mean_slide_m, stance_weight
 from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
-from pipeline.skeleton.model import placed
+from pipeline.skeleton.model import joint_pose
 from pipeline.skeleton.rotations import from_axes
 from pipeline.skeleton.smooth import check_smoothing, smooth_track
 
@@ -95,7 +95,7 @@ def _prepare(
 
 
 def _ankles_m(motion: SkeletonMotion) -> Float[np.ndarray, "frames 2 3"]:
-    return np.stack([placed(motion, f"{side.capitalize()}Foot")[0] for side in SIDES], axis=1)
+    return np.stack([joint_pose(motion, f"{side.capitalize()}Foot")[0] for side in SIDES], axis=1)
 
 
 def _ankles_known(track: Track3D, joints: JointSet) -> Bool[np.ndarray, "frames 2"]:
@@ -113,11 +113,11 @@ def _hold_feet(
     on_share: OnShare,
 ) -> SkeletonMotion:
     """Hold standing feet in place; level them if neither toes nor heels are known."""
-    places_m = places_of_feet(ankles_m, contacts, motion.frame_rate_hz)
+    places_m = held_positions_m(ankles_m, contacts, motion.frame_rate_hz)
     if np.isfinite(places_m).any():
         fitted.pin({f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)}, on_share)
         ankles_m = _ankles_m(motion)
-    after = [slide_of(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
+    after = [mean_slide_m(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
     slid = (replace(contact, slide_after_m=slide_m) for contact, slide_m in zip(contacts, after, strict=True))
     motion = replace(motion, contacts=tuple(slid))
     if not fitted.sees_feet:
@@ -132,8 +132,8 @@ def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
     The foot is at a right angle to the shin in the air, and level on the floor. A standing foot points in the direction
     that the shin faces. Both orientations are blended before and after a stance.
     """
-    share = standing_share(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
-    _, world_from_shin = placed(motion, f"{side.capitalize()}Leg")
+    share = stance_weight(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
+    _, world_from_shin = joint_pose(motion, f"{side.capitalize()}Leg")
     left = world_from_shin.apply(_LEFT) * _HORIZONTAL
     level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
     bend = (world_from_shin.inv() * level).as_rotvec()

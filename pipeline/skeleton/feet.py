@@ -111,25 +111,25 @@ def find_contacts(
         ankle_m = ankles_m[:, foot]
         likely = _likelihood(height_m[:, foot], _speed_m_s(ankle_m, frame_rate_hz)) * known[:, foot]
         for start, stop in _runs(likely >= _LIKELY):
-            for rows in _places(ankle_m, start, stop, frame_rate_hz):
+            for rows in _split_stance(ankle_m, start, stop, frame_rate_hz):
                 duration_s = (rows.stop - rows.start) / frame_rate_hz
                 if duration_s < _SHORTEST_S:
                     continue
                 confidence = float(likely[rows].mean() * (1.0 - np.exp(-duration_s / _SURE_AFTER_S)))
                 pinned = feet == "always" or (feet == "auto" and confidence >= _MIN_CONFIDENCE)
-                slide_m = slide_of(ankle_m[rows])
+                slide_m = mean_slide_m(ankle_m[rows])
                 contacts.append(
                     FootContact(side, rows.start, rows.stop - rows.start, confidence, pinned, slide_m, slide_m)
                 )
     return tuple(sorted(contacts, key=lambda contact: (contact.start_frame, contact.side)))
 
 
-def slide_of(ankle_m: Float[np.ndarray, "frames 3"]) -> float:
+def mean_slide_m(ankle_m: Float[np.ndarray, "frames 3"]) -> float:
     """Mean horizontal distance of an ankle from its median position, in metres."""
     return float(np.linalg.norm(ankle_m[:, :2] - np.median(ankle_m[:, :2], axis=0), axis=-1).mean())
 
 
-def places_of_feet(
+def held_positions_m(
     ankles_m: Float[np.ndarray, "frames 2 3"], contacts: Sequence[FootContact], frame_rate_hz: float
 ) -> Float[np.ndarray, "frames 2 3"]:
     """Horizontal positions at which ankles are held so that feet stand still.
@@ -167,7 +167,7 @@ def places_of_feet(
     return places_m
 
 
-def standing_share(
+def stance_weight(
     contacts: Sequence[FootContact], side: Side, num_frames: int, frame_rate_hz: float
 ) -> Float[np.ndarray, " frames"]:
     """Weight of a stance in each frame: 1 during contacts, decreasing smoothly to 0 before and after."""
@@ -231,7 +231,9 @@ def _runs(mask: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in borders.reshape(-1, 2)]
 
 
-def _places(ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float) -> Iterator[slice]:
+def _split_stance(
+    ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float
+) -> Iterator[slice]:
     """Cut a stance where the foot has moved away from its mean position so far; leave frames for the movement."""
     margin = round(_ROOM_S / 2 * frame_rate_hz)
     begun, total = start, np.zeros(2)

@@ -15,7 +15,7 @@ def filled_linearly(
     return np.column_stack([np.interp(frames, known, points[known, axis]) for axis in range(points.shape[1])])
 
 
-def carried(
+def filled_relative_to(
     points: Float[np.ndarray, "frames 3"],
     reference: Float[np.ndarray, "frames 3"],
     default: Float[np.ndarray, " 3"],

@@ -112,13 +112,13 @@ def rest_offsets_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndar
     return directions * bone_length_m[:, None]
 
 
-def placed(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "frames 3"], Rotation]:
+def joint_pose(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "frames 3"], Rotation]:
     """World position (metres) and orientation of a joint of ``SKELETON``; only its ancestors are computed."""
     joint = SKELETON[INDEX[name]]
     rotation = Rotation.from_quat(motion.parent_from_joint[:, INDEX[name]])
     if joint.parent is None:
         return motion.root_m, rotation
-    parent_m, world_from_parent = placed(motion, joint.parent)
+    parent_m, world_from_parent = joint_pose(motion, joint.parent)
     offset_m = motion.bone_length_m[INDEX[name]] * np.array(joint.rest_direction)
     return parent_m + world_from_parent.apply(offset_m), world_from_parent * rotation
 

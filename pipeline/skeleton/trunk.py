@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.skeleton.gaps import carried, filled_linearly
+from pipeline.skeleton.gaps import filled_linearly, filled_relative_to
 from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.model import INDEX, TRUNK
 from pipeline.skeleton.rotations import filled, from_axes, unit
@@ -45,14 +45,14 @@ def solve_torso(landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"
     """
     hip_axis = unit(landmarks["left_hip"] - landmarks["right_hip"])
     shoulder_axis = unit(landmarks["left_shoulder"] - landmarks["right_shoulder"])
-    shoulder_axis = unit(carried(shoulder_axis, filled_linearly(hip_axis, _LEFT), _NOTHING))
-    hip_axis = unit(carried(hip_axis, filled_linearly(shoulder_axis, _LEFT), _NOTHING))
+    shoulder_axis = unit(filled_relative_to(shoulder_axis, filled_linearly(hip_axis, _LEFT), _NOTHING))
+    hip_axis = unit(filled_relative_to(hip_axis, filled_linearly(shoulder_axis, _LEFT), _NOTHING))
 
     trunk = bone_length_m[[INDEX[name] for name in TRUNK]].sum() * _UP
     hips_m = _girdle_center_m(landmarks, "hip", hip_axis, float(bone_length_m[INDEX["LeftUpLeg"]]))
     shoulders_m = _girdle_center_m(landmarks, "shoulder", shoulder_axis, float(bone_length_m[INDEX["LeftArm"]]))
-    shoulders_m = carried(shoulders_m, filled_linearly(hips_m, _NOTHING), trunk)
-    hips_m = carried(hips_m, shoulders_m, -trunk)
+    shoulders_m = filled_relative_to(shoulders_m, filled_linearly(hips_m, _NOTHING), trunk)
+    hips_m = filled_relative_to(hips_m, shoulders_m, -trunk)
     return Torso(
         hips_m,
         shoulders_m,

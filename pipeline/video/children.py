@@ -16,7 +16,7 @@ READY = b"ready\n"
 """First line of a child's output, before it opens the file. An earlier end of the child is not caused by the file."""
 
 # Signals of a crashing decoder or of a limit. Any other signal comes from outside.
-_BY_THE_FILE = {-signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL, -signal.SIGSEGV, -signal.SIGXCPU}
+_CAUSED_BY_FILE = {-signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL, -signal.SIGSEGV, -signal.SIGXCPU}
 _LOGGED_CHARACTERS = 2000
 
 
@@ -29,9 +29,9 @@ def start_child(max_cpu_s: int) -> None:
     sys.stdout.flush()
 
 
-def is_by_the_file(exit_code: int) -> bool:
+def is_caused_by_file(exit_code: int) -> bool:
     """Return whether a child ended by a signal that its file caused."""
-    return exit_code in _BY_THE_FILE
+    return exit_code in _CAUSED_BY_FILE
 
 
 def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str) -> ChildError:

@@ -75,14 +75,14 @@ def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterato
         yield from _decode(container, first_video(container))
 
 
-def shown_at(frame: VideoFrame) -> int | None:
+def display_pts(frame: VideoFrame) -> int | None:
     """Presentation timestamp of a frame in ticks of the stream's time base; ``None`` if it has none."""
     return frame.dts if frame.pts is None else frame.pts
 
 
 def _is_shown_by(frame: VideoFrame, pts: int) -> bool:
     """Return whether a frame is shown at a timestamp or before it; False for a frame without a timestamp."""
-    shown_pts = shown_at(frame)
+    shown_pts = display_pts(frame)
     return shown_pts is not None and shown_pts <= pts
 
 

@@ -22,7 +22,7 @@ from av.filter import Graph
 from av.video.frame import VideoFrame
 
 from pipeline.video.children import start_child
-from pipeline.video.container import DECODE_ERRORS, decode_from, shown_at
+from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
 
 FRAME = struct.Struct("<qII??")
 """Timestamp, width, height, whether the decoder marks the frame as damaged, and whether there is a picture."""
@@ -79,7 +79,7 @@ def _write_frames(request: Request, shared_file: int) -> None:
         for frame in decode_from(Path(request.path), request.seek_pts, request.first_pts):
             is_damaged = frame.is_corrupt or (request.codec in _LOGS_DAMAGE and bool(logged))
             logged.clear()
-            pts = shown_at(frame)
+            pts = display_pts(frame)
             if pts is None:
                 continue
             is_wanted = request.first_pts <= pts <= request.last_pts

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, child_error, is_by_the_file
+from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.decoder import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, FRAME, Request
 
 # Longest wait for one frame. It includes decoding from the keyframe before the range. It is less than a minute, so
@@ -117,7 +117,7 @@ def _read_frames(
         return
     if exit_code == EXIT_UNREADABLE:
         raise UnreadableError
-    if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_by_the_file(exit_code)):
+    if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_caused_by_file(exit_code)):
         raise LimitError
     errors.seek(0)
     raise child_error("decoder", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace"))

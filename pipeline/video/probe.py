@@ -24,9 +24,9 @@ from pipeline.video.container import (
     DECODE_ERRORS,
     MAX_PIXELS,
     decode_from,
+    display_pts,
     first_video,
     open_container,
-    shown_at,
 )
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.info import VideoInfo, seek_points
@@ -192,13 +192,13 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
         raise _UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
-    times = [pts for frame in frames if (pts := shown_at(frame)) is not None]
+    times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
     if times != sorted(times):
         raise _UnusableError("video_times", "The timestamps of the first frames go backwards.", _REPAIR_TIMES)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
-        last = next((frame for frame in later if (shown_at(frame) or 0) >= last_pts), None)
+        last = next((frame for frame in later if (display_pts(frame) or 0) >= last_pts), None)
         if last is None:
             raise _UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
         frames.append(last)
@@ -216,7 +216,7 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
     return size_px, rotation_deg
 
 
-def problem_at_once(path: Path) -> Problem | None:
+def problem_before_opening(path: Path) -> Problem | None:
     """Return the problem of a missing or empty file, or of one that is not a video container; else ``None``."""
     try:
         _check_start(path)
@@ -232,7 +232,7 @@ def reading_s(path: Path) -> int:
     return math.ceil(path.stat().st_size * _CPU_S_PER_BYTE)
 
 
-def beyond_limits(name: str) -> Problem:
+def limits_problem(name: str) -> Problem:
     """Build the problem of a file that exceeded the limits on time or memory."""
     return Problem(
         "video_unreadable",
@@ -249,7 +249,7 @@ def main() -> None:
     try:
         result = probe(path)
     except MemoryError:
-        result = beyond_limits(path.name)
+        result = limits_problem(path.name)
     if isinstance(result, Problem):
         answer: dict[str, Any] = {"problem": asdict(result)}
     else:

@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.errors import Problem
 from pipeline.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, child_error, is_by_the_file
+from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import beyond_limits, problem_at_once, reading_s
+from pipeline.video.probe import limits_problem, problem_before_opening, reading_s
 
 _TIMEOUT_S = 120.0
 _CHILDREN_AT_ONCE = 2
@@ -51,7 +51,7 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
 
 
 def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:
-    if problem := problem_at_once(path):
+    if problem := problem_before_opening(path):
         return problem
     child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
         module_command("pipeline.video.probe", str(path.absolute())),
@@ -70,10 +70,10 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
         exit_code = None
     finally:
         running.remove(child)
-    if not output.startswith(READY) or (exit_code and not is_by_the_file(exit_code)):
+    if not output.startswith(READY) or (exit_code and not is_caused_by_file(exit_code)):
         raise child_error("check of the videos", exit_code, timeout_s, errors.decode(errors="replace"))
     if exit_code != 0:
-        return beyond_limits(path.name)
+        return limits_problem(path.name)
     answer = json.loads(output.removeprefix(READY))
     if "problem" in answer:
         return Problem(**answer["problem"])
