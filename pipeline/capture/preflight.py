@@ -1,10 +1,10 @@
-"""Check a session in a process of its own.
+"""Check a session in a child process.
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
-[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: what the session is, or
-``{"problems": [...]}`` with exit code 2. So a caller that must not load the science, or must not be hurt by a
-stranger's file, can still know all about a session. ``--record FILE`` keeps what was found, so that nobody has to look
-through the files again.
+[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: the session's report, or
+``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the numeric libraries, and
+without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the files need not be
+examined again.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import measured_rate_hz
 
 EXIT_BAD_INPUT = 2
 EXIT_DISK_FULL = 4
@@ -33,11 +33,15 @@ EXIT_DISK_FULL = 4
 def report(
     session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
 ) -> dict[str, Any]:
-    """Cameras with their files, the shared clock, warnings, and what was said of the videos.
+    """Describe an opened session for the service, as JSON values.
 
-    ``stretches`` are the output frames that have to be worked on, first and stop; pauses lie between them.
+    The report contains cameras with their files, the output frames, warnings, and the stated recordings. ``stretches``
+    are the ranges of output frames to process, as first and stop; pauses lie between them.
     """
-    starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
+    starts_s = {
+        name: float(camera_times.time_s[0]) if len(camera_times.time_s) else 0.0
+        for name, camera_times in session.times.items()
+    }
     return {
         "cameras": [
             {
@@ -51,24 +55,24 @@ def report(
             for camera, file in zip(session.cameras, files, strict=True)
         ],
         "timebase": asdict(session.timebase),
-        "stretches": [[one.start, one.stop] for one in session.stretches],
+        "stretches": [[stretch.start, stretch.stop] for stretch in session.stretches],
         "warnings": [printable(warning) for warning in session.warnings],
-        "recordings": [asdict(one) for one in recordings],
+        "recordings": [asdict(recording) for recording in recordings],
         "units": units,
     }
 
 
 def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
-    """Mean rate of a camera; the session's for keypoints at the session's rate, or with too few frames to tell."""
+    """Measured rate of a camera; for keypoints the session's rate, if it is equal or the camera has too few frames."""
     time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
-    camera_hz = mean_rate_hz(time_s)
+    camera_hz = measured_rate_hz(time_s)
     if isinstance(session, CaptureSession):
         return camera_hz
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
-    recordings = [Recording(**one) for one in json.loads(arguments.recordings)]
+    recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
     return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
         session
@@ -97,12 +101,12 @@ def _write_record(path: Path, record: bytes, content: str) -> None:
         # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
         if error.errno != errno.EFBIG:
             raise
-        message = f"The session's {content} take more room than the service keeps."
-        raise InputError([Problem("session_too_large", message, hint="Cut it into several sessions.")]) from None
+        message = f"The {content} of the session are larger than the service stores."
+        raise InputError([Problem("session_too_large", message, hint="Cut the session into several.")]) from None
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the check, by default as the command line says, and return the exit code."""
+    """Run the check with the command line's arguments, or with ``words``; return the exit code."""
     parser = argparse.ArgumentParser(description="Check a capture session.")
     views = parser.add_mutually_exclusive_group(required=True)
     views.add_argument("--videos", nargs="+", type=Path)
@@ -110,27 +114,29 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--calibration", type=Path, required=True)
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
-    parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
-    parser.add_argument("--units", choices=UNITS_M, default="m", help="Of the calibration.")
-    parser.add_argument("--max-joints", type=int, default=MAX_JOINTS, help="Of all people in all keypoint files.")
+    parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
+    parser.add_argument("--units", choices=UNITS_M, default="m", help="Unit of lengths in the calibration.")
+    parser.add_argument(
+        "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
+    )
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args(words)
     try:
-        found, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+        answer, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
         if arguments.record:
             _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
     except InputError as error:
-        found = {"problems": [asdict(problem) for problem in listed(error.problems)]}
+        answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
     except MemoryError:
-        message = "The check of the files takes more memory than the service allows for it."
+        message = "The check of the files needs more memory than the service allows."
         problem = Problem("session_too_large", message, hint="Cut the session into several, or lower its resolution.")
-        found = {"problems": [asdict(problem)]}
+        answer = {"problems": [asdict(problem)]}
     except OSError as error:
         if error.errno not in DISK_FULL:
             raise
         return EXIT_DISK_FULL
-    sys.stdout.write(json.dumps(found, allow_nan=False) + "\n")
-    return EXIT_BAD_INPUT if "problems" in found else 0
+    sys.stdout.write(json.dumps(answer, allow_nan=False) + "\n")
+    return EXIT_BAD_INPUT if "problems" in answer else 0
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pipeline.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation
 from pipeline.skeleton.feet import SIDES
-from pipeline.skeleton.model import placed
+from pipeline.skeleton.model import joint_pose
 
 # A true foot stands while its ankle is slower than this speed and closer than this distance to its lowest height; the
 # distance allows for a lifted heel.
@@ -89,7 +89,7 @@ def _laid_out(
     for number, motion in enumerate(motions):
         start = motion.start_frame
         for foot, side in enumerate(SIDES):
-            ankle_m, _ = placed(motion, f"{side.capitalize()}Foot")
+            ankle_m, _ = joint_pose(motion, f"{side.capitalize()}Foot")
             ankles_m[number, start : start + len(ankle_m), foot] = ankle_m
             for stance in motion.contacts:
                 if stance.side == side:

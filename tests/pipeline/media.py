@@ -25,7 +25,7 @@ def write_video(
     codec: str = "libx264",
     options: dict[str, str] | None = None,
     stamps: Sequence[int] | None = None,
-    rate_hz: int = 25,
+    rate_hz: int | Fraction = 25,
     pix_fmt: str = "yuv420p",
 ) -> Path:
     """Encode ``num_frames`` pictures; ``stamps`` are their timestamps in 1/1000 s if the rate is not constant."""

@@ -18,7 +18,7 @@ from pipeline.simulation.views.faults import Faults
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting import windows
 from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, placed
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import ring_camera
@@ -118,7 +118,7 @@ def test_no_contact_is_invented_in_running_and_jumping(hard: bool) -> None:
 
 def test_holding_feet_makes_nothing_pop() -> None:
     def fastest_m_s2(animation: Animation) -> float:
-        ankles_m = [placed(motion, f"{side}Foot")[0] for motion in animation.motions for side in ("Left", "Right")]
+        ankles_m = [joint_pose(motion, f"{side}Foot")[0] for motion in animation.motions for side in ("Left", "Right")]
         return max(np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1).max() for one in ankles_m) * 25.0**2
 
     assert fastest_m_s2(animated("walk", 10.0, True)) < 1.3 * fastest_m_s2(animated("walk", 10.0, True, feet="off"))
@@ -138,7 +138,7 @@ def test_feet_are_held_whatever_the_smoothing(smoothing: Smoothing) -> None:
 
 def test_feet_without_toes_are_level_while_they_stand_and_follow_the_shin_else() -> None:
     motion = animated("walk", 10.0).motions[0]
-    _, world_from_foot = placed(motion, "LeftFoot")
+    _, world_from_foot = joint_pose(motion, "LeftFoot")
     up = world_from_foot.apply([0.0, 0.0, 1.0])[:, 2]
     standing = np.zeros(len(up), bool)
     for contact in motion.contacts:

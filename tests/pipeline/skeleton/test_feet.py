@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.config import Feet
 from pipeline.data import Floor, FootContact
-from pipeline.skeleton.feet import ANKLE_HEIGHT_M, estimate_floor, find_contacts, places_of_feet, standing_share
+from pipeline.skeleton.feet import ANKLE_HEIGHT_M, estimate_floor, find_contacts, held_positions_m, stance_weight
 
 RATE_HZ = 50.0
 LEVEL = Floor(0.0, 0.0, 0.0)
@@ -65,7 +65,7 @@ def test_a_foot_that_creeps_stands_in_several_places() -> None:
     left = [contact for contact in found(ankles_m) if contact.side == "left"]
     assert 2 <= len(left) <= 4
     assert max(contact.slide_before_m for contact in left) < 0.04
-    places_m = places_of_feet(ankles_m, left, RATE_HZ)[:, 0]
+    places_m = held_positions_m(ankles_m, left, RATE_HZ)[:, 0]
     assert np.abs(np.diff(places_m[:, 0])).max() < 0.02  # nor does it jump from one to the next
 
 
@@ -134,7 +134,7 @@ def test_feet_are_led_to_their_places_without_a_jump() -> None:
     drift_m = np.cumsum(rng.normal(0.0, 0.003, (200, 2, 3)), axis=0) * [1.0, 1.0, 0.0]
     ankles_m = steps() + drift_m
     contacts = found(ankles_m)
-    places_m = places_of_feet(ankles_m, contacts, RATE_HZ)
+    places_m = held_positions_m(ankles_m, contacts, RATE_HZ)
     assert np.isnan(places_m[..., 2]).all()  # a standing foot may lift its heel
     for contact in filter(lambda one: one.pinned, contacts):
         foot = 0 if contact.side == "left" else 1
@@ -146,9 +146,9 @@ def test_feet_are_led_to_their_places_without_a_jump() -> None:
 
 def test_a_foot_comes_to_stand_over_a_fifth_of_a_second() -> None:
     contact = FootContact("left", 50, 20, 0.9, pinned=True, slide_before_m=0.0, slide_after_m=0.0)
-    share = standing_share([contact], "left", 100, RATE_HZ)
+    share = stance_weight([contact], "left", 100, RATE_HZ)
     assert (share[50:70] == 1.0).all()
     assert (share[:40] == 0.0).all()
     assert (share[80:] == 0.0).all()
     assert np.abs(np.diff(share)).max() < 0.2
-    assert (standing_share([contact], "right", 100, RATE_HZ) == 0.0).all()
+    assert (stance_weight([contact], "right", 100, RATE_HZ) == 0.0).all()

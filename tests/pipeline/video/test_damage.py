@@ -219,10 +219,10 @@ def test_frames_that_repeat_a_time_are_left_out_and_counted(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("pts", "words"),
     [
-        (lambda k: 40 * (k % 60), "60 of 120 frames repeat the time of another"),
-        (lambda k: 40 * (k % 60) + 20 * (k // 60), "go back"),
-        (lambda k: 5000 - 40 * k, "go back"),
-        (lambda k: 40 * (k ^ 1), "The times of the first frames go back"),
+        (lambda k: 40 * (k % 60), "60 of 120 frames have the timestamp of another frame"),
+        (lambda k: 40 * (k % 60) + 20 * (k // 60), "go backwards near"),
+        (lambda k: 5000 - 40 * k, "go backwards near"),
+        (lambda k: 40 * (k ^ 1), "The timestamps of the first frames go backwards"),
     ],
 )
 def test_times_that_make_no_sense_are_refused(tmp_path: Path, pts: Any, words: str) -> None:
