@@ -13,7 +13,7 @@ from api.contract.problem_codes.page import PAGE, document, main
 from api.requests.form import VIEWS
 from pipeline.config import CHOICES, FILE_FORMATS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 CODES = {one.name: one for group in GROUPS for one in group.codes}

@@ -22,7 +22,7 @@ from worker.stages.code import (
 )
 from worker.stages.run import STAGES
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 # Packages that the stages import and that change no number.
 NOT_NUMERIC = {"defusedxml", "filelock", "google", "httpx2", "jaxtyping", "platformdirs", "threadpoolctl", "unearth"}
 

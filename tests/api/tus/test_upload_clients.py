@@ -17,8 +17,8 @@ import pytest
 from tusclient.client import TusClient
 
 from api.settings import GIB, MIB, Settings
-from tests.api.lines import BreakingLine, breaking_line
 from tests.api.processes import peak_bytes, serving
+from tests.api.tus.lines import BreakingLine, breaking_line
 from tests.e2e.foreign import upload_with_tus_js
 
 Send = Callable[[str, Sequence[Path], int], list[str]]
