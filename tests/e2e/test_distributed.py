@@ -34,7 +34,7 @@ from tests.api.tus.test_upload_clients import free_port
 from tests.e2e.serving import digests, wait_for
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3
-from tests.worker.webhooks.test_sender import Receiver, receiver
+from tests.worker.webhooks.conftest import Receiver, receiver
 from worker.jobs.store import JobStore
 
 __all__ = ["receiver"]
