@@ -243,7 +243,9 @@ function numberInput(choice, whole) {
 const FIELDS = {
   one(choice) {
     const select = Object.assign(document.createElement("select"), { name: choice.name, title: choice.description });
-    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default)));
+    // An option is selected from the start only if the fourth argument says so; the third one is for a reset.
+    const isDefault = (name) => name === choice.default;
+    select.append(...choice.values.map(({ name, label }) => new Option(label, name, isDefault(name), isDefault(name))));
     return labelled(choice.label, select);
   },
   several(choice) {
