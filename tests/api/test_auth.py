@@ -13,7 +13,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from api.app import ExposedError, create_app, refuse_strangers
+from api.app import ExposedError, create_app, require_keys_if_exposed
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
@@ -304,17 +304,17 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
     exposed = settings.model_copy(update={"host": "0.0.0.0"})  # noqa: S104
     with running(settings) as live:
         store = live.services.store
-        refuse_strangers(settings, store)
+        require_keys_if_exposed(settings, store)
         with pytest.raises(ExposedError, match=f"`multicap keys create NAME --data {settings.data_dir}`"):
-            refuse_strangers(exposed, store)
+            require_keys_if_exposed(exposed, store)
         usual = exposed.model_copy(update={"data_dir": default_data_dir()})
         with pytest.raises(ExposedError, match="`multicap keys create NAME`"):
-            refuse_strangers(usual, store)
-        refuse_strangers(exposed.model_copy(update={"trust_network": True}), store)
+            require_keys_if_exposed(usual, store)
+        require_keys_if_exposed(exposed.model_copy(update={"trust_network": True}), store)
         key, _ = store.create_key("mine", "portal", USUAL)
-        refuse_strangers(exposed, store)
+        require_keys_if_exposed(exposed, store)
         store.revoke_key(key.id)
-        refuse_strangers(exposed, store)  # nobody comes in, but nobody comes in unasked
+        require_keys_if_exposed(exposed, store)  # nobody comes in, but nobody comes in unasked
 
 
 def test_the_log_says_who_did_what(

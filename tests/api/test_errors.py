@@ -106,7 +106,7 @@ def test_json_of_another_type_is_not_read(live: Live) -> None:
         f"/v1/sessions/{UNKNOWN}/jobs", content=b'{"method": "tracking"}', headers={"Content-Type": "text/plain"}
     )
     problem = problem_of(answer, 415, "unsupported_media_type")
-    assert problem["detail"] == "This address takes application/json."
+    assert problem["detail"] == "This address accepts application/json."
 
 
 def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,7 +79,7 @@ def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None
     command = [*COMMAND, "--port", port, "--data", str(tmp_path)]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert refused.returncode == 2
-    assert f"Port {port} can't be had" in refused.stderr
+    assert f"Port {port} can't be used on" in refused.stderr
 
 
 def test_a_killed_api_comes_back_on_its_port(served: Served) -> None:

@@ -1,4 +1,4 @@
-"""`multicap benchmark fit`: speed and memory of the fit, from tracks in memory to motions in memory."""
+"""`multicap benchmark fit`: speed and memory of the skeleton fit, from tracks in memory to motions."""
 
 import time
 import tracemalloc
@@ -47,7 +47,7 @@ def measure_sizes() -> list[dict[str, Any]]:
 
 
 def measure_memory() -> list[dict[str, float]]:
-    """What the fit of one person takes at its peak beside what it is given and what it gives, by the take's length."""
+    """Peak memory of the fit of one person, without its input and output, by the length of the take."""
     simulation = record(replace(SCENES["room"], duration_s=_DURATION_S), 0, _SIZES[0][1])
     cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
     found = reconstruct_tracks(
@@ -64,7 +64,7 @@ def measure_memory() -> list[dict[str, float]]:
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         given, made = _arrays(long_track, long_seen), _arrays(*animation.tracks, *animation.motions)
-        # What a track takes over from the one before it is not made.
+        # Arrays that an output shares with the input are not counted as new.
         num_new = sum(array.nbytes for key, array in made.items() if key not in given)
         num_all = sum(array.nbytes for array in (given | made).values())
         figures.append({"minutes": minutes, "records_mib": num_all / _MIB, "working_mib": (peak - num_new) / _MIB})
@@ -78,10 +78,12 @@ def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.n
 
 
 def fit(
-    memory: Annotated[bool, typer.Option("--memory", help="Also the memory of long takes; some minutes.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    memory: Annotated[
+        bool, typer.Option("--memory", help="Also measure the memory of long takes; takes minutes.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the fit of skeletons to whole tracks on one core; simulated people, detected in whole bodies."""
+    """Time the fit of skeletons to whole tracks on one core; simulated people, detected as whole bodies."""
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes()

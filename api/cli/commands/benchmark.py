@@ -52,7 +52,7 @@ def _group() -> None:
 
 
 def network_seconds(session: CaptureSession, detector_name: str) -> float:
-    """Seconds that the network alone takes for all frames of a session, on one thread."""
+    """Time of the network alone for all frames of a session, on one thread."""
     detector = open_detector(detector_name)
     total_s = 0.0
     for video in session.videos:
@@ -66,18 +66,18 @@ def network_seconds(session: CaptureSession, detector_name: str) -> float:
 
 @app.command()
 def pipeline(
-    loops: Annotated[int, typer.Option(min=1, max=100, help="How many times the sample is played.")] = 1,
+    loops: Annotated[int, typer.Option(min=1, max=100, help="Number of repetitions of the sample in its videos.")] = 1,
     detector: DetectorOption = DEFAULTS.detector,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the sample capture from videos to result files in one process, beside the network alone."""
+    """Time the sample capture from videos to result files in one process, compared with the network alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
         models.install(detector)
         sample = samples.install()
         videos = list(sample.videos.values())
         if loops > 1:
             looped = [Path(folder) / path.name for path in videos]
-            # In a process of its own: its memory is not the pipeline's.
+            # In a child process, so that its memory does not count as the pipeline's.
             with ProcessPool(1) as pool:
                 list(pool.map(loop_video, videos, looped, repeat(loops)))
             videos = looped
@@ -113,7 +113,7 @@ def pipeline(
 
 
 def stage_seconds(job: Json) -> dict[str, float]:
-    """From the start of each stage's first chunk to the end of its last one."""
+    """Seconds from the start of each stage's first chunk to the end of its last chunk."""
     return {
         stage["name"]: (
             datetime.fromisoformat(stage["finished_at"]) - datetime.fromisoformat(stage["started_at"])
@@ -123,7 +123,7 @@ def stage_seconds(job: Json) -> dict[str, float]:
 
 
 def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
-    """Time a session through a fresh service: from the upload's first byte to the last download's last byte."""
+    """Time a session in a new service, from the first byte of the upload to the last byte of the downloads."""
     with served(folder / "service", workers) as client:
         started_s = time.perf_counter()
         job = client.submit("Sample capture", list(sample.videos.values()), sample.calibration)
@@ -142,7 +142,7 @@ def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
 
 
 def time_library(sample: Sample, folder: Path) -> float:
-    """Time the library on one process, from the videos to the files on disk."""
+    """Time the library in one process, from the videos to the result files."""
     started_s = time.perf_counter()
     session = open_session(list(sample.videos.values()), sample.calibration)
     write_results(reconstruct(session, ReconstructionConfig()), folder)
@@ -153,7 +153,7 @@ def time_library(sample: Sample, folder: Path) -> float:
 def service(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the sample through the service with one worker and with two, beside the library."""
+    """Time the sample in a service with one worker and with two workers, compared with the library."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         models.install(JobSpec().detector)
         sample = samples.install()

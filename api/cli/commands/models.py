@@ -1,4 +1,4 @@
-"""`multicap models`: detector networks."""
+"""`multicap models`: list, install, add and verify detector networks."""
 
 from dataclasses import asdict
 from typing import Annotated
@@ -14,7 +14,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on s
 
 @app.command("list")
 def list_(as_json: AsJson = False) -> None:
-    """List the networks that Multicap knows."""
+    """List the networks that Multicap supports."""
     with reporting(as_json):
         known = models.status()
     if as_json:
@@ -50,6 +50,6 @@ def verify(as_json: AsJson = False) -> None:
         installed = [one.name for one in models.status() if one.installed]
         for name in installed:
             models.verify(name)
-            console.print(f"{name}: as it should be")
+            console.print(f"{name}: the checksum is right")
     if as_json:
         emit({"verified": installed})

@@ -65,7 +65,7 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
 
 def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
     assert schema["info"]["license"] == {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
-    assert schema["servers"] == [{"url": "/", "description": "Where this document comes from."}]
+    assert schema["servers"] == [{"url": "/", "description": "Service that serves this document."}]
     described = {tag["name"] for tag in schema["tags"] if tag["description"]}
     assert described == {tag for operation in operations(schema) for tag in operation["tags"]}
 

@@ -250,7 +250,7 @@ def test_statuses_are_those_of_the_answers() -> None:
         (code, "503")
         for tree in sources().values()
         for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and name_of(node) == "service_away"
+        if isinstance(node, ast.Call) and name_of(node) == "service_unavailable"
         for code in constants(node.args[0]) or ()
     }
     assert len(stated) > 40

@@ -148,10 +148,10 @@ def test_addresses_of_an_ipv6_network_are_one_client() -> None:
     first, second, third, other = Fake(), Fake(), Fake(), Fake()
     assert connections.admit(first, "2001:db8:0:1::1")
     assert connections.admit(second, "2001:db8:0:1:ffff::2")
-    connections.work(second)
+    connections.mark_busy(second)
     assert connections.admit(third, "2001:db8:0:1::3")
     assert (first.closed, second.closed) == (True, False)
-    connections.work(third)
+    connections.mark_busy(third)
     assert not connections.admit(Fake(), "2001:db8:0:1::4")
     assert connections.admit(other, "2001:db8:0:2::1")
     assert len(connections) == 3
@@ -163,9 +163,9 @@ def test_connections_of_a_trusted_proxy_count_in_the_sum_only() -> None:
     assert all(connections.admit(fake, "10.1.2.3") for fake in fakes)
     assert [fake.closed for fake in fakes] == [True, False, False, False]
     for fake in fakes[1:]:
-        connections.work(fake)
+        connections.mark_busy(fake)
     assert not connections.admit(Fake(), "192.0.2.1")
-    connections.forget(fakes[1])
+    connections.remove(fakes[1])
     assert connections.admit(Fake(), "192.0.2.1")
 
 

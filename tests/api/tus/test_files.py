@@ -284,7 +284,7 @@ def test_who_comes_back_does_not_wait_for_the_line_that_broke(live: Live, tus: U
     with socket.create_connection(live.address[:2], timeout=20) as stalled:
         stalled.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
         deadline_s = time.monotonic() + 20
-        while not live.services.uploads.is_written(address.rpartition("/")[2]):
+        while not live.services.uploads.has_writer(address.rpartition("/")[2]):
             assert time.monotonic() < deadline_s
         problem_of(tus.send(address, 4000, CONTENT[4000:]), 409, "offset_mismatch")
         assert stalled.recv(65536).startswith(b"HTTP/1.1 423 ")

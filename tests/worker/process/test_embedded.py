@@ -13,14 +13,14 @@ from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.process import embedded
-from worker.process.lifeline import tied
+from worker.process.lifeline import tied_to_parent
 
 
 @contextlib.contextmanager
 def answering(place: embedded.Place) -> Iterator[WorkQueue]:
     """The broker, until the end of the block."""
     program, queue = embedded.broker(place), WorkQueue(place.broker_url)
-    with subprocess.Popen(tied(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen(tied_to_parent(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
         try:
             deadline_s = time.monotonic() + 10
             while not queue.ping() and time.monotonic() < deadline_s:

@@ -8,7 +8,7 @@ from sqlalchemy.exc import OperationalError
 
 from tests.worker.conftest import Bench
 from worker.jobs.model import WorkerState, WorkerStatus
-from worker.process.presence import Presence, forget_lost, process_name
+from worker.process.presence import Presence, process_name, remove_killed
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
 
@@ -71,5 +71,5 @@ def test_killed_processes_of_this_machine_are_taken_off_the_list(bench: Bench) -
     elsewhere = replace(STARTING, id="another-machine:4194304")
     for status in (STARTING, killed, elsewhere):
         bench.store.report_worker(status)
-    forget_lost(bench.store)
+    remove_killed(bench.store)
     assert {worker.id for worker in bench.store.workers()} == {STARTING.id, elsewhere.id}

@@ -157,7 +157,7 @@ def test_an_unforeseen_exception_counts_as_an_attempt(bench: Bench) -> None:
     end_job(bench, "https://hook.example/")
     assert deliver(bench, Exploding(allow_private=False)) == 1
     (left,) = bench.store.deliveries()
-    assert (left.tries, left.problem) == (1, "The try failed; the reaper's log says why.")
+    assert (left.tries, left.problem) == (1, "The attempt failed; the reaper's log says why.")
     for _ in range(MAX_TRIES - 1):
         make_due(bench)
         assert deliver(bench, Exploding(allow_private=False)) == 1
