@@ -107,7 +107,7 @@ class Settings(BaseSettings):
         default=25_000_000,
         gt=0,
         description="Largest number of joints in all keypoint files of a session, with or without coordinates. A "
-        "worker needs some 115 bytes for each joint.",
+        "worker needs some 65 bytes for each joint.",
     )
     max_cameras: int = Field(
         default=64, gt=0, description="Largest number of videos, or archives of keypoints, of a session."
