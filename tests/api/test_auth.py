@@ -1,4 +1,4 @@
-"""Keys: every route of the contract with keys that are missing, wrong, too weak, or another tenant's."""
+"""Authorization: every route of the contract with missing, wrong and weak keys, and keys of another tenant."""
 
 import contextlib
 import json
@@ -28,14 +28,14 @@ OPERATIONS = [
     for method in item
     if method in {"get", "head", "post", "put", "patch", "delete"}
 ]
-# These say who may come in, or that the service is alive: nobody's data.
+# Routes that need no key: health, and signing a browser in and out.
 OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("POST", "/v1/browser-session"), ("DELETE", "/v1/browser-session")}
 GUARDED = [one for one in OPERATIONS if one not in OPEN]
 OWNED = [one for one in GUARDED if "{" in one[1]]
 ADMIN = ("GET", "/metrics")
 ANY_KEY = ("GET", "/v1/caller")
 
-# A piece of an upload, all of it right but for whose it is.
+# Valid piece of an upload of another tenant.
 TUS = {
     "Tus-Resumable": "1.0.0",
     "Upload-Length": "10",
@@ -50,7 +50,7 @@ USUAL = frozenset({Scope.READ, Scope.WRITE})
 
 @dataclass
 class Guarded:
-    """A service with keys, and a session with a finished and an unfinished job of the tenant ``theirs``."""
+    """Service with keys; the tenant ``theirs`` has a session with a finished and an unfinished job."""
 
     live: Live
     ids: dict[str, str]
@@ -72,7 +72,7 @@ class Guarded:
 
 
 def refused(answer: httpx2.Response, status: int, code: str) -> None:
-    """Check a refusal; answers to HEAD have no body to say why."""
+    """Check a refusal; responses to HEAD have no body."""
     if answer.request.method == "HEAD":
         assert answer.status_code == status
     else:
@@ -219,7 +219,7 @@ def test_without_keys_everybody_may_do_everything(live: Live) -> None:
 
 
 class TestBrowser:
-    """A browser that has shown a key has a cookie instead."""
+    """Browsers that have signed in use a cookie."""
 
     @pytest.fixture
     def browser(self, guarded: Guarded) -> Iterator[httpx2.Client]:
@@ -314,7 +314,7 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
         key, _ = store.create_key("mine", "portal", USUAL)
         require_keys_if_exposed(exposed, store)
         store.revoke_key(key.id)
-        require_keys_if_exposed(exposed, store)  # nobody comes in, but nobody comes in unasked
+        require_keys_if_exposed(exposed, store)  # the only key is not valid, but the service asks for keys
 
 
 def test_the_log_says_who_did_what(

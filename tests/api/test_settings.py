@@ -1,3 +1,5 @@
+"""Settings of the web API: loopback addresses, agreement with the workers', messages for wrong variables."""
+
 import os
 import subprocess
 import sys

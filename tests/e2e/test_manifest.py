@@ -1,4 +1,4 @@
-"""What is said of cameras reaches the reconstruction: the service gives the library's files."""
+"""Manifest of a session: offsets give the same files as in the library, and all problems are reported."""
 
 import json
 from pathlib import Path

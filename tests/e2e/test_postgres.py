@@ -1,4 +1,4 @@
-"""The service on PostgreSQL: the same bytes as on SQLite, also when the server is restarted in the middle."""
+"""Service on PostgreSQL: the same bytes as on SQLite, even if the server restarts during a job."""
 
 import time
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The reaper publishes for work that nobody took, and survives a database that is away."""
+"""Reaper: it publishes messages for unclaimed work, and survives an unreachable database."""
 
 import time
 
@@ -21,7 +21,7 @@ LEASE_S = 20.0
 
 
 class Publisher:
-    """Counts what is published."""
+    """Counts published messages."""
 
     def __init__(self) -> None:
         self.count = 0

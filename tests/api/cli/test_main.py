@@ -1,4 +1,4 @@
-"""What programs rely on: exit codes, one JSON object on stdout, every problem at once."""
+"""Command line for programs: exit codes, one JSON object on stdout, every problem at once."""
 
 import ast
 import contextlib
@@ -66,7 +66,7 @@ def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
 
 
 def test_the_help_imports_no_command() -> None:
-    """And says of every command what the command's own help says first, or less."""
+    """The sentence of each command is the beginning of the command's own help."""
     code = "import sys; sys.argv = ['multicap', '--help']; import atexit; from api.cli.main import main\n"
     code += "atexit.register(lambda: print(sorted({name.partition('.')[0] for name in sys.modules}))); main()"
     result = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
@@ -315,7 +315,7 @@ def test_a_database_that_is_away_is_no_stack_trace(tmp_path: Path, monkeypatch: 
 
 @pytest.fixture
 def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal that is too small for any table."""
+    """Terminal that is too narrow for any table."""
     monkeypatch.setenv("COLUMNS", "20")
 
 

@@ -1,3 +1,5 @@
+"""OpenAPI document: committed files, operations, examples, security and schemas."""
+
 import json
 import re
 from collections.abc import Iterator
@@ -112,7 +114,7 @@ def test_every_answer_has_an_example(schema: dict[str, Any]) -> None:
             declared = (
                 schema["components"]["responses"][response["$ref"].split("/")[-1]] if "$ref" in response else response
             )
-            # Uploads answer by headers.
+            # Responses about uploads have headers only.
             for content in declared.get("content", {} if "uploads" in operation["tags"] else None).values():
                 assert "example" in content or content["examples"], (operation["operationId"], status)
 

@@ -1,4 +1,4 @@
-"""Conventions of all addresses: HEAD wherever GET is, entity tags, figures of the rate limit, headers for pages."""
+"""Conventions of all addresses: HEAD, entity tags, caching, rate limit headers, and headers for other origins."""
 
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
@@ -14,13 +14,13 @@ from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.model import Scope
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
-# Of each answer its own.
+# Headers that differ in every response.
 OWN = {"date", "x-request-id"}
 
 
 @pytest.fixture
 def addresses(live: Live) -> list[str]:
-    """Every kind of address that answers GET: pages, health, the contract, records, lists, files."""
+    """Addresses of every kind that answer GET: pages, health, the contract, records, lists, files."""
     job_id = live.job_id()
     live.finish(job_id)
     session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
@@ -61,7 +61,7 @@ def test_head_begins_no_stream(live: Live, addresses: list[str], monkeypatch: py
         headed = live.client.head(address)
         assert (headed.status_code, headed.content) == (200, b"")
         assert headed.headers["content-type"].startswith(media_type)
-    # The connection is as good as before, and nothing waits for the end of a stream of a job that goes on.
+    # The connection stays usable, and HEAD does not wait for the end of the stream of an unfinished job.
     assert live.client.head(f"/v1/jobs/{live.job_id()}/events").status_code == 200
     assert live.client.get("/healthz").status_code == 200
     assert begun == []

@@ -1,4 +1,4 @@
-"""Clients that neither send nor take, and those that drip."""
+"""Slow clients: they stop sending or receiving, or send a few bytes at a time."""
 
 import socket
 import time
@@ -24,7 +24,7 @@ def head(path: str, length: int, content_type: str = "multipart/form-data; bound
 
 
 def answer_of(connection: socket.socket) -> bytes:
-    """All that comes until the service closes."""
+    """All bytes until the service closes the connection."""
     received = b""
     while block := connection.recv(65536):
         received += block
@@ -74,7 +74,7 @@ def test_who_is_slow_but_steady_is_served(strict: Live) -> None:
 
 
 def test_who_takes_nothing_is_cut_off(strict: Live) -> None:
-    content = b"B" * (64 * MIB)  # more than any buffer on the way
+    content = b"B" * (64 * MIB)  # more than all network buffers hold
     job_id = strict.job_id()
     strict.finish(job_id, content)
     request = f"GET /v1/jobs/{job_id}/results/person-1.bvh HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -129,7 +129,7 @@ def test_headers_have_an_end(strict: Live, head: bytes, more: bytes, pause_s: fl
 def test_further_requests_of_a_connection_have_their_own_time(strict: Live) -> None:
     request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
-        for _ in range(4):  # longer than a head may take, all in all
+        for _ in range(4):  # in total longer than the time limit of the headers
             time.sleep(IDLE_S / 2)
             connection.sendall(request)
             assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")

@@ -1,4 +1,4 @@
-"""A disk without headroom: nothing new is taken in, and every refusal says why. Deleting is tried in tests/e2e."""
+"""Disk without headroom: nothing new is accepted, and every refusal states the reason; tests/e2e tests deleting."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The stream of a job's changes, as browsers and scripts take it."""
+"""Event stream of a job: updates, reconnecting, limits, deletion."""
 
 import json
 import threading
@@ -15,7 +15,7 @@ PATIENCE_S = 20.0
 
 
 def events_of(answer: httpx2.Response) -> Iterator[dict[str, Any]]:
-    """Events as the standard reads them: fields up to an empty line; lines with a colon at first are comments."""
+    """Parse server-sent events: fields up to an empty line; lines that begin with a colon are comments."""
     fields: dict[str, str] = {}
     for line in answer.iter_lines():
         if line == "" and fields:
@@ -27,7 +27,7 @@ def events_of(answer: httpx2.Response) -> Iterator[dict[str, Any]]:
 
 
 class Listener(threading.Thread):
-    """Takes a job's events until the stream ends."""
+    """Receives the events of a job until the stream ends."""
 
     def __init__(self, live: Live, job_id: str, last_event_id: str | None = None) -> None:
         super().__init__(daemon=True)
@@ -118,7 +118,7 @@ def test_a_job_that_is_deleted_meanwhile_is_gone(live: Live) -> None:
     live.services.store.cancel(job_id)
     live.services.store.delete_job(job_id)
     listener.join(PATIENCE_S)
-    # Whether the end was seen before the deletion is a matter of luck.
+    # The end may or may not be sent before the deletion.
     assert listener.events[-1]["event"] == "gone" or listener.events[-1]["data"]["state"] == "canceled"
     problem_of(live.client.get(f"/v1/jobs/{job_id}/events"), 404, "not_found")
 

@@ -1,3 +1,5 @@
+"""Jobs: creation, choices, paging, cancel, retry, attempts and deletion."""
+
 import json
 import uuid
 from datetime import UTC, datetime
@@ -249,7 +251,7 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
     assert offered(fail(retryable=True)) == (False, True)
     hopeless = fail(retryable=False)
     assert offered(hopeless) == (False, False)
-    # An operator may know better.
+    # The operator allows more.
     live.client.post(f"/v1/jobs/{hopeless}/retry").raise_for_status()
     live.client.post(f"/v1/jobs/{hopeless}/cancel").raise_for_status()
     assert offered(hopeless) == (False, True)

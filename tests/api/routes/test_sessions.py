@@ -1,3 +1,5 @@
+"""Sessions: files, manifest, preflight, paging and deletion."""
+
 import hashlib
 import json
 import os
@@ -264,7 +266,7 @@ def test_manifest_may_be_a_file(live: Live) -> None:
 
 
 class TestManifest:
-    """What clients say of a session beside its files."""
+    """Manifest of a session."""
 
     def send(self, live: Live, manifest: object, **options: Any) -> httpx2.Response:
         part = ("manifest", (None, json.dumps(manifest)))
@@ -346,5 +348,5 @@ def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
     assert [(item["code"], item["camera"], item["pointer"]) for item in answer.json()["errors"]] == [
         ("no_overlap", "cam_0", "/manifest/cameras/1"),
         ("recording_doubled", "cam_1", "/manifest/cameras/2"),
-        ("no_overlap", "cam_2", None),  # nothing is said of it
+        ("no_overlap", "cam_2", None),  # not in the manifest
     ]

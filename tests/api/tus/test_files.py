@@ -1,4 +1,4 @@
-"""Uploads by tus 1.0, and sessions made of them."""
+"""Uploads by tus 1.0, and sessions created from them."""
 
 import asyncio
 import base64
@@ -41,7 +41,7 @@ def checksum(content: bytes, algorithm: str = "sha1") -> dict[str, str]:
 
 @dataclass
 class Uploader:
-    """A client of the protocol."""
+    """Client of the protocol."""
 
     client: httpx2.Client
 
@@ -64,7 +64,7 @@ class Uploader:
         return int(answer.headers["upload-offset"])
 
     def upload(self, content: bytes, name: str) -> str:
-        """Send a whole file; returns its id."""
+        """Send a whole file; return the id of its upload."""
         address = self.begin(len(content), name)
         assert self.send(address, 0, content).status_code == 204
         return address.rpartition("/")[2]
@@ -251,7 +251,7 @@ def wait_for_offset(tus: Uploader, address: str, offset: int) -> None:
 
 
 def piece_request(live: Live, address: str, length: int, content: bytes, **headers: str) -> bytes:
-    """A request whose body may break off."""
+    """Request whose body may break off."""
     fields = PIECE | {"Host": "localhost", "Upload-Offset": "0", "Content-Length": str(length)} | headers
     lines = [f"PATCH {address} HTTP/1.1", *(f"{name}: {value}" for name, value in fields.items()), "", ""]
     return "\r\n".join(lines).encode() + content
@@ -289,7 +289,7 @@ def test_who_comes_back_does_not_wait_for_the_line_that_broke(live: Live, tus: U
         problem_of(tus.send(address, 4000, CONTENT[4000:]), 409, "offset_mismatch")
         assert stalled.recv(65536).startswith(b"HTTP/1.1 423 ")
     offset = tus.offset(address)
-    assert offset in {0, 1234}  # whether it had read what was sent
+    assert offset in {0, 1234}  # depends on whether the service had read the piece
     assert tus.send(address, offset, CONTENT[offset:]).status_code == 204
     assert live.kept()[0].read_bytes() == CONTENT
 
@@ -352,7 +352,7 @@ def test_quota(make_settings: Callable[..., Settings]) -> None:
 
 
 class TestSessions:
-    """Sessions that name uploads instead of bringing files."""
+    """Sessions that name uploads in place of files."""
 
     def body(self, tus: Uploader, videos: int = 2) -> dict[str, Any]:
         return {
@@ -446,7 +446,7 @@ class TestSessions:
 
 
 def test_blocks_are_written_on_the_way(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who drips is not a second's worth of pieces behind."""
+    """Bytes of a slow client are written within about a second."""
     monkeypatch.setattr(uploads, "_BLOCK_S", 0.0)
     address = tus.begin(5000)
     with socket.create_connection(live.address[:2], timeout=20) as dripping:
