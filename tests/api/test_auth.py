@@ -125,7 +125,7 @@ def test_a_key_that_is_too_weak_is_refused(guarded: Guarded, method: str, path: 
 
 
 @pytest.mark.parametrize(("method", "path"), OWNED)
-def test_what_is_another_tenant_s_is_not_found(guarded: Guarded, method: str, path: str) -> None:
+def test_records_of_another_tenant_are_not_found(guarded: Guarded, method: str, path: str) -> None:
     refused(guarded.ask(method, path, guarded.mine), 404, "not_found")
 
 
@@ -234,7 +234,7 @@ class TestBrowser:
         attributes = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}
         assert {"httponly", "samesite=strict", "path=/", "max-age=43200"} <= attributes
 
-    def test_it_does_what_its_key_does(self, guarded: Guarded, browser: httpx2.Client) -> None:
+    def test_a_browser_has_the_scopes_of_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
         assert browser.get("/v1/caller").json()["tenant"] == "theirs"
         assert browser.get(f"/v1/jobs/{guarded.ids['job_id']}/results/person-1.bvh").status_code == 200
         session = browser.post("/v1/sessions", files=form()).raise_for_status().json()
@@ -250,14 +250,14 @@ class TestBrowser:
         assert answer.status_code == 403
         assert answer.json()["code"] in {"cross_site_request", "origin_not_allowed"}
 
-    def test_it_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
+    def test_a_browser_session_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
         cookies = dict(browser.cookies)
         assert browser.delete("/v1/browser-session").status_code == 204
         assert not browser.cookies
         browser.cookies.update(cookies)
         problem_of(browser.get("/v1/jobs"), 401, "key_required")
 
-    def test_it_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
+    def test_a_browser_session_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
         key, secret = guarded.key(USUAL)
         browser.post("/v1/browser-session", json={"key": secret}).raise_for_status()
         assert browser.get("/v1/jobs").status_code == 200

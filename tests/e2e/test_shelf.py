@@ -70,7 +70,7 @@ def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
     assert set(scores["ablation"]["triangulation"]) >= {"conventional", "incremental_without_norm", "incremental"}
 
 
-def test_all_that_is_missing_is_said(tmp_path: Path) -> None:
+def test_all_missing_and_unreadable_files_are_reported(tmp_path: Path) -> None:
     (tmp_path / "gt.npz").write_text("no archive")
     np.savez(tmp_path / "other.npz", cam=np.zeros(1), frame=np.zeros(1))
     result = CliRunner().invoke(

@@ -331,13 +331,13 @@ def test_a_table_is_a_line_a_row_with_every_cell_whole(capsys: pytest.CaptureFix
     ]
 
 
-def test_what_a_terminal_would_obey_is_shown_as_it_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_are_shown_escaped(capsys: pytest.CaptureFixture[str]) -> None:
     print_table(["to"], [["https://a\x1b[2J\nb\u202e"]])
     assert capsys.readouterr().out == "to\nhttps://a\\x1b[2J\\nb\\u202e\n"
 
 
 @pytest.mark.usefixtures("narrow")
-def test_what_one_has_to_type_is_whole_in_every_list(tmp_path: Path) -> None:
+def test_ids_and_names_are_never_shortened_in_lists(tmp_path: Path) -> None:
     data = ["--data", str(tmp_path)]
     key = json.loads(runner.invoke(app, ["keys", "create", "a name of some length", "--json", *data]).stdout)
     listed = runner.invoke(app, ["keys", "list", *data])

@@ -104,7 +104,7 @@ def test_an_offset_can_be_asked_for_by_post(small: Live) -> None:
         b"POST /nowhere HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
     ],
 )
-def test_what_is_not_read_of_a_body_is_no_request(small: Live, first: bytes) -> None:
+def test_the_unread_rest_of_a_body_is_not_a_request(small: Live, first: bytes) -> None:
     with Connection(small) as connection:
         connection.send(first)
         connection.answer(has_body=not first.startswith(b"HEAD"))

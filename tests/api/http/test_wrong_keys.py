@@ -66,7 +66,7 @@ def test_wrong_keys_are_counted_on_every_way_in(guarded: tuple[Live, dict[str, s
     assert [show().status_code for _ in range(LIMIT + 1)] == [401] * LIMIT + [429]
 
 
-def test_who_shows_no_key_is_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_requests_without_a_key_are_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
     live, _ = guarded
     assert {live.client.get("/v1/jobs").status_code for _ in range(3 * LIMIT)} == {401}
 

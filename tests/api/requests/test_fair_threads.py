@@ -76,7 +76,7 @@ def test_owners_take_turns_however_many_calls_they_have() -> None:
 @pytest.mark.parametrize(
     ("owner", "status", "code"), [("holder", 429, "too_many_checks"), ("other", 503, "checks_busy")]
 )
-def test_nobody_waits_for_ever(owner: str, status: int, code: str) -> None:
+def test_waiting_times_are_limited(owner: str, status: int, code: str) -> None:
     async def scenario() -> ApiError:
         threads, work = FairThreads(1, 0.1), Work()
         holding = asyncio.create_task(threads.run("holder", work, "holder"))

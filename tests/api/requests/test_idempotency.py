@@ -112,7 +112,7 @@ def test_sessions_of_uploads_that_are_used_up(live: Live) -> None:
     problem_of(answer, 422, "invalid_request")
 
 
-def test_what_was_refused_may_be_sent_again_under_the_key(live: Live) -> None:
+def test_a_refused_request_may_be_repeated_with_its_key(live: Live) -> None:
     for _ in range(2):
         answer = live.client.post("/v1/sessions", files=form(1, b"WRONG"), headers=KEY)
         problem_of(answer, 422, "invalid_request")
@@ -147,7 +147,7 @@ def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch
     assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
 
 
-def test_it_is_answered_also_when_there_is_no_more_room(make_settings: Callable[..., Settings]) -> None:
+def test_a_repeated_request_is_answered_at_the_quota(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_tenant_sessions=1)) as live:
         again(lambda: live.client.post("/v1/sessions", files=form(), headers=KEY))
         answer = live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "another"})
@@ -155,7 +155,7 @@ def test_it_is_answered_also_when_there_is_no_more_room(make_settings: Callable[
 
 
 @pytest.mark.parametrize(("key", "status"), [("x" * 200, 202), ("x" * 201, 422), ("\u00e4", 400), ("a\tb", 400)])
-def test_what_may_be_a_key(live: Live, key: str, status: int) -> None:
+def test_allowed_idempotency_keys(live: Live, key: str, status: int) -> None:
     headers = {"Idempotency-Key": key.encode("latin-1")}
     session_id = live.session_id()
     answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={}, headers=headers)  # type: ignore[arg-type]

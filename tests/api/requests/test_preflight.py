@@ -197,7 +197,7 @@ def test_without_keys_clients_take_turns_by_address(make_settings: Callable[...,
         assert not any(answer.done() for answer in hanging)
 
 
-def test_who_waits_too_long_is_refused_and_told_when_to_come_back(make_settings: Callable[..., Settings]) -> None:
+def test_a_check_that_waits_too_long_is_refused_with_retry_after(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings(preflight_timeout_s=5.0, preflight_wait_s=0.3, max_parallel_preflights=1)
     with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:
         hanging = pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"))

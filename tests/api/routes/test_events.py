@@ -85,7 +85,7 @@ def test_a_job_is_followed_to_its_end(live: Live) -> None:
     assert told[-1] == live.client.get(f"/v1/jobs/{job_id}").json()
 
 
-def test_who_comes_back_hears_what_was_missed_and_nothing_twice(live: Live) -> None:
+def test_a_reconnected_client_gets_missed_events_once(live: Live) -> None:
     job_id = live.job_id()
     first = live.services.store.changes([job_id])[job_id].event
     waiting = Listener(live, job_id, str(first))
@@ -147,9 +147,7 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
         assert listener.events[-1]["data"]["state"] == "succeeded"
 
 
-def test_who_comes_while_the_database_is_asked_is_told_a_number_too(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     look = live.services.store.changes
 
     def slowly(job_ids: Any) -> Any:
@@ -167,7 +165,7 @@ def test_who_comes_while_the_database_is_asked_is_told_a_number_too(
         assert listener.events[0]["id"].isdigit()
 
 
-def test_who_hangs_up_is_forgotten_and_nobody_is_looked_for_then(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     url = f"http://{live.address[0]}:{live.address[1]}/v1/jobs/{job_id}/events"
     with httpx2.Client(timeout=PATIENCE_S, trust_env=False) as client, client.stream("GET", url) as answer:

@@ -214,7 +214,7 @@ def test_progress_of_a_running_stage(live: Live) -> None:
         ({"people": "some"}, 422),
     ],
 )
-def test_which_frames_and_how_many_people(live: Live, spec: dict[str, object], status: int) -> None:
+def test_ranges_of_frames_and_numbers_of_people(live: Live, spec: dict[str, object], status: int) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=spec)
     assert answer.status_code == status, answer.text
     if status == 202:

@@ -45,7 +45,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_what_a_killed_part_left_is_removed(tmp_path: Path) -> None:
+def test_files_of_a_killed_process_are_removed(tmp_path: Path) -> None:
     with embedded.occupy(tmp_path) as place:
         (place.temporary_dir / "left").mkdir()
     with embedded.occupy(tmp_path) as place:

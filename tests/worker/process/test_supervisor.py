@@ -84,7 +84,7 @@ def test_programs_stop_at_once_but_for_what_the_others_need(tmp_path: Path) -> N
     assert said == []
 
 
-def test_what_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
+def test_a_program_that_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
     stubborn = program(
         "worker",
         f"""

@@ -67,7 +67,7 @@ class TestBadReceivers:
     def test_closes_at_once(self, bench: Bench, closing: Callable[[bytes], str], with_answer: bytes) -> None:
         assert self.problem_after_attempt(bench, closing(with_answer)) == "The connection failed."
 
-    def test_nobody_listens(self, bench: Bench) -> None:
+    def test_no_server_listens(self, bench: Bench) -> None:
         assert self.problem_after_attempt(bench, "http://127.0.0.1:1/") == "The connection failed."
 
     def test_speaks_no_tls(self, bench: Bench, receiver: Receiver) -> None:

@@ -64,7 +64,7 @@ class TestPrivateAddresses:
         assert Sender(allow_private=False).send(message("https://hook.example/"), secret()) == "The connection failed."
         assert connected == ["93.184.215.14"]
 
-    def test_of_several_addresses_a_public_one_is_taken(self, resolved: list[list[str]], connected: list[str]) -> None:
+    def test_the_first_public_address_is_used(self, resolved: list[list[str]], connected: list[str]) -> None:
         resolved.append(["10.0.0.1", "93.184.215.14"])
         Sender(allow_private=False).send(message("https://hook.example/"), secret())
         assert connected == ["93.184.215.14"]

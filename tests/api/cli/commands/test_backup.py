@@ -30,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_there_and_back_for_a_person(folder: Path, tmp_path: Path) -> None:
+def test_create_verify_and_restore_print_summaries(folder: Path, tmp_path: Path) -> None:
     archive, there = tmp_path / "b.tar", tmp_path / "there"
     for arguments in (
         ["create", f"{archive}", f"--data={folder}"],
