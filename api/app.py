@@ -104,13 +104,13 @@ def unusable_database(settings: Settings, error: Exception) -> str:
     if isinstance(error, DamagedDatabase):
         return f"{error}\n{error.instructions()}"
     if is_disk_full(error):
-        return f"The disk of the folder {settings.data_dir} is full. Make room on it, then try again."
+        return f"The disk of the folder {settings.data_dir} is full. Free space on it, then try again."
     where = "MULTICAP_DATABASE_URL" if settings.database_url else f"the folder {settings.data_dir}"
     return f"The database can't be used. Check that it runs and that {where} is right."
 
 
 class ExposedError(Exception):
-    """The service can be reached from other machines and has no keys; the text says what to do."""
+    """The service can be reached from other machines and has no keys; the text states the remedy."""
 
 
 def require_keys_if_exposed(settings: Settings, store: JobStore) -> None:

@@ -1,6 +1,6 @@
 """Authentication and authorization: API keys, browser sessions, scopes, and the caller's own records.
 
-A service without keys serves everybody as the default tenant.
+A service without keys serves all clients as the default tenant.
 """
 
 from collections.abc import Mapping

@@ -29,7 +29,7 @@ log = structlog.get_logger()
 _SWEEP_INTERVAL_S = 600.0
 
 LOADING, CONNECTING = "A worker loads its libraries", "A worker connects to the broker"
-NO_ROOM = "A worker has no room on its disk"
+NO_ROOM = "A worker has no free space on its disk"
 FAILED = "A worker can't load its libraries; its log says why"
 WORKING = "A worker works on ready chunks"
 

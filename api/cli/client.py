@@ -223,7 +223,7 @@ class Client:
         on_job
             Called four times a second with the current job: ``progress``, ``eta_s``, ``stages``.
         timeout_s
-            Longest waiting time; ``None``: until the job ends. The job goes on after a timeout.
+            Longest waiting time; ``None``: until the job ends. The job continues after a timeout.
 
         Returns
         -------
@@ -239,7 +239,7 @@ class Client:
         while now["state"] not in _ENDS:
             if time.monotonic() >= deadline_s:
                 raise ServiceError(
-                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and goes on."
+                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and continues."
                 )
             time.sleep(_POLL_S)
             now = _job(self.get(now["links"]["self"]))

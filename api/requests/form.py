@@ -191,7 +191,7 @@ class Parts:
         )
 
     def close(self) -> None:
-        """Let go of a file that did not come to its end."""
+        """Close a file that was not received completely."""
         if self._open is not None:
             with contextlib.suppress(OSError):  # The disk may be full; the file is no longer needed.
                 self._open.file.close()

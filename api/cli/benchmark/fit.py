@@ -78,9 +78,7 @@ def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.n
 
 
 def fit(
-    memory: Annotated[
-        bool, typer.Option("--memory", help="Also measure the memory of long takes; takes minutes.")
-    ] = False,
+    memory: Annotated[bool, typer.Option("--memory", help="Also measure the memory of long takes (minutes).")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time the fit of skeletons to whole tracks on one core; simulated people, detected as whole bodies."""

@@ -78,7 +78,7 @@ def command(
             for path in paths:
                 console.print(f"  {path.name}")
             if keep:
-                typer.echo(f"The service goes on at {client.url}. Ctrl-C stops it.")
+                typer.echo(f"The service keeps running at {client.url}. Ctrl-C stops it.")
                 _wait_for_ctrl_c()
 
 

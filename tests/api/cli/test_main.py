@@ -425,7 +425,7 @@ def test_a_key_is_revoked_on_a_full_disk_and_none_is_made(tmp_path: Path) -> Non
         (disk / "data" / "reserve").rename(disk / "held back")
         refused = runner.invoke(app, ["keys", "create", "another", data])
         assert refused.exit_code == 2
-        assert "is full. Make room on it" in refused.stderr
+        assert "is full. Free space on it" in refused.stderr
         (disk / "held back").rename(disk / "data" / "reserve")
         assert runner.invoke(app, ["keys", "revoke", made["id"], data]).exit_code == 0
         (listed,) = json.loads(runner.invoke(app, ["keys", "list", data, "--json"]).stdout)["keys"]
