@@ -31,7 +31,7 @@ def _option(choice: Choice) -> Any:
     make = functools.partial(typer.Option, f"--{choice.option}")
     match choice.kind:
         case "one":
-            # Values are checked by `checked`, not by Typer: a wrong one is reported as any other problem.
+            # Values are checked by `checked`, not by Typer: a wrong value is reported as any other problem.
             return make(metavar="|".join(choice.values), help=text)
         case "several":
             names = list(choice.values)

@@ -39,8 +39,8 @@ def _poses_s(simulation: Simulation) -> float:
     best_s = np.inf
     for _ in range(_REPEATS):
         started_s = time.perf_counter()
-        for one in instants:
-            find_poses(projections, one, skeleton, lengths, parameters, Effort())
+        for instant in instants:
+            find_poses(projections, instant, skeleton, lengths, parameters, Effort())
         best_s = min(best_s, time.perf_counter() - started_s)
     return best_s
 

@@ -30,15 +30,15 @@ def long_take(num_people: int, num_frames: int) -> Reconstruction:
     """
     simulation = record(replace(SCENES[_SCENE], duration_s=_DURATION_S), 0, _NUM_CAMERAS)
     cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
-    found = reconstruct_tracks(
+    people = reconstruct_tracks(
         cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
     )
-    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    track, seen = max(zip(*people, strict=True), key=lambda person: person[0].num_frames)
     animation = animate([track], [seen], cameras, simulation.timebase, simulation.joints, ReconstructionConfig())
     numbers = range(1, num_people + 1)
 
-    def tracks_of_all(one: Track3D) -> tuple[Track3D, ...]:
-        return tuple(replace(longer_track(one, num_frames), track_id=number, start_frame=0) for number in numbers)
+    def tracks_of_all(source: Track3D) -> tuple[Track3D, ...]:
+        return tuple(replace(longer_track(source, num_frames), track_id=number, start_frame=0) for number in numbers)
 
     return Reconstruction(
         cameras,

@@ -33,13 +33,13 @@ def measure_sizes() -> list[dict[str, Any]]:
         simulation = record(replace(SCENES[scene], duration_s=_DURATION_S), 0, num_cameras)
         cameras, timebase = simulation.cameras, simulation.timebase
         parameters = derive_parameters(cameras, timebase.frame_rate_hz)
-        found = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
+        people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
         best_s = np.inf
         for _ in range(_REPEATS):
             started_s = time.perf_counter()
-            animate(*found, cameras, timebase, simulation.joints, ReconstructionConfig())
+            animate(*people, cameras, timebase, simulation.joints, ReconstructionConfig())
             best_s = min(best_s, time.perf_counter() - started_s)
-        person_frames = sum(track.num_frames for track in found[0])
+        person_frames = sum(track.num_frames for track in people[0])
         sizes.append(
             {"cameras": num_cameras, "people": len(simulation.truth_m), "person_frames_per_s": person_frames / best_s}
         )
@@ -50,10 +50,10 @@ def measure_memory() -> list[dict[str, float]]:
     """Peak memory of the fit of one person, without its input and output, by the length of the take."""
     simulation = record(replace(SCENES["room"], duration_s=_DURATION_S), 0, _SIZES[0][1])
     cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
-    found = reconstruct_tracks(
+    people = reconstruct_tracks(
         cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
     )
-    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    track, seen = max(zip(*people, strict=True), key=lambda person: person[0].num_frames)
     figures = []
     for minutes in _MINUTES:
         num_frames = round(60 * minutes * rate_hz)
@@ -73,7 +73,7 @@ def measure_memory() -> list[dict[str, float]]:
 
 def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.ndarray]:
     """All arrays of records, by identity."""
-    values = (getattr(one, field.name) for one in records for field in fields(one))
+    values = (getattr(record, field.name) for record in records for field in fields(record))
     return {id(value): value for value in values if isinstance(value, np.ndarray)}
 
 

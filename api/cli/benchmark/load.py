@@ -49,7 +49,7 @@ def poll(url: str, paths: Sequence[str], num_clients: int, duration_s: float) ->
 
 
 async def _poll(url: str, paths: Sequence[str], num_clients: int, duration_s: float) -> Polls:
-    found = Polls([], [])
+    polls = Polls([], [])
     async with contextlib.AsyncExitStack() as stack:
         # Create all clients before the first request: the creation is slow enough to delay the requests of others.
         clients = [
@@ -59,24 +59,24 @@ async def _poll(url: str, paths: Sequence[str], num_clients: int, duration_s: fl
         start_s = time.perf_counter()
         await asyncio.gather(
             *(
-                _poll_as(client, paths[k % len(paths)], start_s + _POLL_EVERY_S * k / num_clients, duration_s, found)
+                _poll_as(client, paths[k % len(paths)], start_s + _POLL_EVERY_S * k / num_clients, duration_s, polls)
                 for k, client in enumerate(clients)
             )
         )
-    return found
+    return polls
 
 
-async def _poll_as(client: httpx2.AsyncClient, path: str, first_s: float, duration_s: float, found: Polls) -> None:
+async def _poll_as(client: httpx2.AsyncClient, path: str, first_s: float, duration_s: float, polls: Polls) -> None:
     for turn in range(int(duration_s / _POLL_EVERY_S)):
         await asyncio.sleep(max(0.0, first_s + turn * _POLL_EVERY_S - time.perf_counter()))
         started_s = time.perf_counter()
         try:
             answer = await client.get(path)
             if answer.status_code != 200:
-                found.errors.append(f"GET {path}: {answer.status_code}")
+                polls.errors.append(f"GET {path}: {answer.status_code}")
         except httpx2.TransportError as error:
-            found.errors.append(f"GET {path}: {error!r}")
-        found.seconds.append(time.perf_counter() - started_s)
+            polls.errors.append(f"GET {path}: {error!r}")
+        polls.seconds.append(time.perf_counter() - started_s)
 
 
 @dataclass
@@ -106,20 +106,20 @@ def upload(
     url: str, videos: Sequence[Path], calibration: Path, num_clients: int, duration_s: float, mbit_per_s: float
 ) -> Uploads:
     """Send and delete sessions with several clients, one session after the other, at a total rate."""
-    found = Uploads(0, [])
+    uploads = Uploads(0, [])
     end_s = time.perf_counter() + duration_s
     bytes_per_s = mbit_per_s * 1e6 / 8 / max(1, num_clients)
-    arguments = (url, [*videos, calibration], bytes_per_s, end_s, found, threading.Lock())
+    arguments = (url, [*videos, calibration], bytes_per_s, end_s, uploads, threading.Lock())
     threads = [threading.Thread(target=_upload_as, args=arguments) for _ in range(num_clients)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    return found
+    return uploads
 
 
 def _upload_as(
-    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, found: Uploads, lock: threading.Lock
+    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, uploads: Uploads, lock: threading.Lock
 ) -> None:
     with httpx2.Client(base_url=url, timeout=120.0, trust_env=False) as http:
         while time.perf_counter() < end_s:
@@ -137,9 +137,9 @@ def _upload_as(
                 error = f"POST /v1/sessions: {failure!r}"
             with lock:
                 if error is None:
-                    found.num_bytes += sum(path.stat().st_size for path in paths)
+                    uploads.num_bytes += sum(path.stat().st_size for path in paths)
                 else:
-                    found.errors.append(error)
+                    uploads.errors.append(error)
 
 
 def _wait_until_running(client: Client, job: Json) -> None:

@@ -87,10 +87,10 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
                 raise ServiceError("A job is not in the queue.")
 
         def claim(store: JobStore) -> None:
-            found = store.claim("benchmark", 60.0)
-            if found is None:
+            chunk = store.claim("benchmark", 60.0)
+            if chunk is None:
                 raise ServiceError("There is nothing to claim.")
-            held.append((store, found.chunk_id, found.lease_token))
+            held.append((store, chunk.chunk_id, chunk.lease_token))
 
         held: list[tuple[JobStore, int, str]] = []
         for turn in range(rounds + 1):

@@ -159,20 +159,21 @@ def service(
         sample = samples.install()
         warm_up()
         library_s = time_library(sample, Path(folder) / "library")
-        one, two = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
+        one_worker, two_workers = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
     result: Mapping[str, Any] = {
         "library_s": library_s,
-        "one_worker": one,
-        "two_workers": two,
-        "added_s": one["wall_s"] - library_s,
-        "speedup": one["job_s"] / two["job_s"],
-        "detect_speedup": one["stages"]["detect"] / two["stages"]["detect"],
+        "one_worker": one_worker,
+        "two_workers": two_workers,
+        "added_s": one_worker["wall_s"] - library_s,
+        "speedup": one_worker["job_s"] / two_workers["job_s"],
+        "detect_speedup": one_worker["stages"]["detect"] / two_workers["stages"]["detect"],
     }
     if as_json:
         emit(result)
         return
     typer.echo(
-        f"Library {library_s:.1f} s; service with one worker {one['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
-        f"with two {two['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
+        f"Library {library_s:.1f} s; "
+        f"service with one worker {one_worker['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
+        f"with two {two_workers['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
         f"detection {result['detect_speedup']:.2f} times"
     )

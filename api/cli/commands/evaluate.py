@@ -101,12 +101,12 @@ def shelf(
         identities = None
         if checked_method == "clustering":
             parameters = clustering_parameters(benchmark.cameras)
-            found = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
+            people = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
         else:
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
-            found = locate_people(*views, identities, benchmark.timebase, limits)
-        tracks = animate(*found, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
+            people = locate_people(*views, identities, benchmark.timebase, limits)
+        tracks = animate(*people, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
@@ -261,11 +261,11 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
     started_s = time.perf_counter()
     if config.method == "clustering":
         parameters = clustering_parameters(simulation.cameras)
-        found = reconstruct_by_clustering(*views, simulation.joints, parameters)
+        people = reconstruct_by_clustering(*views, simulation.joints, parameters)
     else:
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
-        found = reconstruct_tracks(*views, limits)
-    animation = animate(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
+        people = reconstruct_tracks(*views, limits)
+    animation = animate(*people, simulation.cameras, simulation.timebase, simulation.joints, config)
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
     return _score(animation, simulation, simulation.joints) | {"fps": fps}
 
@@ -273,8 +273,8 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
 def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
-        found = cluster_fields(simulation, files)
-        animation = animate(*found, simulation.cameras, simulation.timebase, COCO_18, config)
+        people = cluster_fields(simulation, files)
+        animation = animate(*people, simulation.cameras, simulation.timebase, COCO_18, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = _score(animation, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}

@@ -67,12 +67,12 @@ def create(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
-        found = store.list_keys()
+        keys = store.list_keys()
     if as_json:
-        emit({"keys": [_document(key) for key in found]})
+        emit({"keys": [_document(key) for key in keys]})
         return
     now = datetime.now(UTC)
-    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in found)
+    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in keys)
     print_table(("id", "tenant", "name", "scopes", "until"), rows)
 
 

@@ -18,9 +18,9 @@ def list_(as_json: AsJson = False) -> None:
     with reporting(as_json):
         known = models.status()
     if as_json:
-        emit({"models": [asdict(one) for one in known]})
+        emit({"models": [asdict(model) for model in known]})
         return
-    rows = ((one.name, "yes" if one.installed else "no", one.licence, one.sha256) for one in known)
+    rows = ((model.name, "yes" if model.installed else "no", model.licence, model.sha256) for model in known)
     print_table(("name", "installed", "licence", "sha256"), rows)
 
 
@@ -47,7 +47,7 @@ def add(
 def verify(as_json: AsJson = False) -> None:
     """Compare the checksums of all installed networks."""
     with reporting(as_json):
-        installed = [one.name for one in models.status() if one.installed]
+        installed = [model.name for model in models.status() if model.installed]
         for name in installed:
             models.verify(name)
             console.print(f"{name}: the checksum is right")

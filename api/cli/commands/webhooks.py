@@ -42,23 +42,31 @@ def rotate(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
-        left = store.deliveries()
+        deliveries = store.deliveries()
     if as_json:
         listed = [
             {
-                "message_id": one.message_id,
-                "job_id": one.job_id,
-                "tenant": one.tenant,
-                "url": one.url,
-                "due_at": one.due_at.isoformat(),
-                "tries": one.tries,
-                "problem": one.problem,
+                "message_id": delivery.message_id,
+                "job_id": delivery.job_id,
+                "tenant": delivery.tenant,
+                "url": delivery.url,
+                "due_at": delivery.due_at.isoformat(),
+                "tries": delivery.tries,
+                "problem": delivery.problem,
             }
-            for one in left
+            for delivery in deliveries
         ]
         emit({"deliveries": listed})
         return
     rows = (
-        (one.job_id, one.tenant, one.url, str(one.tries), shown_time(one.due_at), one.problem or "") for one in left
+        (
+            delivery.job_id,
+            delivery.tenant,
+            delivery.url,
+            str(delivery.tries),
+            shown_time(delivery.due_at),
+            delivery.problem or "",
+        )
+        for delivery in deliveries
     )
     print_table(("job", "tenant", "to", "tries", "next", "problem"), rows)

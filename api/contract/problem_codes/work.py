@@ -19,11 +19,11 @@ SPECS = CodeGroup(
             ProblemCode(
                 f"too_long_for_{name}",
                 _SPEC,
-                f"A {name.upper()} file holds at most {one.max_frames:,} frames.",
+                f"A {name.upper()} file holds at most {file_format.max_frames:,} frames.",
                 f"Use {' or '.join(f'`{other}`' for other in unlimited_alternatives(name))}.",
             )
-            for name, one in FILE_FORMATS.items()
-            if one.max_frames is not None
+            for name, file_format in FILE_FORMATS.items()
+            if file_format.max_frames is not None
         ),
         ProblemCode(
             "detector_not_installed",
