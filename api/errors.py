@@ -67,7 +67,7 @@ MEANINGS: Mapping[str, str] = {code.name: code.meaning for code in FIELDS.codes}
 
 
 class ErrorItem(BaseModel):
-    """One thing that is wrong with a request."""
+    """Single problem of a request."""
 
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
@@ -80,7 +80,7 @@ class ErrorItem(BaseModel):
     file: str | None = Field(default=None, description="Name of the file.")
     camera: str | None = Field(default=None, description="Name of the camera.")
     field: str | None = Field(default=None, description="Field of the file, such as `matrix`.")
-    hint: str | None = Field(default=None, description="What to do.")
+    hint: str | None = Field(default=None, description="Advice to the caller.")
 
 
 class ProblemDetails(BaseModel):
