@@ -1,9 +1,8 @@
-"""``python -m worker.reaper``: make good what was lost.
+"""``python -m worker.reaper``: repair what was lost, remove what has expired, and send webhooks.
 
-Frees the leases of workers that fell silent, ends what keeps failing, and publishes when work is ready that no message
-may stand for any more. So a lost message, or a broker that lost all of them, costs a few seconds. Removes results whose
-time is over, and files of what was deleted that are still there. Plans jobs again whose code no worker runs any more.
-Sends webhooks.
+The reaper frees the leases of workers that stopped responding, ends chunks that keep failing, and publishes a message
+while work is ready: a lost message, or a broker that lost all messages, costs a few seconds. It removes expired results
+and the remaining files of deleted sessions. It plans jobs again whose code no worker runs any more.
 """
 
 import os
@@ -41,11 +40,12 @@ def reap(
     lease_s: float,
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
 ) -> None:
-    """Look once; what can't be done now, such as with a database that is away, is tried again the next time.
+    """Run all steps once. A step that fails, for example because the database does not respond, is logged.
 
     Raises
     ------
     DamagedDatabase
+        If SQLite can't read its file.
     """
 
     def free_leases() -> None:
@@ -55,7 +55,7 @@ def reap(
     def plan_again() -> None:
         for job_id in store.unclaimable():
             if not store.is_run(stage_codes().values()):
-                return  # workers of this version may come later
+                return  # workers of this version may start later
             job = store.job(job_id)
             if store.plan_again(job_id, plan_job(store.session(job.session_id), job.spec, chunk_frames)):
                 log.info("job_planned_again", job=job_id)
@@ -68,7 +68,7 @@ def reap(
     def remove() -> None:
         disk.using_reserve(lambda: remove_files(store, artifacts))
 
-    # Each by itself: on a full disk the last makes room for the others.
+    # Each step runs even if another fails: on a full disk the last step makes space for the others.
     for step in (free_leases, plan_again, expire, remove):
         try:
             step()
@@ -88,7 +88,7 @@ def main() -> None:
     require_usable_database(store)
     artifacts = settings.open_artifacts()
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
-    # Beside the rest: whom a webhook goes to may be slow.
+    # A thread of its own, because receivers of webhooks may be slow.
     threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     exit_code = 0
@@ -102,7 +102,7 @@ def main() -> None:
         sys.stderr.write(f"error: {error}\n{error.instructions()}\n")
         sys.stderr.flush()
         exit_code = 1
-    # Without waiting for messages under way: they are sent again when their leases end.
+    # End without waiting for webhooks that are being sent: they are sent again when their leases end.
     os._exit(exit_code)
 
 

@@ -1,4 +1,4 @@
-"""Laws of planning."""
+"""Laws of plans: ranges, keys and reuse of stages."""
 
 import tracemalloc
 from collections.abc import Mapping
@@ -102,7 +102,7 @@ def test_fields_are_another_output_than_bodies() -> None:
     session = make_session()
     bodies = keys(session, JobSpec(detector=CLUSTERING.detector))
     assert not set(bodies[DETECT]) & set(keys(session, CLUSTERING)[DETECT])
-    # Whole bodies serve both methods.
+    # Both methods use the same whole bodies.
     assert keys(session)[DETECT] == keys(session, JobSpec(method="clustering"))[DETECT]
 
 

@@ -1,4 +1,4 @@
-"""All problem codes, with their meanings: the source of ``docs/problems.md`` and of the contract's list of codes.
+"""Problem codes of the API and the command line, from which ``docs/problems.md`` is made.
 
 A code is part of the API: it is never renamed. ``tests/api/contract/test_problem_codes.py`` compares this list with the
 code that raises problems.
