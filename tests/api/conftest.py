@@ -44,7 +44,7 @@ for video in videos:
         print("x" * 10_000_000)
         sys.exit(0)
     if start in {b"APART", b"TWICE"}:
-        code, field = {b"APART": ("no_overlap", "offset_s"), b"TWICE": ("recording_doubled", None)}[start]
+        code, field = {b"APART": ("no_overlap", "offset_s"), b"TWICE": ("duplicate_recording", None)}[start]
         problems.append({"code": code, "message": "Check it.", "file": None, "camera": video.stem, "field": field,
                          "hint": None})
     if start == b"WRONG":

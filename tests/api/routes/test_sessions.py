@@ -347,6 +347,6 @@ def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
     answer = live.client.post("/v1/sessions", files=[*videos, form(0)[0], manifest])
     assert [(item["code"], item["camera"], item["pointer"]) for item in answer.json()["errors"]] == [
         ("no_overlap", "cam_0", "/manifest/cameras/1"),
-        ("recording_doubled", "cam_1", "/manifest/cameras/2"),
+        ("duplicate_recording", "cam_1", "/manifest/cameras/2"),
         ("no_overlap", "cam_2", None),  # not in the manifest
     ]
