@@ -108,7 +108,7 @@ class ExposedError(Exception):
 
 def refuse_strangers(settings: Settings, store: JobStore) -> None:
     """Raise ``ExposedError`` if others than this machine may reach a service that asks for no keys."""
-    if settings.is_exposed and not store.has_keys():
+    if settings.is_exposed and not store.keys.exist():
         data = "" if settings.data_dir == default_data_dir() else f" --data {shlex.quote(str(settings.data_dir))}"
         raise ExposedError(
             f"{settings.host} can be reached from elsewhere, and there are no keys: anybody could use the service. "

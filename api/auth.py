@@ -13,7 +13,7 @@ from api.errors import ApiError
 from api.http.clients import client_network
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.model import Actor, Key, Scope
-from worker.jobs.repositories.records import Records
+from worker.jobs.tenant_records import TenantRecords
 
 COOKIE = "multicap_session"
 
@@ -67,12 +67,12 @@ def _find_caller(
 ) -> Caller:
     """Find out who calls; 401 if that can't be known, 429 if they call too often."""
     if "authorization" in request.headers:
-        key = services.store.find_key(bearer.credentials) if bearer else None
+        key = services.store.keys.find(bearer.credentials) if bearer else None
         if key is None:
             raise wrong_key(request, services)
-    elif cookie is not None and (key := services.store.find_browser_session(cookie)) is not None:
+    elif cookie is not None and (key := services.store.browser_sessions.find(cookie)) is not None:
         _refuse_foreign_pages(request)
-    elif services.store.has_keys():
+    elif services.store.keys.exist():
         raise wrong_key(request, services) if cookie is not None else _key_required("The service asks for a key.", {})
     else:
         key = None
@@ -110,7 +110,9 @@ def _authorize_admin(caller: Annotated[Caller, Depends(_find_caller)]) -> Caller
     return _require(caller, Scope.ADMIN)
 
 
-def _records_of(request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_authorize)]) -> Records:
+def _records_of(
+    request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_authorize)]
+) -> TenantRecords:
     actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
     return services.store.of(caller.tenant, services.quotas, actor)
 
@@ -118,4 +120,4 @@ def _records_of(request: Request, services: ServicesDep, caller: Annotated[Calle
 AnyCallerDep = Annotated[Caller, Depends(_find_caller)]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # The caller's own sessions and jobs: routes of clients have no other way to them.
-RecordsDep = Annotated[Records, Depends(_records_of)]
+RecordsDep = Annotated[TenantRecords, Depends(_records_of)]

@@ -110,7 +110,7 @@ class JobChanges:
     async def _look(self) -> None:
         # Who comes while the database is asked has to wait for the next look.
         watches = list(self._watches)
-        changes = await run_in_threadpool(self._store.changes, {watch.job_id for watch in watches})
+        changes = await run_in_threadpool(self._store.jobs.changes, {watch.job_id for watch in watches})
         behind: dict[str, list[_Watch]] = {}
         for watch in watches:
             if watch.job_id not in changes:
@@ -119,7 +119,7 @@ class JobChanges:
                 behind.setdefault(watch.job_id, []).append(watch)
         for job_id, to_be_told in behind.items():
             try:
-                job = await run_in_threadpool(self._store.job, job_id)
+                job = await run_in_threadpool(self._store.jobs.get, job_id)
             except NotFound:  # it was deleted just now: the next look says so
                 continue
             for watch in to_be_told:

@@ -109,15 +109,15 @@ def tell_loading() -> None:
     """List the main process among the workers for a moment, until its children list themselves."""
     store = JobStore(WorkerSettings().resolved_database_url)
     with contextlib.suppress(SQLAlchemyError):  # the database may come later
-        forget_lost(store)
-        store.report_worker(WorkerStatus(process_name(), WorkerState.STARTING, LOADING))
+        forget_lost(store.workers)
+        store.workers.report(WorkerStatus(process_name(), WorkerState.STARTING, LOADING))
     store.close()  # before children are forked
 
 
 def start_presence() -> Presence:
     """List this process among the workers from now on, and say whether it could start a chunk."""
     store = JobStore(WorkerSettings().resolved_database_url)
-    presence = Presence(store, _status)
+    presence = Presence(store.workers, _status)
     presence.start()
     return presence
 

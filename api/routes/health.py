@@ -98,7 +98,7 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     """Check that a worker is ready and has the default detector; empty without a database."""
     try:
-        found = store.workers()
+        found = store.workers.all()
     except SQLAlchemyError:
         return {}
     installed = installed_detectors(found)

@@ -22,7 +22,7 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 )
 def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """List the choices of a job with their values, limits and defaults, and the detectors that are installed."""
-    installed = installed_detectors(services.store.workers())
+    installed = installed_detectors(services.store.workers.all())
     options = Options(
         detectors=tuple(
             DetectorOut(

@@ -42,7 +42,7 @@ _HEADERS = {
 )
 def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
     """List the result files of a finished job."""
-    results = records.results(job_id)
+    results = records.results.of_job(job_id)
     return ResultList(results=tuple(ResultOut.of(job_id, result) for result in results))
 
 
@@ -62,9 +62,9 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
 )
 def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Response:
     """Download all result files of a job as one archive."""
-    results = records.results(job_id)
+    results = records.results.of_job(job_id)
     _require_whole(services, results)
-    session = records.session(records.job(job_id).session_id)
+    session = records.sessions.get(records.jobs.get(job_id).session_id)
     # Made while it is sent, by the API's own processor: the fastest compression, which halves a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
@@ -168,7 +168,7 @@ def get_result(
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Download a result file, whole or from where an earlier download broke off."""
-    result = records.result(job_id, name)
+    result = records.results.get(job_id, name)
     etag = f'"{result.sha256}"'
     headers = {
         "ETag": etag,

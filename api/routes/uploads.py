@@ -16,11 +16,10 @@ from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
 from api.requests.bodies import announced_bytes, drain
 from api.requests.form import name_error, too_large
-from api.requests.idempotency import OnceDep
+from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.tus.files import Checksum
 from worker.jobs.model import Upload
-from worker.jobs.repositories.idempotency_keys import Answer
-from worker.jobs.repositories.records import Records
+from worker.jobs.tenant_records import TenantRecords
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,expiration,checksum"
@@ -93,7 +92,7 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
 async def create_upload(
     request: Request,
     services: ServicesDep,
-    once: OnceDep,
+    once: IdempotentRequestDep,
     _: Annotated[None, Depends(_speaks_tus)],
     upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
     upload_metadata: Annotated[
@@ -116,20 +115,9 @@ async def create_upload(
     has_piece = announced_bytes(request) > 0 or "transfer-encoding" in request.headers
     if has_piece:
         _require_piece_type(request)
-
-    def begin(records: Records) -> Upload:
-        services.disk.require_room(length)
-        upload_id = services.uploads.create()
-        keep_s = services.settings.upload_keep_s
-        try:
-            return records.create_upload(upload_id, name, length, upload_metadata or "", keep_s)
-        except BaseException:
-            services.uploads.remove(upload_id)
-            raise
-
-    response = await run_in_threadpool(once.run, [length, upload_metadata], begin, _begun)
+    response = await run_in_threadpool(_begin, services, once, length, name, upload_metadata)
     if has_piece:
-        upload = await run_in_threadpool(once.records.upload, response.headers["location"].rpartition("/")[2])
+        upload = await run_in_threadpool(once.records.uploads.get, response.headers["location"].rpartition("/")[2])
         offset = await run_in_threadpool(services.uploads.offset, upload.id)
         if offset == 0:  # else the first answer was lost, and the piece is here
             offset, upload = await _append(request, services, once.records, upload, 0, checksum)
@@ -153,7 +141,7 @@ def get_upload(
     upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
 ) -> Response:
     """Say how much of a file has come: from there a client goes on."""
-    upload = records.upload(upload_id)
+    upload = records.uploads.get(upload_id)
     headers = {
         "Upload-Offset": str(services.uploads.offset(upload_id)),
         "Upload-Length": str(upload.num_bytes),
@@ -192,7 +180,7 @@ async def continue_upload(
     """Send a piece of a file. What has come of it stays when the line breaks, unless it has a checksum."""
     _require_piece_type(request)
     offset, checksum = _natural(upload_offset, "Upload-Offset"), _checksum(upload_checksum)
-    upload = await run_in_threadpool(records.renew_upload, upload_id, services.settings.upload_keep_s)
+    upload = await run_in_threadpool(records.uploads.renew, upload_id, services.settings.upload_keep_s)
     offset, upload = await _append(request, services, records, upload, offset, checksum)
     return Response(status_code=204, headers={"Upload-Offset": str(offset)} | _common_headers(upload))
 
@@ -209,10 +197,27 @@ async def delete_upload(
     upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
 ) -> Response:
     """Give an upload up."""
-    await run_in_threadpool(services.disk.using_reserve, lambda: records.delete_upload(upload_id))
+    await run_in_threadpool(services.disk.using_reserve, lambda: records.uploads.delete(upload_id))
     async with services.uploads.turn(upload_id):
         await run_in_threadpool(services.uploads.remove, upload_id)
     return Response(status_code=204)
+
+
+def _begin(services: Services, once: IdempotentRequest, length: int, name: str, metadata: str | None) -> Response:
+    """Make the file of an upload and record it."""
+    if (earlier := once.begin([length, metadata])) is not None:
+        return earlier
+    with once.working():
+        services.disk.require_room(length)
+        upload_id = services.uploads.create()
+        try:
+            with once.records.transaction() as work:
+                keep_s = services.settings.upload_keep_s
+                upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s)
+                return once.store(work, _begun(upload)).response()
+        except BaseException:
+            services.uploads.remove(upload_id)
+            raise
 
 
 def _begun(upload: Upload) -> Answer:
@@ -220,7 +225,7 @@ def _begun(upload: Upload) -> Answer:
 
 
 async def _append(
-    request: Request, services: Services, records: Records, upload: Upload, offset: int, checksum: Checksum | None
+    request: Request, services: Services, records: TenantRecords, upload: Upload, offset: int, checksum: Checksum | None
 ) -> tuple[int, Upload]:
     stream = aiter(request.stream())
     try:
@@ -231,7 +236,7 @@ async def _append(
     except (ApiError, OSError):
         await drain(stream)
         raise
-    return offset, await run_in_threadpool(records.renew_upload, upload.id, services.settings.upload_keep_s)
+    return offset, await run_in_threadpool(records.uploads.renew, upload.id, services.settings.upload_keep_s)
 
 
 def _common_headers(upload: Upload) -> dict[str, str]:

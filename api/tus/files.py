@@ -170,11 +170,11 @@ class UploadSpool:
 
     def sweep(self, store: JobStore) -> None:
         """Look once. A file comes a moment before its row, and goes after it."""
-        for upload_id in store.expired_uploads():
+        for upload_id in store.uploads.expired():
             if not self.is_written(upload_id):
-                store.forget_expired_upload(upload_id)
+                store.uploads.delete_expired(upload_id)
         found = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir() if _is_old(path)}
-        for upload_id in found - store.known_uploads(found):
+        for upload_id in found - store.uploads.known(found):
             self.remove(upload_id)
 
     def remove_pieces(self) -> None:

@@ -107,10 +107,10 @@ class Live:
         digest = hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
         result = Result("person-1.bvh", "bvh", "person-1", "text/plain; charset=utf-8", key, len(content), digest)
-        while claim := self.services.store.claim("test", 30.0):
+        while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
             results, said = ([result], warnings) if claim.stage == "export" else ([], ())
-            self.services.store.finish(
+            self.services.store.leases.finish(
                 claim.chunk_id, claim.lease_token, digest, len(content), results=results, warnings=said
             )
 

@@ -39,7 +39,7 @@ SETTINGS = settings(
 def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
     """Limits above what a schema can say, so that nothing is too large before it is wrong; a key that may do all."""
     with running(make_settings(max_json_bytes=64 * KIB, max_wrong_keys_per_minute=1_000_000)) as live:
-        _, secret = live.services.store.create_key("default", "test", frozenset(Scope))
+        _, secret = live.services.store.keys.add("default", "test", frozenset(Scope))
         live.client.headers["Authorization"] = f"Bearer {secret}"
         yield live
 
@@ -48,7 +48,7 @@ def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 def known(service: Live) -> Iterator[dict[str, str]]:
     """Things that are there, so that not all ids are unknown; and all that readiness asks for."""
     worker = WorkerStatus(process_name(), WorkerState.READY, "A worker works", detectors=tuple(NETWORKS))
-    presence = Presence(service.services.store, lambda: worker)
+    presence = Presence(service.services.store.workers, lambda: worker)
     presence.start()
     service.services.queue.ping = lambda: True  # type: ignore[method-assign]
     job_id = service.job_id()

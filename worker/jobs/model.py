@@ -94,10 +94,10 @@ class Actor:
 
 
 @dataclass(frozen=True, slots=True)
-class Deed:
-    """What somebody did to a session, a job or a key, whose id is ``subject``.
+class AuditEvent:
+    """Action on a session, a job, an upload or a key, whose id is ``subject``.
 
-    Values of ``act``: ``worker.jobs.repositories.audit``.
+    Values of ``act``: ``worker.jobs.repositories.audit.AuditAction``.
     """
 
     done_at: datetime

@@ -37,7 +37,7 @@ def compile_kernels(store: JobStore) -> None:
         log.warning("kernel_cache_unavailable", hint="Every worker process compiles for itself. Set MULTICAP_HOME.")
         return
     status = WorkerStatus(process_name(), WorkerState.STARTING, COMPILING)
-    presence = Presence(store, lambda: status)
+    presence = Presence(store.workers, lambda: status)
     presence.start()
     log.info("kernels_compiling", hint="A first start takes about a minute.")
     done = total = 0

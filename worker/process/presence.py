@@ -26,11 +26,11 @@ def process_name() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def forget_lost(store: Workers) -> None:
+def forget_lost(workers: Workers) -> None:
     """Take killed processes of this machine off the list: they would be believed for some seconds more."""
-    named = [(worker.id, *worker.id.rsplit(":", 1)) for worker in store.workers()]
+    named = [(worker.id, *worker.id.rsplit(":", 1)) for worker in workers.all()]
     here = socket.gethostname()
-    store.remove_workers([name for name, host, pid in named if host == here and not is_running(int(pid))])
+    workers.remove([name for name, host, pid in named if host == here and not is_running(int(pid))])
 
 
 class Presence:
@@ -40,14 +40,14 @@ class Presence:
 
     Parameters
     ----------
-    store
+    workers
         Where workers are listed.
     look
         Says what this process does now; ``None`` when it takes no more work. Called from the thread.
     """
 
-    def __init__(self, store: Workers, look: Callable[[], WorkerStatus | None]) -> None:
-        self._store, self._look = store, look
+    def __init__(self, workers: Workers, look: Callable[[], WorkerStatus | None]) -> None:
+        self._workers, self._look = workers, look
         self._name = process_name()
         self._ended = threading.Event()
         self._is_told = True
@@ -76,10 +76,10 @@ class Presence:
                 break
             now_s = time.monotonic()
             if status != told or now_s - told_s >= _TELL_S:
-                self._try(partial(self._store.report_worker, status))
+                self._try(partial(self._workers.report, status))
                 told, told_s = status, now_s
             self._ended.wait(_LOOK_S)
-        self._try(partial(self._store.remove_worker, self._name))
+        self._try(partial(self._workers.remove, [self._name]))
 
     def _try(self, tell: Callable[[], None]) -> None:
         try:

@@ -42,9 +42,9 @@ def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
         "warnings": [],
     }
     files = [InputFile(f"{name}.mp4", "video", f"inputs/{name}.mp4", 1, "0" * 64) for name in cameras]
-    session = store.create_session("take", files, preflight, store.announce_session())
+    session = store.sessions.add("take", files, preflight, store.sessions.reserve_id())
     stages = plan(session, JobSpec(), DEFAULT_CHUNK_FRAMES)
-    return store, [store.create_job(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
+    return store, [store.jobs.add(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
 
 
 @contextlib.contextmanager
@@ -87,7 +87,7 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
                 raise ServiceError("A job is not in the queue.")
 
         def claim(store: JobStore) -> None:
-            found = store.claim("benchmark", 60.0)
+            found = store.leases.claim("benchmark", 60.0)
             if found is None:
                 raise ServiceError("There is nothing to claim.")
             held.append((store, found.chunk_id, found.lease_token))
@@ -101,7 +101,7 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
                     seconds["poll", number].append(polled)
                     seconds["claim", number].append(claimed)
             for store, chunk_id, token in held:
-                store.release(chunk_id, token)
+                store.leases.release(chunk_id, token)
             held.clear()
     result: dict[str, Any] = {"jobs": [_FEW, num_jobs]}
     for what in ("poll", "claim"):

@@ -19,8 +19,8 @@ def command(
 ) -> None:
     """List creations, changes and deletions in the service with their tenant and key, the latest first."""
     with store_in(data) as store:
-        deeds = store.deeds(tenant, limit)
-        names = {key.id: key.name for key in store.list_keys()}
+        deeds = store.audit.events(tenant, limit)
+        names = {key.id: key.name for key in store.keys.all()}
     if as_json:
         listed = [
             {

@@ -109,17 +109,17 @@ def command(
         with embedded.occupy(settings.data_dir) as place:
             with opened_store(settings) as store:
                 refuse_strangers(settings, store)
-                forget_lost(store)
-                default_workers = _default_workers(store)
+                forget_lost(store.workers)
+                default_workers = _default_workers(store.keys)
             _serve(settings, place, port, workers or default_workers)
     except (embedded.DataFolderError, ExposedError) as error:
         raise refusal(str(error)) from error
     console.print("Stopped.")
 
 
-def _default_workers(store: Keys) -> int:
+def _default_workers(keys: Keys) -> int:
     # One worker stays free for the other tenants, see `worker.jobs.repositories.turns`.
-    return (os.cpu_count() or 1) + (store.count_tenants() > 1)
+    return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 
 def _serve(settings: Settings, place: embedded.Place, port: int, workers: int) -> None:

@@ -174,7 +174,7 @@ def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
 
 def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
-        keys = [live.services.store.create_key(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
+        keys = [live.services.store.keys.add(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
         bad, good = ({"Authorization": f"Bearer {key}"} for key in keys)
         hanging = [
             pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"), headers=bad) for _ in range(4)

@@ -31,7 +31,7 @@ from tests.worker.conftest import Bench
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import deliveries
 from worker.jobs.model import Delivery, Job, WebhookSecret
-from worker.jobs.repositories.deliveries import MAX_TRIES
+from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.jobs.spec import JobSpec
 from worker.stages.plan import plan
 from worker.webhooks import sender as webhooks
@@ -105,9 +105,9 @@ def certify(folder: Path, name: str) -> tuple[Path, Path]:
 def end_job(bench: Bench, url: str) -> Job:
     """Have a job come to its end that somebody wants to be told of."""
     spec = JobSpec(callback_url=url)
-    job = bench.store.create_job(bench.session.id, spec, plan(bench.session, spec, 1000))
+    job = bench.store.jobs.add(bench.session.id, spec, plan(bench.session, spec, 1000))
     bench.runner().work(60.0)
-    return bench.store.job(job.id)
+    return bench.store.jobs.get(job.id)
 
 
 def deliver(bench: Bench, sender: Sender | None = None) -> int:
@@ -129,7 +129,7 @@ def secret() -> list[WebhookSecret]:
 
 
 def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> None:
-    key = bench.store.rotate_webhook_secret("default", HOUR_S)
+    key = bench.store.webhook_secrets.rotate("default", HOUR_S)
     job = end_job(bench, receiver.url)
     assert deliver(bench) == 1
     ((headers, body),) = receiver.received
@@ -142,27 +142,27 @@ def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> No
     with pytest.raises(WebhookVerificationError):
         Webhook(key).verify(body + b" ", headers)
     assert deliver(bench) == 0
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 def test_nobody_is_told_who_did_not_ask(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 @pytest.mark.parametrize(("end", "state"), [("cancel", "canceled"), ("fail", "failed")])
 def test_every_end_is_told(bench: Bench, receiver: Receiver, end: str, state: str) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
-    job = bench.store.create_job(bench.session.id, spec, plan(bench.session, spec, 1000), retention_s=-1.0)
+    job = bench.store.jobs.add(bench.session.id, spec, plan(bench.session, spec, 1000), retention_s=-1.0)
     if end == "cancel":
-        bench.store.cancel(job.id)
+        bench.store.jobs.cancel(job.id)
     else:
         bench.stages["detect"] = lambda work: 1 // 0  # type: ignore[assignment, return-value]
-        while bench.store.job(job.id).finished_at is None:
+        while bench.store.jobs.get(job.id).finished_at is None:
             bench.runner().work(60.0)
-    bench.store.expire()
+    bench.store.removals.expire_jobs()
     deliver(bench)
     said = [json.loads(body) for _, body in receiver.received]
     assert {one["data"]["state"] for one in said} == {state, "expired"}
@@ -171,38 +171,38 @@ def test_every_end_is_told(bench: Bench, receiver: Receiver, end: str, state: st
 
 @pytest.mark.parametrize("status", [301, 302, 307, 400, 404, 429, 500, 503])
 def test_what_is_not_taken_comes_again_under_the_same_id(bench: Bench, receiver: Receiver, status: int) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [status]
     deliver(bench)
-    (left,) = bench.store.deliveries()
+    (left,) = bench.store.webhooks.pending()
     assert (left.tries, left.problem) == (1, f"It was answered with {status}.")
     assert deliver(bench) == 0  # not yet
     make_due(bench)
     assert deliver(bench) == 1
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
     assert len({headers["webhook-id"] for headers, _ in receiver.received}) == 1
     assert receiver.paths == ["/hook?x=1"] * 2  # redirects are not followed
 
 
 def test_gone_is_gone(bench: Bench, receiver: Receiver) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [410]
     deliver(bench)
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 def test_it_is_tried_for_about_a_day_and_then_given_up(bench: Bench, receiver: Receiver) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [500] * 100
     waits_s: list[float] = []
-    while bench.store.deliveries():
+    while bench.store.webhooks.pending():
         assert len(waits_s) < 50
         make_due(bench)
         deliver(bench)
-        if left := bench.store.deliveries():
+        if left := bench.store.webhooks.pending():
             waits_s.append(left[0].due_at.timestamp() - time.time())
     assert len(receiver.received) == len(waits_s) + 1
     assert all(later > earlier for earlier, later in itertools.pairwise(waits_s))
@@ -210,23 +210,23 @@ def test_it_is_tried_for_about_a_day_and_then_given_up(bench: Bench, receiver: R
 
 
 def test_who_is_killed_before_it_is_noted_sends_it_again(bench: Bench, receiver: Receiver) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
-    assert len(bench.store.claim_deliveries(10, -1.0)) == 1  # and no word of it
+    assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # and no word of it
     assert deliver(bench) == 1
     assert len(receiver.received) == 1
 
 
 def test_two_senders_share_the_work(bench: Bench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
-    assert len(bench.store.claim_deliveries(10, 60.0)) == 1
-    assert bench.store.claim_deliveries(10, 60.0) == []
+    assert len(bench.store.webhooks.claim(10, 60.0)) == 1
+    assert bench.store.webhooks.claim(10, 60.0) == []
 
 
 def test_after_a_rotation_both_secrets_sign_for_a_while(bench: Bench, receiver: Receiver) -> None:
-    old = bench.store.rotate_webhook_secret("default", HOUR_S)
-    other = bench.store.rotate_webhook_secret("other", HOUR_S)
-    new = bench.store.rotate_webhook_secret("default", HOUR_S)
+    old = bench.store.webhook_secrets.rotate("default", HOUR_S)
+    other = bench.store.webhook_secrets.rotate("other", HOUR_S)
+    new = bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     deliver(bench)
     ((headers, body),) = receiver.received
@@ -234,9 +234,9 @@ def test_after_a_rotation_both_secrets_sign_for_a_while(bench: Bench, receiver: 
         Webhook(key).verify(body, headers)
     with pytest.raises(WebhookVerificationError):
         Webhook(other).verify(body, headers)
-    newest = bench.store.rotate_webhook_secret("default", -1.0)
-    assert [one.secret for one in bench.store.webhook_secrets("default")] == [newest, old]
-    assert newest not in repr(bench.store.webhook_secrets("default"))
+    newest = bench.store.webhook_secrets.rotate("default", -1.0)
+    assert [one.secret for one in bench.store.webhook_secrets.valid("default")] == [newest, old]
+    assert newest not in repr(bench.store.webhook_secrets.valid("default"))
 
 
 # Of every network of the two IANA registries of special-purpose addresses, and of multicast, some addresses: its first
@@ -301,12 +301,14 @@ WRONG_URLS = [
 
 def test_urls_that_are_wrong_as_they_are_written(bench: Bench) -> None:
     assert [url for url in WRONG_URLS if not url_fault(url)] == []
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     for url in WRONG_URLS:
         queue_for(bench, "default", url)
     while deliver(bench):
         pass
-    assert [(one.tries, one.problem) for one in bench.store.deliveries()] == [(1, url_fault(url)) for url in WRONG_URLS]
+    assert [(one.tries, one.problem) for one in bench.store.webhooks.pending()] == [
+        (1, url_fault(url)) for url in WRONG_URLS
+    ]
 
 
 RIGHT_HOSTS = [
@@ -466,12 +468,12 @@ def test_a_try_has_an_end(dripping: Callable[[bytes], str], first: bytes, proble
 def test_one_that_hangs_keeps_nobody_waiting(
     bench: Bench, receiver: Receiver, dripping: Callable[[bytes], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, dripping(b""))
     end_job(bench, receiver.url)
     assert deliver(bench, Sender(allow_private=True, try_s=0.5)) == 2
     assert len(receiver.received) == 1
-    assert [one.problem for one in bench.store.deliveries()] == ["The answer took too long."]
+    assert [one.problem for one in bench.store.webhooks.pending()] == ["The answer took too long."]
 
 
 def test_a_store_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -497,23 +499,23 @@ class Exploding(Sender):
 
 
 def test_an_unforeseen_exception_is_a_try_and_is_given_up_in_the_end(bench: Bench) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, "https://hook.example/")
     assert deliver(bench, Exploding(allow_private=False)) == 1
-    (left,) = bench.store.deliveries()
+    (left,) = bench.store.webhooks.pending()
     assert (left.tries, left.problem) == (1, "The try failed; the reaper's log says why.")
     for _ in range(MAX_TRIES - 1):
         make_due(bench)
         assert deliver(bench, Exploding(allow_private=False)) == 1
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 def test_tries_that_were_never_recorded_have_an_end_too(bench: Bench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
     for _ in range(MAX_TRIES):
-        assert len(bench.store.claim_deliveries(10, -1.0)) == 1  # and whoever sends is killed
+        assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # and whoever sends is killed
     assert deliver(bench) == 1
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
     assert receiver.received == []
 
 
@@ -524,12 +526,12 @@ class TestBadReceivers:
 
     def tried(self, bench: Bench, url: str) -> str | None:
         """Record of a try."""
-        bench.store.rotate_webhook_secret("default", HOUR_S)
+        bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, url)
         started_s = time.monotonic()
         assert deliver(bench, Sender(allow_private=True, try_s=self.TRY_S)) == 1
         assert time.monotonic() - started_s < self.TRY_S + 3
-        (left,) = bench.store.deliveries()
+        (left,) = bench.store.webhooks.pending()
         assert left.tries == 1
         assert left.due_at.timestamp() - time.time() > 3  # on the schedule
         return left.problem
@@ -570,13 +572,13 @@ class TestBadReceivers:
         assert receiver.paths == ["/hook?x=1"]
 
     def test_is_given_up_after_the_last_try(self, bench: Bench, silent: str) -> None:
-        bench.store.rotate_webhook_secret("default", HOUR_S)
+        bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, silent)
         for _ in range(MAX_TRIES):
-            assert len(bench.store.deliveries()) == 1
+            assert len(bench.store.webhooks.pending()) == 1
             make_due(bench)
             assert deliver(bench, Sender(allow_private=True, try_s=0.05)) == 1
-        assert bench.store.deliveries() == []
+        assert bench.store.webhooks.pending() == []
 
 
 @contextlib.contextmanager
@@ -648,7 +650,7 @@ def test_slow_receivers_of_one_tenant_do_not_delay_another_s(
 ) -> None:
     """Forty messages that hang, of one tenant; then one of another tenant, in the service's own loop."""
     for tenant in ("default", "other"):
-        bench.store.rotate_webhook_secret(tenant, HOUR_S)
+        bench.store.webhook_secrets.rotate(tenant, HOUR_S)
     for _ in range(40):
         queue_for(bench, "default", silent)
     try_s, ended = 3.0, threading.Event()
@@ -670,7 +672,7 @@ def test_slow_receivers_of_one_tenant_do_not_delay_another_s(
     sending.start()
     try:
         deadline_s = time.monotonic() + 20
-        while sum(one.tries for one in bench.store.deliveries()) < 8:
+        while sum(one.tries for one in bench.store.webhooks.pending()) < 8:
             assert time.monotonic() < deadline_s
             time.sleep(0.02)
         started_s = time.monotonic()
@@ -687,7 +689,7 @@ def test_slow_receivers_of_one_tenant_do_not_delay_another_s(
 
 def queue_for(bench: Bench, tenant: str, url: str) -> None:
     """Have a message of a tenant be due."""
-    if not bench.store.deliveries():
+    if not bench.store.webhooks.pending():
         end_job(bench, "https://hook.example/")
         with bench.store._database.writing() as connection:
             connection.execute(deliveries.update().values(tenant=tenant, url=url))
@@ -704,7 +706,7 @@ def test_tenants_take_turns(bench: Bench) -> None:
         queue_for(bench, tenant, "https://hook.example/")
 
     def claimed(limit: int, busy: dict[str, int]) -> list[str]:
-        found = sorted(one.tenant for one in bench.store.claim_deliveries(limit, 60.0, 3, busy))
+        found = sorted(one.tenant for one in bench.store.webhooks.claim(limit, 60.0, 3, busy))
         make_due(bench)
         return found
 

@@ -31,7 +31,7 @@ from worker.jobs.database.connection import (
     schema_revisions,
     sqlite_path,
 )
-from worker.jobs.database.tables import Moment, metadata
+from worker.jobs.database.tables import UtcTimestamp, metadata
 from worker.jobs.errors import DamagedDatabase
 
 _ROWS_AT_ONCE = 50
@@ -185,7 +185,7 @@ def copy_rows(source: Connection, target: Connection) -> None:
     """Copy all rows, and how far numbers were given out, between databases of the newest schema."""
     for table in metadata.sorted_tables:
         # Times are copied as the numbers that they are.
-        columns = [type_coerce(one, Double) if isinstance(one.type, Moment) else one for one in table.columns]
+        columns = [type_coerce(one, Double) if isinstance(one.type, UtcTimestamp) else one for one in table.columns]
         query = select(*(column.label(one.name) for column, one in zip(columns, table.columns, strict=True)))
         found = source.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE})
         for rows in found.mappings().partitions():

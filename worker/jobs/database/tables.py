@@ -24,8 +24,8 @@ from sqlalchemy import (
 )
 
 
-class Moment(TypeDecorator[datetime]):
-    """A time that is a number for the database, which adds to it, and a ``datetime`` in UTC for who reads it."""
+class UtcTimestamp(TypeDecorator[datetime]):
+    """Time: a number in the database, so that seconds can be added to it, and a ``datetime`` in UTC when it is read."""
 
     impl = Double
     cache_ok = True
@@ -52,7 +52,7 @@ sessions = Table(
     metadata,
     Column("id", String(36), primary_key=True),
     Column("name", String, nullable=False),
-    Column("created_at", Moment, nullable=False),
+    Column("created_at", UtcTimestamp, nullable=False),
     Column("files", JSON, nullable=False),
     Column("preflight", JSON, nullable=False),
     Column("client_metadata", JSON, nullable=False, server_default="{}"),
@@ -71,7 +71,7 @@ uploads = Table(
     Column("name", String, nullable=False),
     Column("num_bytes", BigInteger, nullable=False),  # of the whole file
     Column("metadata", String, nullable=False),
-    Column("expires_at", Moment, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False),
     Index(None, "tenant", "id"),
     Index(None, "expires_at"),
 )
@@ -85,12 +85,12 @@ jobs = Table(
     Column("spec", JSON, nullable=False),
     Column("attempt", Integer, nullable=False),
     Column("problem", JSON(none_as_null=True)),
-    Column("created_at", Moment, nullable=False),
-    Column("queued_at", Moment, nullable=False),  # of this attempt: a retry goes to the end of the queue
-    Column("started_at", Moment),
-    Column("finished_at", Moment),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("queued_at", UtcTimestamp, nullable=False),  # of this attempt: a retry goes to the end of the queue
+    Column("started_at", UtcTimestamp),
+    Column("finished_at", UtcTimestamp),
     Column("retention_s", Double),  # how long results are kept after the end; null: until somebody deletes them
-    Column("expires_at", Moment),
+    Column("expires_at", UtcTimestamp),
     Column("trace", String(55)),  # W3C traceparent of who asked for this attempt
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # its session's
     Column("warnings", JSON, nullable=False, server_default="[]"),  # of its result: objects with code and message
@@ -119,9 +119,9 @@ chunks = Table(
     Column("reused", Boolean(create_constraint=False), nullable=False, default=False),
     Column("worker", String),
     Column("lease_token", String(36)),
-    Column("lease_until", Moment),
-    Column("started_at", Moment),
-    Column("finished_at", Moment),
+    Column("lease_until", UtcTimestamp),
+    Column("started_at", UtcTimestamp),
+    Column("finished_at", UtcTimestamp),
     UniqueConstraint("job_id", "stage_index", "chunk_index"),
     Index(None, "state", "job_id"),
     sqlite_autoincrement=True,  # a retry replaces a job's chunks: an old number must not come to mean a new chunk
@@ -157,7 +157,7 @@ events = Table(
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
-    Column("created_at", Moment, nullable=False),
+    Column("created_at", UtcTimestamp, nullable=False),
     Column("kind", String(16), nullable=False),  # "state" or "stage": what ``value`` is the new one of
     Column("value", String(32), nullable=False),
     Index(None, "job_id", "id"),
@@ -172,9 +172,9 @@ attempts = Table(
     Column("attempt", Integer, primary_key=True),
     Column("state", String(16), nullable=False),
     Column("problem", JSON(none_as_null=True)),
-    Column("queued_at", Moment, nullable=False),
-    Column("started_at", Moment),
-    Column("finished_at", Moment),
+    Column("queued_at", UtcTimestamp, nullable=False),
+    Column("started_at", UtcTimestamp),
+    Column("finished_at", UtcTimestamp),
 )
 
 # Tries of chunks that came to nothing, and why: a reason for each time that a chunk was begun again, or ended its job.
@@ -188,7 +188,7 @@ failures = Table(
     Column("chunk_index", Integer, nullable=False),
     Column("chunk_try", Integer, nullable=False),
     Column("problem", JSON, nullable=False),
-    Column("failed_at", Moment, nullable=False),
+    Column("failed_at", UtcTimestamp, nullable=False),
     Index(None, "job_id", "id"),
     sqlite_autoincrement=True,
 )
@@ -199,7 +199,7 @@ removals = Table(
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("prefix", String, nullable=False, index=True),
-    Column("due_at", Moment, nullable=False, index=True),
+    Column("due_at", UtcTimestamp, nullable=False, index=True),
     sqlite_autoincrement=True,
 )
 
@@ -220,24 +220,22 @@ keys = Table(
     Column("name", String(200), nullable=False),
     Column("scopes", JSON, nullable=False),
     Column("sha256", String(64), nullable=False, unique=True),  # of the secret, which nobody keeps
-    Column("created_at", Moment, nullable=False),
-    Column("expires_at", Moment),
-    Column("revoked_at", Moment),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp),
+    Column("revoked_at", UtcTimestamp),
 )
 
-# What was answered to requests that may be sent again. Without a status: such a request is being answered.
-receipts = Table(
-    "receipts",
+# Requests that may be sent again, with their answers; null: the request is at work.
+idempotency_keys = Table(
+    "idempotency_keys",
     metadata,
     Column("tenant", String(64), primary_key=True),
     Column("key", String(200), primary_key=True),
     Column("fingerprint", String(64), nullable=False),  # SHA-256 of the request
     Column("token", String(36), nullable=False),
-    Column("claimed_until", Moment, nullable=False),
-    Column("expires_at", Moment, nullable=False, index=True),
-    Column("status", Integer),
-    Column("headers", JSON(none_as_null=True)),
-    Column("body", String),
+    Column("claimed_until", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False, index=True),
+    Column("answer", JSON(none_as_null=True)),
 )
 
 # What has to be told of jobs that have ended.
@@ -250,8 +248,8 @@ deliveries = Table(
     Column("tenant", String(64), nullable=False),
     Column("url", String, nullable=False),
     Column("body", String, nullable=False),
-    Column("created_at", Moment, nullable=False),
-    Column("due_at", Moment, nullable=False, index=True),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("due_at", UtcTimestamp, nullable=False, index=True),
     Column("tries", Integer, nullable=False),
     Column("problem", String),  # of the last try
     sqlite_autoincrement=True,
@@ -264,8 +262,8 @@ webhook_secrets = Table(
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("tenant", String(64), nullable=False, index=True),
     Column("secret", String(100), nullable=False),
-    Column("created_at", Moment, nullable=False),
-    Column("expires_at", Moment),  # null: until there is a newer one
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp),  # null: until there is a newer one
     sqlite_autoincrement=True,
 )
 
@@ -280,7 +278,7 @@ workers = Table(
     Column("total", Integer, nullable=False),
     Column("detectors", JSON, nullable=False),  # names of those that are installed there
     Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the stages' code that it runs
-    Column("seen_at", Moment, nullable=False),
+    Column("seen_at", UtcTimestamp, nullable=False),
 )
 
 # Browsers that have shown a key, and have a cookie for it.
@@ -289,7 +287,7 @@ browser_sessions = Table(
     metadata,
     Column("sha256", String(64), primary_key=True),  # of the cookie's secret
     Column("key_id", ForeignKey("keys.id", ondelete="CASCADE"), nullable=False),
-    Column("expires_at", Moment, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False),
 )
 
 # Who did what. Rows are only ever added, and outlive what they tell of.
@@ -297,7 +295,7 @@ audit = Table(
     "audit",
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("done_at", Moment, nullable=False),
+    Column("done_at", UtcTimestamp, nullable=False),
     Column("tenant", String(64), nullable=False),
     Column("key_id", String(36)),  # null: nobody needed one, or it was done at the command line
     Column("request_id", String(36)),  # null: it was done at the command line

@@ -14,7 +14,7 @@ from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, events, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
-from worker.jobs.repositories.deliveries import queue_delivery
+from worker.jobs.repositories.webhooks import queue_delivery
 
 EventKind = Literal["state", "stage"]
 

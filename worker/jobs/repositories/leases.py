@@ -7,11 +7,12 @@ from typing import Any
 from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
-from worker.jobs.database.connection import Database, now, upsert
+from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.tables import artifacts, chunks, jobs, results
 from worker.jobs.database.totals import Total, count
+from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
-from worker.jobs.model import AT_WORK, ChunkOutput, ChunkState, Claim, JobState, Problem, Result, ResultWarning
+from worker.jobs.model import AT_WORK, ChunkState, Claim, JobState, Problem, Result, ResultWarning
 from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.turns import has_share, next_job, of_code
 from worker.jobs.spec import JobSpec
@@ -21,14 +22,14 @@ MAX_ATTEMPTS = 5
 
 
 class Leases:
-    """The workers' side of the store.
+    """Leases of chunks, of all tenants.
 
     A claim carries a token; reports with another token, or after the lease was taken back, change nothing and are
     answered by ``False``. Times come from the database's clock.
     """
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
     def claim(self, worker: str, lease_s: float, codes: Collection[str] | None = None) -> Claim | None:
         """Take the next ready chunk; ``None`` if no job has one.
@@ -42,7 +43,7 @@ class Leases:
             Digests of the worker's code: it takes chunks that were planned for it. ``None``: any.
         """
         while True:
-            with self._database.reading() as connection:
+            with self._transactions.reading() as connection:
                 job_id = next_job(connection, codes)
             if job_id is None:
                 return None
@@ -69,7 +70,7 @@ class Leases:
             )
             .returning(chunks)
         )
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             job = lock_job(connection, job_id)
             if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
                 return None
@@ -103,7 +104,7 @@ class Leases:
             (chunks.c.done_units < done_units, done_units),
             else_=chunks.c.done_units,
         )
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             renewed = connection.execute(
                 update(chunks)
                 .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
@@ -127,7 +128,7 @@ class Leases:
         -------
             Whether the next stage became ready.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
                 return False
@@ -152,13 +153,13 @@ class Leases:
 
     def fail(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
         """Give a chunk back after a problem: for another try, or as the end of its job. Whether it became ready."""
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             return held is not None and _try_again(connection, *held, problem)
 
     def release(self, chunk_id: int, lease_token: str) -> bool:
         """Give a chunk back unfinished, because its job is canceled or its worker stops. Whether it became ready."""
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
                 return False
@@ -168,27 +169,6 @@ class Leases:
                 return False
             move_chunk(connection, chunk.id, ChunkState.READY)
             return True
-
-    def artifact(self, session_id: str, output_key: str) -> tuple[str, int] | None:
-        """SHA-256 and bytes of a chunk's output if any job of the session has finished it."""
-        query = select(artifacts.c.sha256, artifacts.c.num_bytes).where(
-            artifacts.c.session_id == session_id, artifacts.c.output_key == output_key
-        )
-        with self._database.reading() as connection:
-            row = connection.execute(query).one_or_none()
-        return None if row is None else (row.sha256, row.num_bytes)
-
-    def outputs(self, job_id: str, stage: str) -> list[ChunkOutput]:
-        """Outputs of a job's stage, in the order of its chunks."""
-        stored = (artifacts.c.session_id == jobs.c.session_id) & (artifacts.c.output_key == chunks.c.output_key)
-        query = (
-            select(chunks.c.chunk_index, chunks.c.output_key, artifacts.c.sha256)
-            .select_from(chunks.join(jobs).outerjoin(artifacts, stored))
-            .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
-            .order_by(chunks.c.chunk_index)
-        )
-        with self._database.reading() as connection:
-            return [ChunkOutput(*row) for row in connection.execute(query)]
 
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
         """Give a chunk back until chunks of an earlier stage have run again, because it found their outputs damaged.
@@ -204,7 +184,7 @@ class Leases:
         -------
             Whether a chunk became ready.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
                 return False
@@ -236,7 +216,7 @@ class Leases:
             For how long workers hold chunks. Where the clock was put back, a lease would last for as much longer; it
             is shortened.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             connection.execute(
                 update(chunks)
                 .where(chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until > now() + lease_s)
@@ -245,15 +225,15 @@ class Leases:
         expired = select(chunks.c.id, chunks.c.lease_token).where(
             chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
         )
-        with self._database.reading() as connection:
+        with self._transactions.reading() as connection:
             found = connection.execute(expired).all()
         for chunk_id, lease_token in found:
-            with self._database.writing() as connection:
+            with self._transactions.writing() as connection:
                 held = _lock_held(connection, chunk_id, lease_token, expired=True)
                 if held is not None:
                     count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
-        with self._database.reading() as connection:
+        with self._transactions.reading() as connection:
             return next_job(connection) is not None
 
 
