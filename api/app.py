@@ -20,7 +20,7 @@ from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.metrics import RequestMetrics
 from api.requests import validation
 from api.requests.fair_threads import FairThreads
-from api.requests.preflight import Preflight
+from api.requests.preflight import PreflightProgram
 from api.routes import callers, events, health, jobs, options, page, results, sessions, uploads
 from api.settings import Settings
 from api.tus.files import UploadSpool
@@ -153,7 +153,7 @@ def _start(settings: Settings) -> Services:
         disk=disk,
         uploads=uploads,
         queue=WorkQueue(settings.broker_url),
-        preflight=Preflight(
+        preflight=PreflightProgram(
             settings.preflight_command,
             settings.preflight_timeout_s,
             settings.max_preflight_bytes,

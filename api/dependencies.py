@@ -11,7 +11,7 @@ from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
 from api.requests.fair_threads import FairThreads
 from api.requests.form import Limits
-from api.requests.preflight import Preflight
+from api.requests.preflight import PreflightProgram
 from api.settings import Settings
 from api.tus.files import UploadSpool
 from worker.jobs.database.quotas import Quotas
@@ -34,7 +34,7 @@ class Services:
     disk: DiskSpace
     uploads: UploadSpool
     queue: WorkQueue
-    preflight: Preflight
+    preflight: PreflightProgram
     checks: FairThreads
     changes: JobChanges
     keys_in_use: KeysInUse

@@ -15,9 +15,9 @@ from pipeline.runtime.kernel_cache import is_complete
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.compilation import COMPILING
 from worker.process.presence import Presence, forget_lost, process_name
 from worker.runner import Runner

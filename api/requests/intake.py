@@ -26,6 +26,7 @@ from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_
 from api.requests.spec_checks import callback_errors, detector_errors, limit_errors, spec_errors
 from api.requests.validation import model_items
 from api.schemas import Manifest, UploadedCapture, UploadedSession
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix
 from worker.jobs.model import InputFile
@@ -99,7 +100,7 @@ class CheckedSession:
     form: Form
     manifest: Manifest
     spec: JobSpec
-    preflight: Mapping[str, Any]
+    preflight: Preflight
     record_path: Path
     upload_ids: tuple[str, ...]
 
@@ -111,7 +112,7 @@ class NewSession:
     id: str
     name: str
     files: tuple[InputFile, ...]
-    preflight: Mapping[str, Any]
+    preflight: Preflight
     upload_ids: tuple[str, ...]
     metadata: Mapping[str, Any]
     record_sha256: str
@@ -170,7 +171,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
     if form.keypoints and arrival.manifest and arrival.manifest.cameras:
         message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
         errors.append(ErrorItem(code="cameras_of_keypoints", message=message, pointer=f"/{MANIFEST}/cameras"))
-    preflight: Mapping[str, Any] = {}
+    preflight: Preflight | None = None
     record_path = sent.folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
     if not form.errors:
         try:
@@ -193,7 +194,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
     if arrival.spec and sent.with_job and not form.keypoints:
         errors.extend(await run_in_threadpool(detector_errors, arrival.spec, services, pointer_to(SPEC, "detector")))
-    if errors or arrival.manifest is None or arrival.spec is None:
+    if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
     return CheckedSession(form, arrival.manifest, arrival.spec, preflight, record_path, arrival.upload_ids)
 

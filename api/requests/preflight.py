@@ -12,16 +12,17 @@ import resource
 import signal
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from api.errors import ApiError, ErrorItem
 from api.requests.form import Form
+from pipeline.capture.preflight_record import Preflight
 from worker.process.priorities import stand_back
 
 _log = structlog.get_logger(__name__)
@@ -40,7 +41,7 @@ _S_PER_SENT_BYTE = 60 / 2**30
 
 
 def allowance_s(form: Form) -> float:
-    """Time that the check of a form's files may take beside ``Preflight.timeout_s``: more for more and larger files."""
+    """Time for the check of a form's files, on top of ``PreflightProgram.timeout_s``: more for more or larger files."""
     views = (*form.videos, *form.keypoints)
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
     of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
@@ -53,7 +54,7 @@ def further_wait_s(form: Form) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Preflight:
+class PreflightProgram:
     """A program that checks files, and how much of it is borne.
 
     Parameters
@@ -76,7 +77,7 @@ class Preflight:
     max_record_bytes: int
     max_memory_bytes: int
 
-    def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Mapping[str, Any]:
+    def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Preflight:
         """Find out what a session is.
 
         Parameters
@@ -91,7 +92,7 @@ class Preflight:
 
         Returns
         -------
-            What the program printed: cameras, timebase, warnings.
+            Record that the program printed.
 
         Raises
         ------
@@ -168,12 +169,11 @@ def _tail(file: IO[bytes]) -> str:
     return file.read().decode(errors="replace")
 
 
-def _parsed(said: bytes) -> Mapping[str, Any] | None:
+def _parsed(said: bytes) -> Preflight | None:
     try:
-        found = json.loads(said)
+        return Preflight.from_json(json.loads(said))
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) and {"cameras", "timebase", "warnings"} <= found.keys() else None
 
 
 def _problems(said: bytes) -> tuple[ErrorItem, ...]:

@@ -1,11 +1,10 @@
 """Checks of a spec against a session, the workers and the limits of the service."""
 
-from collections.abc import Mapping
-from typing import Any
 from urllib.parse import urlsplit
 
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
+from pipeline.capture.preflight_record import Preflight
 from pipeline.config import install_command
 from worker.jobs.repositories.workers import installed_detectors
 from worker.jobs.spec import JobSpec
@@ -13,30 +12,28 @@ from worker.jobs.tenant_records import TenantRecords
 from worker.webhooks.addresses import may_be_public, url_fault
 
 
-def spec_errors(spec: JobSpec, preflight: Mapping[str, Any], *field: str) -> list[ErrorItem]:
+def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorItem]:
     """What of a spec can't be done with a session; ``field`` is where the spec is in what the client sent."""
-    timebase = preflight["timebase"]
-    problems = spec.problems(timebase["num_frames"], timebase["frame_rate_hz"])
+    problems = spec.problems(preflight.timebase.num_frames, preflight.timebase.frame_rate_hz)
     return [
         ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
         for name, (code, message) in problems.items()
     ]
 
 
-def limit_errors(services: Services, preflight: Mapping[str, Any]) -> list[ErrorItem]:
+def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:
     """What of a session is longer or finer than the operator allows."""
-    settings, timebase = services.settings, preflight["timebase"]
-    duration_s = timebase["num_frames"] / timebase["frame_rate_hz"]
+    settings, duration_s = services.settings, preflight.duration_s
     found = []
     if settings.max_duration_s is not None and duration_s > settings.max_duration_s:
         message = f"The session lasts {duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
         found.append(ErrorItem(code="session_too_long", message=message, hint="Cut it into several sessions."))
     if settings.max_pixels is not None:
-        for camera in preflight["cameras"]:
-            width, height = camera["size_px"]
+        for camera in preflight.cameras:
+            width, height = camera.size_px
             if width * height > settings.max_pixels:
                 message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
-                item = ErrorItem(code="frames_too_large", message=message, file=camera["file"], camera=camera["name"])
+                item = ErrorItem(code="frames_too_large", message=message, file=camera.file, camera=camera.name)
                 found.append(item)
     return found
 

@@ -4,7 +4,7 @@ import pytest
 
 from pipeline.config import NETWORKS
 from tests.api.conftest import Live, keypoint_form, problem_of
-from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
 COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the numeric kernels", 5, 14)

@@ -19,7 +19,8 @@ from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
 from pipeline.config import NETWORKS
 from tests.api.conftest import Live, running
-from worker.jobs.model import Scope, WorkerState, WorkerStatus
+from worker.jobs.model import Scope
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, process_name
 
 schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")

@@ -10,6 +10,7 @@ import httpx2
 import pytest
 
 from api.settings import Settings
+from pipeline.capture.preflight_record import PreflightRecording
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
 from worker.jobs.files.artifacts import read_artifact, record_key
 from worker.jobs.repositories.sessions import Sessions
@@ -288,11 +289,10 @@ class TestManifest:
     def test_what_is_said_of_cameras_reaches_the_check(self, live: Live) -> None:
         cameras = [{"name": "a", "file": "cam_1.mp4", "offset_s": -0.5, "rate": 50.0}, {"name": "b \u00e4"}]
         session = self.send(live, {"cameras": cameras}).raise_for_status().json()
-        (found,) = live.services.store.sessions.get(session["id"]).preflight["recordings"]
-        assert found == [
-            {"camera": "a", "file": "cam_1.mp4", "offset_s": -0.5, "frame_rate_hz": 50.0},
-            {"camera": "b \u00e4", "file": None, "offset_s": 0.0, "frame_rate_hz": None},
-        ]
+        assert live.services.store.sessions.get(session["id"]).preflight.recordings == (
+            PreflightRecording("a", "cam_1.mp4", -0.5, 50.0),
+            PreflightRecording("b \u00e4", None, 0.0, None),
+        )
 
     @pytest.mark.parametrize(
         ("camera", "pointer"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
 from worker.jobs.spec import JobSpec
@@ -97,11 +98,11 @@ def open_bench(data_dir: Path) -> Bench:
     files = [
         InputFile(name, kind, f"sessions/{session_id}/inputs/{name}", 1, digit * 64) for name, kind, digit in names
     ]
-    preflight = {
-        "cameras": [{"name": "left", "frame_rate_hz": 25.0}],
-        "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": NUM_FRAMES},
-        "warnings": [],
-    }
+    preflight = Preflight(
+        cameras=(PreflightCamera("left", "left.mp4", (640, 480), 25.0, NUM_FRAMES),),
+        timebase=PreflightTimebase(0.0, 25.0, NUM_FRAMES),
+        stretches=(range(NUM_FRAMES),),
+    )
     session = store.sessions.add("take", files, preflight, session_id)
     return Bench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
 

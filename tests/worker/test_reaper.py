@@ -115,7 +115,7 @@ def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: Bench) -
     arriving, recorded = bench.store.sessions.reserve_id(), bench.store.sessions.reserve_id()
     for session_id in (arriving, recorded):
         bench.artifacts.put_bytes(record_key(session_id), b"record")
-    bench.store.sessions.add("take", [], {}, recorded)
+    bench.store.sessions.add("take", [], bench.session.preflight, recorded)
     remove_files(bench.store.removals, bench.artifacts)
     assert bench.artifacts.exists(record_key(arriving))
     database = Database(f"sqlite:///{bench.data_dir / 'multicap.db'}")
@@ -126,4 +126,4 @@ def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: Bench) -
     assert not bench.artifacts.exists(record_key(arriving))
     assert bench.artifacts.exists(record_key(recorded))
     with pytest.raises(Conflict):
-        bench.store.sessions.add("take", [], {}, arriving)
+        bench.store.sessions.add("take", [], bench.session.preflight, arriving)

@@ -20,6 +20,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any
 
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.spec import JobSpec
 
 
@@ -133,17 +134,20 @@ class Upload:
 class Session:
     """A capture session: its files, and what the preflight found in them.
 
-    ``preflight`` is the JSON object that ``python -m pipeline.capture.preflight`` printed (see there): cameras,
-    timebase, warnings. ``record_sha256`` is the digest of the record that the preflight wrote for the workers;
-    ``None`` for sessions of older versions.
+    Parameters
+    ----------
+    metadata
+        JSON object of the client.
+    record_sha256
+        Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions.
     """
 
     id: str
     name: str
     created_at: datetime
     files: tuple[InputFile, ...]
-    preflight: Mapping[str, Any]
-    metadata: Mapping[str, Any] = field(default_factory=dict)  # the client's own
+    preflight: Preflight
+    metadata: Mapping[str, Any] = field(default_factory=dict)
     record_sha256: str | None = None
 
 
@@ -349,40 +353,6 @@ class Figures:
     jobs: Mapping[str, int]
     chunks: Mapping[str, int]
     longest_queued_s: float
-
-
-class WorkerState(StrEnum):
-    """Whether a worker process could start a chunk now."""
-
-    STARTING = "starting"
-    READY = "ready"
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerStatus:
-    """A worker process.
-
-    Parameters
-    ----------
-    id
-        Host and process id.
-    activity
-        What it does, in words.
-    done, total
-        Steps of that; both 0 where there are none to count.
-    detectors
-        Names of the detectors that are installed there.
-    codes
-        Digests of the stages' code that it runs.
-    """
-
-    id: str
-    state: WorkerState
-    activity: str
-    done: int = 0
-    total: int = 0
-    detectors: tuple[str, ...] = ()
-    codes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

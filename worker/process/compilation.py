@@ -14,8 +14,8 @@ import structlog
 
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.kernel_cache import cache_folder, is_complete
-from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.store import JobStore
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.lifeline import tied
 from worker.process.presence import Presence, process_name
 

@@ -10,8 +10,8 @@ from functools import partial
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.jobs.model import WorkerStatus
 from worker.jobs.repositories.workers import Workers
+from worker.jobs.worker_status import WorkerStatus
 from worker.process.scratch import is_running
 
 log = structlog.get_logger()

@@ -8,11 +8,12 @@ crash or for another job, asks for the same keys and finds what is there.
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from types import MappingProxyType
 from typing import Any, Protocol, Self
 
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.model import ChunkPlan, InputFile, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, stage_codes
@@ -32,8 +33,8 @@ class SessionFacts(Protocol):
         """Its files."""
 
     @property
-    def preflight(self) -> Mapping[str, Any]:
-        """What was found in them; see ``worker.jobs.model.Session``."""
+    def preflight(self) -> Preflight:
+        """What was found in them."""
 
 
 def plan(
@@ -132,8 +133,8 @@ class FrameCut:
     @classmethod
     def of(cls, session: SessionFacts, spec: JobSpec, chunk_frames: int) -> Self:
         """Cut the frames that a job wants of a session."""
-        whole = range(session.preflight["timebase"]["num_frames"])
-        return cls(spec.frames or whole, _stretches(session), chunk_frames)
+        whole = range(session.preflight.timebase.num_frames)
+        return cls(spec.frames or whole, session.preflight.stretches, chunk_frames)
 
     def __iter__(self) -> Iterator[range]:
         """Ranges in order, one at least; as ``pipeline.video.timeline.chunk_ranges`` cuts them."""
@@ -201,28 +202,22 @@ class _FrameChunks:
             )
 
 
-def _stretches(session: SessionFacts) -> tuple[range, ...]:
-    # Sessions that were checked by an older version have none.
-    whole = [[0, session.preflight["timebase"]["num_frames"]]]
-    return tuple(range(start, stop) for start, stop in session.preflight.get("stretches", whole))
-
-
 def _bounded_length(session: SessionFacts, chunk_frames: int) -> int:
     """Double the length of chunks until a session has at most ``MAX_CHUNKS``; alike for all of its jobs."""
-    most = max(1, MAX_CHUNKS // len(session.preflight["cameras"]))
+    most = max(1, MAX_CHUNKS // len(session.preflight.cameras))
     while sum(1 for _ in islice(FrameCut.of(session, JobSpec(), chunk_frames), most + 1)) > most:
         chunk_frames *= 2
     return chunk_frames
 
 
 def _frames_per_output_frame(session: SessionFacts) -> dict[str, float]:
-    session_hz = session.preflight["timebase"]["frame_rate_hz"]
-    return {camera["name"]: camera["frame_rate_hz"] / session_hz for camera in session.preflight["cameras"]}
+    session_hz = session.preflight.timebase.frame_rate_hz
+    return {camera.name: camera.frame_rate_hz / session_hz for camera in session.preflight.cameras}
 
 
 def _num_measured(session: SessionFacts, cut: FrameCut) -> int:
     """About as many frames as bones are measured in: five a second."""
-    return max(1, min(cut.num_frames, round(5 * cut.num_frames / session.preflight["timebase"]["frame_rate_hz"])))
+    return max(1, min(cut.num_frames, round(5 * cut.num_frames / session.preflight.timebase.frame_rate_hz)))
 
 
 def _reduce(
@@ -234,11 +229,11 @@ def _reduce(
 def _inputs(session: SessionFacts) -> list[str]:
     """What the files are, how they are timed; names count: files and cameras find each other by name."""
     files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
-    if (units := session.preflight.get("units", "m")) != "m":
+    if (units := session.preflight.units) != "m":
         files.append(units)
     if is_of_keypoints(session):
-        return [*files, repr(session.preflight["timebase"]["frame_rate_hz"])]
-    recordings = sorted(json.dumps(one, sort_keys=True) for one in session.preflight.get("recordings", ()))
+        return [*files, repr(session.preflight.timebase.frame_rate_hz)]
+    recordings = sorted(json.dumps(asdict(one), sort_keys=True) for one in session.preflight.recordings)
     return [*files, *recordings]
 
 

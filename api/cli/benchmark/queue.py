@@ -18,6 +18,7 @@ import typer
 
 from api.cli.client import ServiceError
 from api.cli.console import emit, reporting
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
 from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec
@@ -36,11 +37,11 @@ def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
     cameras = [f"cam_{number}" for number in range(_CAMERAS)]
-    preflight = {
-        "cameras": [{"name": name, "frame_rate_hz": _RATE_HZ} for name in cameras],
-        "timebase": {"start_time_s": 0.0, "frame_rate_hz": _RATE_HZ, "num_frames": _NUM_FRAMES},
-        "warnings": [],
-    }
+    preflight = Preflight(
+        cameras=tuple(PreflightCamera(name, f"{name}.mp4", (1280, 720), _RATE_HZ, _NUM_FRAMES) for name in cameras),
+        timebase=PreflightTimebase(0.0, _RATE_HZ, _NUM_FRAMES),
+        stretches=(range(_NUM_FRAMES),),
+    )
     files = [InputFile(f"{name}.mp4", "video", f"inputs/{name}.mp4", 1, "0" * 64) for name in cameras]
     session = store.sessions.add("take", files, preflight, store.sessions.reserve_id())
     stages = plan(session, JobSpec(), DEFAULT_CHUNK_FRAMES)

@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 import uuid_utils
 
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
 from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Result, StagePlan
 from worker.jobs.spec import JobSpec
@@ -22,11 +23,12 @@ EXPIRED_S = -1.0  # a lease that ended before it began
 UNITS = 10
 CODE = "c" * 64
 
-PREFLIGHT = {
-    "cameras": [{"name": "cam one"}],
-    "timebase": {"num_frames": 60, "frame_rate_hz": 25.0},
-    "warnings": ["The clocks drift."],
-}
+PREFLIGHT = Preflight(
+    cameras=(PreflightCamera("cam one", "cam one.mp4", (640, 480), 25.0, 60),),
+    timebase=PreflightTimebase(0.0, 25.0, 60),
+    stretches=(range(60),),
+    warnings=("The clocks drift.",),
+)
 
 
 def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:

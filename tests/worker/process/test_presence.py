@@ -7,7 +7,7 @@ from dataclasses import replace
 from sqlalchemy.exc import OperationalError
 
 from tests.worker.conftest import Bench
-from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, forget_lost, process_name
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")

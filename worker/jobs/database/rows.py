@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, ResultWarning, Session, Stage
@@ -22,7 +23,7 @@ def session_of(row: Row[Any]) -> Session:
         name=row.name,
         created_at=row.created_at,
         files=tuple(InputFile(**file) for file in row.files),
-        preflight=row.preflight,
+        preflight=Preflight.from_json(row.preflight),
         metadata=row.client_metadata,
         record_sha256=row.record_sha256,
     )
@@ -76,15 +77,15 @@ def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
 
 def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
     spec = JobSpec.model_validate(row.spec)
-    timebase = row.preflight["timebase"]
+    preflight = Preflight.from_json(row.preflight)
     of_keypoints = all(stage.name != "detect" for stage in stages)
     found = tuple(ResultWarning(**warning) for warning in row.warnings)
     return Job(
         id=row.id,
         session_id=row.session_id,
         session_name=row.session_name,
-        num_frames=timebase["num_frames"],
-        duration_s=timebase["num_frames"] / timebase["frame_rate_hz"],
+        num_frames=preflight.timebase.num_frames,
+        duration_s=preflight.duration_s,
         state=JobState(row.state),
         spec=spec,
         attempt=row.attempt,
@@ -98,7 +99,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         eta_s=_eta_s(row, stages),
         problem=None if row.problem is None else Problem(**row.problem),
         warnings=(
-            *row.preflight.get("warnings", ()),
+            *preflight.warnings,
             *spec.warnings(of_keypoints),
             *(warning.message for warning in found),
         ),

@@ -8,6 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, delete, insert, select
 from uuid_utils import uuid7
 
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.rows import session_of
@@ -41,7 +42,7 @@ class Sessions:
         self,
         name: str,
         files: Sequence[InputFile],
-        preflight: Mapping[str, Any],
+        preflight: Preflight,
         session_id: str,
         metadata: Mapping[str, Any] = _NO_METADATA,
         record_sha256: str | None = None,
@@ -74,7 +75,7 @@ class Sessions:
                     name=name,
                     created_at=now(),
                     files=[asdict(file) for file in files],
-                    preflight=dict(preflight),
+                    preflight=preflight.to_json(),
                     client_metadata=dict(metadata),
                     num_bytes=num_bytes,
                     tenant=access.owner,

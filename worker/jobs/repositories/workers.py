@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, Connection, delete, func, or_, select
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.tables import workers
 from worker.jobs.database.transactions import Transactions
-from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 # Renewed every four seconds: two in a row were missed.
 SILENT_AFTER_S = 10.0

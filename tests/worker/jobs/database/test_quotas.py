@@ -5,15 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.worker.jobs.conftest import Bench, result, stages
+from tests.worker.jobs.conftest import PREFLIGHT, Bench, result, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import QuotaExceeded
 from worker.jobs.model import Actor, InputFile, Problem, Usage
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.jobs.tenant_records import TenantRecords
-
-PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
 def add_session(jobs: Bench, records: TenantRecords, num_bytes: int = 100) -> str:

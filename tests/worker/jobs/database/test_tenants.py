@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.worker.jobs.conftest import Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
 from worker.jobs.model import Actor, Problem
@@ -13,8 +13,6 @@ from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
-
-PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
 def make(jobs: Bench, tenant: str) -> tuple[TenantRecords, str, str]:

@@ -1,9 +1,8 @@
-from tests.worker.jobs.conftest import Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.model import Actor, Problem, Scope
 from worker.jobs.spec import JobSpec
 
-PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 ACTOR = Actor("key", "request")
 
 

@@ -7,19 +7,10 @@ import pytest
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
 from worker.jobs.database.quotas import NO_QUOTAS
-from worker.jobs.model import (
-    Actor,
-    ChunkOutput,
-    ChunkState,
-    Claim,
-    JobState,
-    Problem,
-    Scope,
-    WorkerState,
-    WorkerStatus,
-)
+from worker.jobs.model import Actor, ChunkOutput, ChunkState, Claim, JobState, Problem, Scope
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 PROBLEM = Problem("internal_error", "The stage detect failed inside the service.", stage="detect", retryable=True)
 FINAL = replace(PROBLEM, code="input_error", retryable=False)

@@ -3,7 +3,7 @@
 import pytest
 from uuid_utils import uuid7
 
-from tests.worker.jobs.conftest import Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
@@ -12,7 +12,6 @@ from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
 HOUR_S = 3600.0
-PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
 def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> TenantRecords:
