@@ -51,7 +51,6 @@ def wrong_key(request: Request, services: Services) -> ApiError:
 
 def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
-        401,
         "key_required",
         detail,
         hint="Send Authorization: Bearer mc_..., with a key that `multicap keys create` made.",
@@ -92,12 +91,12 @@ def _refuse_foreign_pages(request: Request) -> None:
         return
     origin = request.headers.get("origin", "").lower().partition("://")[2]
     if origin != request.headers["host"].lower():
-        raise ApiError(403, "cross_site_request", "A browser's session may be used by the service's own page only.")
+        raise ApiError("cross_site_request", "A browser's session may be used by the service's own page only.")
 
 
 def _require(caller: Caller, scope: Scope) -> Caller:
     if scope not in caller.scopes:
-        raise ApiError(403, "scope_missing", f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
+        raise ApiError("scope_missing", f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
     return caller
 
 

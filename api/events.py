@@ -62,7 +62,6 @@ class JobChanges:
         """Raise 429 if an owner has as many streams as it may have."""
         if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
             raise ApiError(
-                429,
                 "too_many_streams",
                 f"At most {self._max_streams} event streams may be open.",
                 hint="Close those of jobs that nobody follows any more.",

@@ -158,7 +158,7 @@ def _idempotent_request(
     ] = None,
 ) -> IdempotentRequest:
     if idempotency_key is not None and not (idempotency_key.isascii() and idempotency_key.isprintable()):
-        raise ApiError(400, "header_invalid", "Idempotency-Key must be printable ASCII.")
+        raise ApiError("header_invalid", "Idempotency-Key must be printable ASCII.")
     lease_s = services.settings.idempotency_lease_s
     return IdempotentRequest(idempotency_key or None, records, f"{request.method} {request.url.path}", lease_s)
 

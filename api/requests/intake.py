@@ -270,7 +270,7 @@ async def _receive_names(request: Request, services: Services, documents: frozen
         return model.model_validate_json(body)
     except ValidationError as error:
         if any(detail["type"] == "json_invalid" for detail in error.errors()):
-            raise ApiError(400, "malformed_json", "The body is not JSON.") from None
+            raise ApiError("malformed_json", "The body is not JSON.") from None
         raise unprocessable(model_items(error.errors(), model)) from None
 
 

@@ -114,7 +114,7 @@ class PreflightProgram:
             if exit_code == _EXIT_DISK_FULL:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             _log.error("preflight_failed", exit_code=exit_code, said=len(said), log=_tail(log))
-        raise ApiError(500, "preflight_failed", "The check of the files failed; the log says why.", retryable=True)
+        raise ApiError("preflight_failed", "The check of the files failed; the log says why.", retryable=True)
 
     def _run(self, command: Sequence[str], timeout_s: float, temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
         with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths

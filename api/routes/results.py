@@ -108,7 +108,6 @@ def _attachment(name: str) -> dict[str, str]:
 
 def _expired() -> ApiError:
     return ApiError(
-        410,
         "expired",
         "The file was removed.",
         hint="Start another job of its session: what this one found in the videos is used again.",
@@ -128,7 +127,6 @@ def _require_size(services: Services, result: Result) -> None:
 def _damaged(results: Sequence[Result]) -> ApiError:
     message = "The stored file does not have the SHA-256 that it was made with."
     return ApiError(
-        500,
         "result_damaged",
         f"{len(results)} stored result files are damaged."
         if len(results) > 1
@@ -189,7 +187,7 @@ def get_result(
             wanted = requested_range(range_, result.num_bytes) if if_range in {None, etag} else None
         except UnsatisfiableRange:
             size = {"Content-Range": f"bytes */{result.num_bytes}"}
-            raise ApiError(416, "range_not_satisfiable", "The file has no such range.", headers=size) from None
+            raise ApiError("range_not_satisfiable", "The file has no such range.", headers=size) from None
         stack.pop_all()
     sent = wanted or ByteRange(0, result.num_bytes)
     headers["Content-Length"] = str(sent.stop - sent.start)

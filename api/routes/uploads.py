@@ -54,7 +54,6 @@ def _speaks_tus(
     """Refuse clients of another version."""
     if tus_resumable != VERSION:
         raise ApiError(
-            412,
             "tus_version",
             f"The service speaks tus {VERSION}.",
             hint=f"Send Tus-Resumable: {VERSION}.",
@@ -246,13 +245,13 @@ def _common_headers(upload: Upload) -> dict[str, str]:
 
 def _natural(value: str | None, header: str) -> int:
     if value is None or not (value.isascii() and value.isdecimal() and len(value) <= _MAX_DIGITS):
-        raise ApiError(400, "header_invalid", f"{header} must be there, and be a number of bytes.")
+        raise ApiError("header_invalid", f"{header} must be there, and be a number of bytes.")
     return int(value)
 
 
 def _require_piece_type(request: Request) -> None:
     if request.headers.get("content-type") != PIECE_TYPE:
-        raise ApiError(415, "unsupported_media_type", f"Pieces are sent as {PIECE_TYPE}.")
+        raise ApiError("unsupported_media_type", f"Pieces are sent as {PIECE_TYPE}.")
 
 
 def _file_name(metadata: str) -> str:
@@ -275,7 +274,7 @@ def _file_name(metadata: str) -> str:
 
 
 def _metadata_error(message: str) -> ApiError:
-    return ApiError(400, "metadata_invalid", message)
+    return ApiError("metadata_invalid", message)
 
 
 def _checksum(header: str | None) -> Checksum | None:
@@ -287,4 +286,4 @@ def _checksum(header: str | None) -> Checksum | None:
     except (KeyError, ValueError):
         names = ", ".join(CHECKSUMS)
         message = f"Upload-Checksum must be one of {names}, a space, and the digest as base64."
-        raise ApiError(400, "checksum_invalid", message) from None
+        raise ApiError("checksum_invalid", message) from None

@@ -144,7 +144,7 @@ class UploadSpool:
                 digest = hashlib.new(checksum.algorithm, usedforsecurity=False)
                 num_bytes = await _receive(piece, 0, length - offset, stream, self._disk.require_room, digest.update)
                 if digest.digest() != checksum.digest:
-                    raise ApiError(460, "checksum_mismatch", "The piece is not what it was when it was sent.")
+                    raise ApiError("checksum_mismatch", "The piece is not what it was when it was sent.")
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
 
     def remove(self, upload_id: str) -> None:
@@ -197,7 +197,6 @@ class UploadSpool:
                 raise _locked() from None
             if (size := os.fstat(file.fileno()).st_size) != offset:
                 raise ApiError(
-                    409,
                     "offset_mismatch",
                     f"The upload is at {size} bytes, not at {offset}.",
                     hint="Ask for the offset by HEAD, and go on from there.",
@@ -241,7 +240,7 @@ async def _receive(
     try:
         async for data in stream:
             if end + len(data) > length:
-                raise ApiError(413, "content_too_large", f"The upload was announced to have {length} bytes.")
+                raise ApiError("content_too_large", f"The upload was announced to have {length} bytes.")
             pending.append(data)
             end += len(data)
             if sum(map(len, pending)) >= _BLOCK_BYTES or time.monotonic() > written_s + _BLOCK_S:
@@ -275,4 +274,4 @@ def _is_old(path: Path) -> bool:
 
 
 def _locked() -> ApiError:
-    return ApiError(423, "upload_locked", "Another request writes to this upload.", retryable=True)
+    return ApiError("upload_locked", "Another request writes to this upload.", retryable=True)
