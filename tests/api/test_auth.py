@@ -340,8 +340,8 @@ def test_the_audit_says_by_which_key_and_request(guarded: Guarded) -> None:
     answer = guarded.ask("POST", "/v1/sessions", guarded.mine)
     session_id = answer.json()["id"]
     problem_of(guarded.live.client.delete(f"/v1/sessions/{session_id}"), 401, "key_required")
-    deed = guarded.live.services.store.audit.events("mine", limit=1)[0]
+    event = guarded.live.services.store.audit.events("mine", limit=1)[0]
     key = guarded.live.services.store.keys.find(guarded.mine)
     assert key is not None
-    assert (deed.act, deed.subject) == ("session-created", session_id)
-    assert (deed.actor.key_id, deed.actor.request_id) == (key.id, answer.headers["x-request-id"])
+    assert (event.act, event.subject) == ("session-created", session_id)
+    assert (event.actor.key_id, event.actor.request_id) == (key.id, answer.headers["x-request-id"])

@@ -63,8 +63,8 @@ class Service:
         return job
 
     def publish(self) -> bool:
-        place = embedded.Place(self.data_dir, self.data_dir / "broker" / "socket")
-        return WorkQueue(place.broker_url).publish()
+        directory = embedded.DataDirectory(self.data_dir, self.data_dir / "broker" / "socket")
+        return WorkQueue(directory.broker_url).publish()
 
     def wait_until_detecting(self, job: Job) -> None:
         wait_for(lambda: self.bench.store.jobs.get(job.id).stages[0].done > 0)

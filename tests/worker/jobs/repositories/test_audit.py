@@ -16,8 +16,8 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
     mine.jobs.cancel(job_id)
     mine.jobs.delete(job_id)
     mine.sessions.delete(session_id)
-    deeds = jobs.store.audit.events("mine")
-    assert [(deed.act, deed.subject) for deed in reversed(deeds)] == [
+    events = jobs.store.audit.events("mine")
+    assert [(event.act, event.subject) for event in reversed(events)] == [
         ("session-created", session_id),
         ("job-created", job_id),
         ("job-retried", job_id),
@@ -25,8 +25,8 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
         ("job-deleted", job_id),
         ("session-deleted", session_id),
     ]
-    assert {(deed.tenant, deed.actor) for deed in deeds} == {("mine", ACTOR)}
-    assert [deed.done_at for deed in deeds] == sorted((deed.done_at for deed in deeds), reverse=True)
+    assert {(event.tenant, event.actor) for event in events} == {("mine", ACTOR)}
+    assert [event.done_at for event in events] == sorted((event.done_at for event in events), reverse=True)
 
 
 def test_what_is_refused_was_not_done(jobs: Bench) -> None:
@@ -35,7 +35,7 @@ def test_what_is_refused_was_not_done(jobs: Bench) -> None:
     jobs.claim()
     jobs.store.jobs.cancel(job.id)
     jobs.store.jobs.cancel(job.id)  # once is enough
-    assert [deed.act for deed in jobs.store.audit.events()][: -len(before)] == ["job-canceled"]
+    assert [event.act for event in jobs.store.audit.events()][: -len(before)] == ["job-canceled"]
 
 
 def test_keys_are_noted_too(jobs: Bench) -> None:
@@ -43,8 +43,8 @@ def test_keys_are_noted_too(jobs: Bench) -> None:
     jobs.store.browser_sessions.open(key, 60.0, "request")
     jobs.store.keys.revoke(key.id)
     jobs.store.keys.revoke(key.id)
-    deeds = jobs.store.audit.events("studio")
-    assert [(deed.act, deed.subject, deed.actor) for deed in deeds] == [
+    events = jobs.store.audit.events("studio")
+    assert [(event.act, event.subject, event.actor) for event in events] == [
         ("key-revoked", key.id, Actor()),
         ("browser-let-in", key.id, Actor(key.id, "request")),
         ("key-created", key.id, Actor()),

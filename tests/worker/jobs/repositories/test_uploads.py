@@ -52,7 +52,7 @@ def test_one_that_was_deleted_is_gone(jobs: Bench) -> None:
     for act in (mine.uploads.get, mine.uploads.delete):
         with pytest.raises(NotFound):
             act(upload_id)
-    assert [deed.act for deed in jobs.store.audit.events("mine")] == ["upload-deleted", "upload-created"]
+    assert [event.act for event in jobs.store.audit.events("mine")] == ["upload-deleted", "upload-created"]
 
 
 def test_one_whose_time_is_over_is_gone(jobs: Bench) -> None:
