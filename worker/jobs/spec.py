@@ -1,4 +1,4 @@
-"""Job specs: what a client asks for. The choices are those of ``pipeline.config``."""
+"""Job specs: the choices of a reconstruction, made from ``pipeline.config``."""
 
 import functools
 import operator
@@ -91,7 +91,7 @@ class JobSpec(_Choices, frozen=True):
         return exports
 
     def problems(self, num_frames: int, frame_rate_hz: float) -> dict[str, tuple[str, str]]:
-        """What of this can't be done with a session of so many output frames: code and sentence by field."""
+        """Conflicts of the choices with a session of so many output frames: code and sentence by field."""
         found = {}
         if self.frame_range is not None:
             start, stop = self.frame_range
@@ -124,16 +124,16 @@ class JobSpec(_Choices, frozen=True):
 
     @property
     def uses_fields(self) -> bool:
-        """Whether people are found from part affinity fields, where there are videos."""
+        """Whether people are found from part affinity fields, if the session has videos."""
         return self.method == "clustering" and NETWORKS[self.detector].leaves_fields
 
     def warnings(self, of_keypoints: bool) -> tuple[str, ...]:
-        """What a client should know of these choices, a sentence each.
+        """Warnings about the choices for the client, one sentence each.
 
         Parameters
         ----------
         of_keypoints
-            Whether there are keypoints instead of videos, and so no detector.
+            Whether the session has keypoints instead of videos, and so needs no detector.
         """
         if self.method == "clustering" and (of_keypoints or not self.uses_fields):
             return (

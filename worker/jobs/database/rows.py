@@ -1,4 +1,4 @@
-"""Rows of the tables as the model's records."""
+"""Records of the model, made from rows of the tables."""
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +17,7 @@ _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
 def session_of(row: Row[Any]) -> Session:
-    """A session from its row."""
+    """Session from its row."""
     return Session(
         id=row.id,
         name=row.name,
@@ -30,7 +30,7 @@ def session_of(row: Row[Any]) -> Session:
 
 
 def result_of(row: Row[Any]) -> Result:
-    """A result from its row."""
+    """Result from its row."""
     return Result(
         name=row.name,
         kind=row.kind,
@@ -42,10 +42,10 @@ def result_of(row: Row[Any]) -> Result:
     )
 
 
-# Clients ask for jobs all the time, and to put a query together takes longer than to run it: once is enough.
+# Clients ask for jobs all the time, and building the query takes longer than running it.
 @functools.cache
 def select_jobs() -> Select[Any]:
-    """Jobs with their sessions' preflight and their places in the queue, for ``jobs_of``."""
+    """Query of jobs with the preflight of their sessions and their places in the queue, for ``jobs_of``."""
     ahead = jobs.alias("ahead")
     place = (
         select(func.count() + 1)
@@ -110,7 +110,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
 def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
     if row.state != JobState.RUNNING:
         return None
-    # What was taken from an earlier job took no time.
+    # Outputs of an earlier job took no time.
     worked_on = [stage for stage in stages if not stage.reused]
     done, total = sum(stage.done for stage in worked_on), sum(stage.total for stage in worked_on)
     return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
@@ -162,11 +162,11 @@ def _stage(row: Row[Any]) -> Stage:
 
 
 def stage_state(states: Iterable[ChunkState]) -> ChunkState:
-    """State of a stage whose chunks are in some states: what is worst, else what is under way, else what they share."""
+    """State of a stage from those of its chunks: the worst one, else running, else the one that all share."""
     found = frozenset(states)
     for decisive in (ChunkState.FAILED, ChunkState.RUNNING, ChunkState.CANCELED):
         if decisive in found:
             return decisive
     if len(found) > 1:
-        return ChunkState.RUNNING  # some are done, the others wait for a worker
+        return ChunkState.RUNNING  # some chunks are done, the others wait for a worker
     return next(iter(found))

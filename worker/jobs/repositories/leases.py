@@ -17,15 +17,15 @@ from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.turns import has_share, next_job, of_code
 from worker.jobs.spec import JobSpec
 
-# Tries that a chunk has: lost leases, failures worth another try and damaged outputs count alike.
+# Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
 
 
 class Leases:
     """Leases of chunks, of all tenants.
 
-    A claim carries a token; reports with another token, or after the lease was taken back, change nothing and are
-    answered by ``False``. Times come from the database's clock.
+    A claim has a token. A report with another token, or after the lease was taken back, changes nothing and returns
+    ``False``. Times come from the clock of the database.
     """
 
     def __init__(self, transactions: Transactions) -> None:
@@ -34,13 +34,13 @@ class Leases:
     def claim(self, worker: str, lease_s: float, codes: Collection[str] | None = None) -> Claim | None:
         """Take the next ready chunk; ``None`` if no job has one.
 
-        Tenants have equal shares of the workers, and one worker stays free where there are several, see
-        ``worker.jobs.repositories.turns``; a tenant's jobs are worked on in the order of their creation.
+        Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
+        ``worker.jobs.repositories.turns``. The jobs of a tenant are worked on in the order of their creation.
 
         Parameters
         ----------
         codes
-            Digests of the worker's code: it takes chunks that were planned for it. ``None``: any.
+            Digests of the worker's code: only chunks that were planned for it are taken. ``None``: any chunk.
         """
         while True:
             with self._transactions.reading() as connection:
@@ -51,7 +51,7 @@ class Leases:
                 return claim
 
     def _claim_of(self, job_id: str, worker: str, lease_s: float, codes: Collection[str] | None) -> Claim | None:
-        """Take a job's next ready chunk, unless others took its last one or its tenant's share in the meantime."""
+        """Take the next ready chunk of a job, unless another worker took the last one or the tenant's share."""
         first = (
             select(chunks.c.id)
             .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, of_code(codes))
@@ -94,9 +94,9 @@ class Leases:
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
-        """Renew a lease and say how far its chunk is. ``False``: the work is no longer wanted, stop now.
+        """Renew a lease and record the progress of its chunk. ``False``: the work is no longer wanted, stop now.
 
-        A chunk's progress stays between what any try of it got to and ``unit_count``.
+        The progress is the maximum over all tries of the chunk, and at most ``unit_count``.
         """
         at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
         further = case(
@@ -122,7 +122,7 @@ class Leases:
         results: Sequence[Result] = (),
         warnings: Sequence[ResultWarning] = (),
     ) -> bool:
-        """Record a chunk's output, and its job's result files and their warnings if it left any.
+        """Record the output of a chunk, and the result files of its job with their warnings if there are any.
 
         Returns
         -------
@@ -152,13 +152,13 @@ class Leases:
             return advance(connection, job.id, chunk.stage_index)
 
     def fail(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
-        """Give a chunk back after a problem: for another try, or as the end of its job. Whether it became ready."""
+        """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             return held is not None and _try_again(connection, *held, problem)
 
     def release(self, chunk_id: int, lease_token: str) -> bool:
-        """Give a chunk back unfinished, because its job is canceled or its worker stops. Whether it became ready."""
+        """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
@@ -171,14 +171,14 @@ class Leases:
             return True
 
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
-        """Give a chunk back until chunks of an earlier stage have run again, because it found their outputs damaged.
+        """Give a chunk back until chunks of an earlier stage, whose outputs are damaged, have run again.
 
-        A chunk of that stage that has had ``MAX_ATTEMPTS`` tries ends the job.
+        A chunk of the earlier stage that has had ``MAX_ATTEMPTS`` tries ends the job.
 
         Parameters
         ----------
         stage, damaged
-            The earlier stage, and indices of its chunks.
+            Name of the earlier stage, and indices of its chunks.
 
         Returns
         -------
@@ -193,28 +193,27 @@ class Leases:
                 _cancel(connection, job, waiting)
                 return False
             move_chunk(connection, waiting.id, ChunkState.WAITING)
-            # Others may have found the same: what is not done is being computed already.
+            # Other chunks may have reported the same: a chunk that is not done is being computed already.
             done = select(chunks).where(
                 chunks.c.job_id == job.id, chunks.c.stage == stage, chunks.c.state == ChunkState.DONE
             )
             again = [chunk for chunk in connection.execute(done).all() if chunk.chunk_index in damaged]
-            # The first one without another try ends the job.
+            # The first chunk without another try ends the job.
             return bool(again) and all(
                 _try_again(connection, job, chunk, _output_damaged(chunk), started_at=None, finished_at=None)
                 for chunk in again
             )
 
     def reap(self, lease_s: float) -> bool:
-        """Take back chunks whose workers have fallen silent; whether a chunk is ready for a worker now.
+        """Take chunks back whose leases have ended; return whether any chunk is ready now.
 
-        Such a chunk is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled
-        ends when its last running chunk is taken back.
+        A chunk that is taken back is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is
+        being canceled ends when its last running chunk is taken back.
 
         Parameters
         ----------
         lease_s
-            For how long workers hold chunks. Where the clock was put back, a lease would last for as much longer; it
-            is shortened.
+            Time of a lease. Longer leases are shortened: they were made before the clock was put back.
         """
         with self._transactions.writing() as connection:
             connection.execute(
@@ -244,7 +243,7 @@ def _is_held(lease_token: str) -> Any:
 def _lock_held(
     connection: Connection, chunk_id: int, lease_token: str, expired: bool = False
 ) -> tuple[Row[Any], Row[Any]] | None:
-    """Lock the job of a chunk that is held by a token; job and chunk, or ``None`` if it is not (or not expired)."""
+    """Lock the job of a chunk that a token holds, and return both; ``None`` if it is not held (or not expired)."""
     held = select(chunks).where(chunks.c.id == chunk_id, _is_held(lease_token))
     if expired:
         held = held.where(chunks.c.lease_until < now())
@@ -252,13 +251,13 @@ def _lock_held(
     if seen is None:
         return None
     job = lock_job(connection, seen.job_id)
-    # Again: it may have been taken back while we waited for the lock; and a heartbeat has to wait now.
+    # Again: the chunk may have been taken back before the job was locked. From here on a heartbeat waits.
     chunk = connection.execute(held.with_for_update()).one_or_none()
     return None if job is None or chunk is None else (job, chunk)
 
 
 def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem, **values: Any) -> bool:
-    """Make a chunk ready for its next try, or end its job; whether it became ready. ``values`` are of its columns."""
+    """Make a chunk ready for its next try, or end its job; return whether it became ready. ``values`` are columns."""
     if job.state == JobState.CANCELING:
         _cancel(connection, job, chunk)
         return False

@@ -1,4 +1,4 @@
-"""Plans of jobs as rows: inserted with a job, and replaced when no worker runs the code that they were made for."""
+"""Plans of jobs: rows of chunks, added with a job, and replaced if no worker runs the code that they were made for."""
 
 from collections.abc import Iterable, Sequence
 from itertools import islice
@@ -22,7 +22,7 @@ class Plans:
         self._transactions = transactions
 
     def unclaimable(self) -> list[str]:
-        """Unfinished jobs without running chunks whose next chunks no ready worker can run."""
+        """Ids of unfinished jobs without running chunks whose ready chunks no worker can run."""
         with self._transactions.reading() as connection:
             foreign = or_(chunks.c.code.is_(None), chunks.c.code.not_in(codes_at_work(connection)))
             of_job = chunks.c.job_id == jobs.c.id
@@ -32,7 +32,7 @@ class Plans:
             return list(connection.scalars(query.order_by(jobs.c.queued_at, jobs.c.id)))
 
     def is_run(self, codes: Iterable[str]) -> bool:
-        """Return whether ready workers run all of some code, so that they could run a plan for it."""
+        """Return whether ready workers run all of some code, so that they could run a plan that is made for it."""
         with self._transactions.reading() as connection:
             return codes_at_work(connection).issuperset(codes)
 
