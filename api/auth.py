@@ -1,4 +1,4 @@
-"""Who calls: by a key, by a browser that has shown one, or anybody as long as there are no keys."""
+"""Callers of requests: by a key, by a browser that has shown a key, or anybody while the service has no keys."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Caller:
 
     @property
     def owner(self) -> str:
-        """Name under which requests share what is scarce: of the tenant, or without keys of the client's network."""
+        """Name under which requests share scarce resources: the tenant, or without keys the network of the client."""
         return f"tenant {self.tenant}" if self.key else f"network {self.network}"
 
 
@@ -64,7 +64,7 @@ def _find_caller(
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
     cookie: Annotated[str | None, Security(_cookie)],
 ) -> Caller:
-    """Find out who calls; 401 if that can't be known, 429 if they call too often."""
+    """Find the caller of a request; 401 if the key is missing or wrong, 429 after too many requests."""
     if "authorization" in request.headers:
         key = services.store.keys.find(bearer.credentials) if bearer else None
         if key is None:
@@ -83,7 +83,7 @@ def _find_caller(
 
 
 def _refuse_foreign_pages(request: Request) -> None:
-    """A cookie comes along with whatever a page has a browser send; only our own page may change anything by it.
+    """Refuse changes by a cookie from pages other than our own: browsers send it with the requests of any page.
 
     ``ForeignPageGuard`` has compared ``Origin`` with the pages that are allowed; these use keys, not cookies.
     """
@@ -101,7 +101,7 @@ def _require(caller: Caller, scope: Scope) -> Caller:
 
 
 def _authorize(request: Request, caller: Annotated[Caller, Depends(_find_caller)]) -> Caller:
-    """Who calls, if their key allows such a request."""
+    """Caller of a request that the key allows; 403 if a scope is missing."""
     return _require(caller, Scope.READ if request.method in _READING else Scope.WRITE)
 
 
@@ -118,5 +118,5 @@ def _records_of(
 
 AnyCallerDep = Annotated[Caller, Depends(_find_caller)]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
-# The caller's own sessions and jobs: routes of clients have no other way to them.
+# Records of the caller's tenant. Routes of clients reach sessions and jobs in no other way.
 RecordsDep = Annotated[TenantRecords, Depends(_records_of)]

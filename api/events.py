@@ -1,4 +1,4 @@
-"""What is new of jobs, for all event streams of this process: one poller looks for all of them."""
+"""Changes of jobs for all event streams of this process, found by one poller."""
 
 import asyncio
 import contextlib
@@ -21,7 +21,7 @@ _RETRY_AFTER_S = 10
 
 @dataclass(frozen=True, slots=True)
 class News:
-    """A job as it is now, and the number of the last thing that happened to it; no job if it was deleted."""
+    """A job as it is now, and the id of its last event; no job if it was deleted."""
 
     job: Job | None
     event: int | None
@@ -29,7 +29,7 @@ class News:
 
 @dataclass(eq=False, slots=True)
 class _Watch:
-    """One stream's view of a job. Who reads slowly finds the latest news only."""
+    """A job as one stream sees it. A slow reader gets the latest news only."""
 
     owner: str
     job_id: str
@@ -43,14 +43,14 @@ class _Watch:
 
 
 class JobChanges:
-    """Follows jobs that somebody watches.
+    """Follows the jobs of open event streams.
 
     Parameters
     ----------
     store
-        Where jobs are.
+        Job store.
     max_streams
-        How many streams an owner may have.
+        Maximum number of streams of an owner.
     """
 
     def __init__(self, store: JobStore, max_streams: int) -> None:
@@ -59,7 +59,7 @@ class JobChanges:
         self._somebody_watches = asyncio.Event()
 
     def require_room(self, owner: str) -> None:
-        """Raise 429 if an owner has as many streams as it may have."""
+        """Raise 429 if an owner has the maximum number of streams."""
         if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
             raise ApiError(
                 "too_many_streams",
@@ -70,14 +70,14 @@ class JobChanges:
             )
 
     async def follow(self, owner: str, job_id: str, known: Change | None) -> AsyncIterator[News]:
-        """What is new of a job, until it has ended or is gone.
+        """Changes of a job, until it has ended or is deleted.
 
         Parameters
         ----------
         owner
-            Tenant, or client without a key, whose stream it is.
+            Tenant, or client without a key, that the stream belongs to.
         known
-            What the client knows already; ``None``: the job as it is now is news.
+            Change that the client has seen; ``None``: the present state of the job is news.
         """
         watch = _Watch(owner, job_id, known)
         self._watches.add(watch)
@@ -92,13 +92,13 @@ class JobChanges:
             self._watches.discard(watch)
 
     async def poll(self) -> None:
-        """Look for news as long as somebody watches; runs until it is canceled."""
+        """Look for changes as long as streams are open; runs until it is canceled."""
         while True:
             await self._somebody_watches.wait()
             try:
                 await self._look()
             except DamagedDatabase:
-                return  # there will be no news; requests say why
+                return  # there will be no changes; requests answer with the problem
             except Exception:
                 # The database may be away for a while; streams wait for it.
                 _log.exception("events_not_read")
@@ -107,7 +107,7 @@ class JobChanges:
             await asyncio.sleep(_INTERVAL_S)
 
     async def _look(self) -> None:
-        # Who comes while the database is asked has to wait for the next look.
+        # Streams that open during the query wait for the next look.
         watches = list(self._watches)
         changes = await run_in_threadpool(self._store.jobs.changes, {watch.job_id for watch in watches})
         behind: dict[str, list[_Watch]] = {}
@@ -119,7 +119,7 @@ class JobChanges:
         for job_id, to_be_told in behind.items():
             try:
                 job = await run_in_threadpool(self._store.jobs.get, job_id)
-            except NotFound:  # it was deleted just now: the next look says so
+            except NotFound:  # deleted just now: the next look finds out
                 continue
             for watch in to_be_told:
                 watch.shown = changes[job_id]

@@ -1,4 +1,4 @@
-"""The wire format: what clients send and get. Nothing here is stored; the domain's records are in ``worker.jobs``."""
+"""Wire format of requests and responses. Nothing here is stored; the records of the domain are in ``worker.jobs``."""
 
 import json
 import unicodedata
@@ -38,7 +38,7 @@ def _printable(text: str) -> str:
 
 
 def _json(value: dict[str, Any]) -> dict[str, Any]:
-    """Refuse what the parser takes but JSON does not know, such as NaN and half a character."""
+    """Refuse values that the parser accepts but JSON does not have, such as NaN and half surrogates."""
     try:
         json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
     except ValueError:
@@ -48,7 +48,7 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Answer(BaseModel):
-    """Base of what the service says."""
+    """Base of responses."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
@@ -188,7 +188,7 @@ class SessionOut(_Answer):
 
     @classmethod
     def of(cls, session: Session) -> Self:
-        """Say a session."""
+        """Build the response from a session."""
         address = f"/v1/sessions/{session.id}"
         return cls(
             id=session.id,
@@ -223,7 +223,7 @@ class StageOut(_Answer):
 
     @classmethod
     def of(cls, stage: Stage) -> Self:
-        """Say a stage."""
+        """Build the response from a stage."""
         fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
         return cls(fraction=min(1.0, fraction), **_fields(stage, cls, without=("fraction",)))
 
@@ -240,7 +240,7 @@ class JobError(_Answer):
 
     @classmethod
     def of(cls, problem: Problem) -> Self:
-        """Say a problem."""
+        """Build the response from a problem."""
         return cls(**_fields(problem, cls))
 
 
@@ -255,7 +255,7 @@ class FailureOut(_Answer):
 
     @classmethod
     def of(cls, failure: Failure) -> Self:
-        """Say a failure."""
+        """Build the response from a failure."""
         return cls(
             chunk=failure.chunk_index,
             reason=JobError.of(failure.problem),
@@ -276,7 +276,7 @@ class AttemptOut(_Answer):
 
     @classmethod
     def of(cls, attempt: Attempt) -> Self:
-        """Say an attempt."""
+        """Build the response from an attempt."""
         return cls(
             error=JobError.of(attempt.problem) if attempt.problem else None,
             failures=tuple(FailureOut.of(failure) for failure in attempt.failures),
@@ -344,7 +344,7 @@ class JobOut(_Answer):
 
     @classmethod
     def of(cls, job: Job) -> Self:
-        """Say a job."""
+        """Build the response from a job."""
         address = f"/v1/jobs/{job.id}"
         return cls(
             **_fields(job, cls, without=("stages", "error", "result_warnings", "links")),
@@ -402,7 +402,7 @@ class ResultOut(_Answer):
 
     @classmethod
     def of(cls, job_id: str, result: Result) -> Self:
-        """Say a result."""
+        """Build the response from a result."""
         return cls(link=f"/v1/jobs/{job_id}/results/{result.name}", **_fields(result, cls, without=("link",)))
 
 
@@ -431,7 +431,7 @@ class QuotasOut(_Answer):
 
     @classmethod
     def of(cls, usage: Usage, quotas: Quotas) -> Self:
-        """Say what a tenant has."""
+        """Build the response from the usage and the quotas of a tenant."""
         return cls(
             **{name: QuotaOut(used=getattr(usage, name), limit=getattr(quotas, name)) for name in cls.model_fields}
         )
@@ -529,5 +529,5 @@ class Readiness(_Answer):
 
 
 def _fields(record: object, wire: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The fields of a record that have the same name on the wire."""
+    """Fields of a record that have the same name on the wire."""
     return {name: getattr(record, name) for name in wire.model_fields if name not in without}

@@ -1,9 +1,8 @@
-"""``python -m worker.reaper``: make good what was lost.
+"""``python -m worker.reaper``: repair what was lost, and remove what is not needed any more.
 
-Frees the leases of workers that fell silent, ends what keeps failing, and publishes when work is ready that no message
-may stand for any more. So a lost message, or a broker that lost all of them, costs a few seconds. Removes results whose
-time is over, and files of what was deleted that are still there. Plans jobs again whose code no worker runs any more.
-Sends webhooks.
+Frees the leases of workers that fell silent, fails chunks that keep failing, and publishes while work is ready. So a
+lost message, or a broker that lost all messages, costs a few seconds. Expires results, removes files of deleted
+sessions and jobs, plans jobs again whose code no worker runs any more, and sends webhooks.
 """
 
 import os
@@ -40,7 +39,7 @@ def reap(
     lease_s: float,
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
 ) -> None:
-    """Look once; what can't be done now, such as with a database that is away, is tried again the next time.
+    """Do everything once; a step that fails, such as without a database, is tried again the next time.
 
     Raises
     ------
@@ -67,7 +66,7 @@ def reap(
     def remove() -> None:
         disk.using_reserve(lambda: remove_files(store.removals, artifacts))
 
-    # Each by itself: on a full disk the last makes room for the others.
+    # Each step by itself: on a full disk the last one makes room for the others.
     for step in (free_leases, plan_again, expire, remove):
         try:
             step()
@@ -87,7 +86,7 @@ def main() -> None:
     require_usable_database(store)
     artifacts = settings.open_artifacts()
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
-    # Beside the rest: whom a webhook goes to may be slow.
+    # In a thread of its own: receivers of webhooks may be slow.
     threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     exit_code = 0

@@ -1,4 +1,4 @@
-"""From a form, or from uploads, to a session: receive, check, store. All or nothing."""
+"""Intake of sessions, from a form or from uploads: receive, check, store."""
 
 import contextlib
 import hashlib
@@ -35,10 +35,10 @@ from worker.jobs.tenant_records import TenantRecords
 
 MANIFEST, SPEC = "manifest", "spec"
 
-# What a file is called in a session where the form's part has another name.
+# Kinds of files that differ from the name of the form's part.
 _KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
 
-# Fields of a camera in the manifest that problems of its frame times are of.
+# Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "rate"}
 
 _tracer = trace.get_tracer("multicap")
@@ -232,7 +232,7 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
 
 @contextlib.asynccontextmanager
 async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
-    """A folder of the spool, gone at the end with all that is in it."""
+    """Folder of the spool, removed at the end of the block."""
     folder = spool_dir / str(uuid_utils.uuid7())
     folder.mkdir(parents=True)
     try:
@@ -243,14 +243,14 @@ async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
 
 
 def _parsed(form: Form) -> Arrival:
-    """A form with its JSON parts parsed."""
+    """Parse the JSON parts of a form."""
     manifest, manifest_errors = _document(form, MANIFEST, Manifest)
     spec, spec_problems = _document(form, SPEC, JobSpec)
     return Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
 
 
 def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
-    """Parse a JSON part; without it, all is as by default."""
+    """Parse a JSON part; a missing part has all defaults."""
     try:
         return model.model_validate_json(form.documents.get(part, b"{}")), []
     except ValidationError as error:
@@ -258,7 +258,7 @@ def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None
 
 
 def _parts_of(form: Form) -> object:
-    """What a form holds, however it was sent."""
+    """Content of a form as JSON, independent of its encoding."""
     files = {pointer: [file.name, file.sha256] for pointer, file in _files(form).items()}
     return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
 
@@ -275,7 +275,7 @@ async def _receive_names(request: Request, services: Services, documents: frozen
 
 
 def _adopt(services: Services, records: TenantRecords, folder: Path, sent: UploadedSession) -> Arrival:
-    """Take in the files of uploads, which stay where they are."""
+    """Build the form from uploads, whose files stay on their spool."""
     parts = Parts(folder, services.limits, frozenset())
     named = [(VIDEOS, one) for one in sent.videos] + [(KEYPOINTS, one) for one in sent.keypoints]
     named += [(part, one) for part, one in ((CALIBRATION, sent.calibration), (TIMESTAMPS, sent.timestamps)) if one]
@@ -298,7 +298,7 @@ def _adopt(services: Services, records: TenantRecords, folder: Path, sent: Uploa
 
 
 def _files(form: Form) -> dict[str, ReceivedFile]:
-    """All files of the form by their pointers."""
+    """Files of a form by their pointers."""
     views = ((VIDEOS, form.videos), (KEYPOINTS, form.keypoints))
     files = {f"/{part}/{index}": file for part, several in views for index, file in enumerate(several)}
     for part, one in ((CALIBRATION, form.calibration), (TIMESTAMPS, form.timestamps)):
@@ -308,7 +308,7 @@ def _files(form: Form) -> dict[str, ReceivedFile]:
 
 
 def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
-    """Arguments of the check of a session's files."""
+    """Arguments of the preflight for a form."""
     paths: dict[str, list[str]] = {}
     for pointer, file in _files(form).items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
@@ -329,9 +329,9 @@ def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
 
 
 def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
-    """Point from a problem to what the client sent: the manifest's entry of a camera, or a file's part of the form.
+    """Add the pointer of a problem: to the entry of a camera in the manifest, or to the part of a file in the form.
 
-    An archive's part stands for what is in it. Of several entries of a camera the last one is the wrong one.
+    Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
     of_camera = [index for index, one in enumerate(manifest.cameras) if one.name == item.camera]
     if of_camera and (item.code.startswith("recording_") or item.field in _OF_CAMERA):

@@ -1,7 +1,7 @@
-"""Check a session's files in a process of its own, with limits: the files are a stranger's.
+"""Preflight of a session: a child process with limits checks its files, which may be hostile.
 
-The API knows nothing of videos and calibrations. The program ``python -m pipeline.capture.preflight``
-opens them and prints one JSON object: the session, or ``{"problems": [...]}``.
+The API does not open videos and calibrations. The program ``python -m pipeline.capture.preflight`` does, and prints one
+JSON object: the preflight record, or ``{"problems": [...]}``.
 """
 
 import errno
@@ -30,13 +30,13 @@ _log = structlog.get_logger(__name__)
 _EXIT_BAD_INPUT = 2
 _EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
-# Behind the API's answers, before the workers: a client waits for it.
+# Priority after the API and before the workers: a client waits for the answer.
 _NICE = 5
-# Several times what a check needs on two cores, of good files with as few bytes a frame as there are.
+# Several times the time of a check on two cores, for good files with very few bytes a frame.
 _S_PER_FILE = 0.2
 _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
-# Over a line of some 140 Mbit/s.
+# At a line of about 140 Mbit/s.
 _S_PER_SENT_BYTE = 60 / 2**30
 
 
@@ -49,26 +49,26 @@ def allowance_s(form: Form) -> float:
 
 
 def further_wait_s(form: Form) -> float:
-    """How much longer a form's files wait for their check: about as long as it would take to send them again."""
+    """Additional time that a form waits for its check: about the time to send its files again."""
     return sum(file.num_bytes for file in (*form.videos, *form.keypoints)) * _S_PER_SENT_BYTE
 
 
 @dataclass(frozen=True, slots=True)
 class PreflightProgram:
-    """A program that checks files, and how much of it is borne.
+    """Program that checks files, with its limits.
 
     Parameters
     ----------
     command
         Program and first arguments.
     timeout_s
-        How long it may take beside what its files are worth (``allowance_s``); then it is killed with all its children.
+        Time limit, on top of the allowance for the files (``allowance_s``); then it is killed with its children.
     max_bytes
-        How much it may say.
+        Maximum size of its output.
     max_record_bytes
-        How much it may write.
+        Maximum size of the file that it writes for the workers.
     max_memory_bytes
-        How much memory it may take.
+        Maximum memory.
     """
 
     command: tuple[str, ...]
@@ -78,15 +78,15 @@ class PreflightProgram:
     max_memory_bytes: int
 
     def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Preflight:
-        """Find out what a session is.
+        """Check the files of a session.
 
         Parameters
         ----------
         arguments
-            The files of the session, and what was said of them.
+            Files of the session, and facts about them that the client stated.
         record
-            Where the program is to keep what the workers need to know of the files. The program's temporary files go
-            to the same folder, which the caller removes: a program that is killed leaves them behind.
+            Path of the file that the program writes for the workers. The caller removes its folder, because a killed
+            program leaves temporary files there.
         allowance_s
             Time for these files, on top of ``timeout_s``.
 
@@ -126,7 +126,7 @@ class PreflightProgram:
             start_new_session=True,
         ) as child:
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
-            # For children of an API process that was killed: nobody waits for them any more.
+            # Ends children of an API process that was killed, for which nobody waits any more.
             resource.prlimit(child.pid, resource.RLIMIT_CPU, (math.ceil(4 * timeout_s), resource.RLIM_INFINITY))
             resource.prlimit(child.pid, resource.RLIMIT_DATA, (self.max_memory_bytes, self.max_memory_bytes))
             stand_back(_NICE, child.pid)
@@ -138,13 +138,13 @@ class PreflightProgram:
                 hint = "Send fewer or smaller files at once, or the same files when the service is less busy."
                 raise InvalidFilesError([ErrorItem(code="preflight_timeout", message=message, hint=hint)]) from None
             finally:
-                # Not yet waited for when it is alive, so that the number is still its own and its children's.
+                # A living child was not waited for yet, so its id still names its own process group.
                 if child.returncode is None:
                     os.killpg(child.pid, signal.SIGKILL)
 
 
 class InvalidFilesError(Exception):
-    """The files are no session; ``errors`` says all that is wrong with them."""
+    """The files are no valid session; ``errors`` lists all problems."""
 
     def __init__(self, errors: Sequence[ErrorItem]) -> None:
         super().__init__(f"{len(errors)} problems")

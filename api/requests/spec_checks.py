@@ -13,7 +13,7 @@ from worker.webhooks.addresses import may_be_public, url_fault
 
 
 def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorItem]:
-    """What of a spec can't be done with a session; ``field`` is where the spec is in what the client sent."""
+    """Choices that conflict with a session; ``field`` leads to the spec in the request."""
     problems = spec.problems(preflight.timebase.num_frames, preflight.timebase.frame_rate_hz)
     return [
         ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
@@ -22,7 +22,7 @@ def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorI
 
 
 def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:
-    """What of a session is longer or finer than the operator allows."""
+    """Properties of a session that exceed the limits of the operator."""
     settings, duration_s = services.settings, preflight.duration_s
     found = []
     if settings.max_duration_s is not None and duration_s > settings.max_duration_s:
@@ -39,7 +39,7 @@ def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:
 
 
 def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *field: str) -> list[ErrorItem]:
-    """Why nobody could be told at a spec's address; ``field`` as above."""
+    """Reasons why webhooks can't be sent to the address of a spec; ``field`` as of ``spec_errors``."""
     if spec.callback_url is None:
         return []
     found: list[tuple[str, str, str | None]] = []
@@ -59,9 +59,9 @@ def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *
 
 
 def detector_errors(spec: JobSpec, services: Services, pointer: str | None) -> list[ErrorItem]:
-    """Refuse a detector that no worker has installed; without any worker nobody knows, and the job waits for one.
+    """Refuse a detector that is not installed on every worker; without workers, the job waits for one.
 
-    For sessions of videos; ``pointer`` is where the detector is in what the client sent, if it is there.
+    For sessions of videos. ``pointer`` leads to the detector in the request, if the request names it.
     """
     installed = installed_detectors(services.store.workers.all())
     if installed is None or spec.detector in installed:

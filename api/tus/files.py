@@ -1,7 +1,7 @@
-"""Uploads on the API's disk: a file each, as long as what has come of it.
+"""Uploads on the API's disk: one file each, which holds the bytes that have arrived.
 
-The file's size is the offset, and nothing else says it: whatever is killed at whatever moment, what the client is told
-to go on from is what is there. What is acknowledged was synced to disk before.
+The size of the file is the offset of the upload, and is stored nowhere else. So a client always continues from the
+bytes that are there, whenever a process is killed. Bytes are synced to disk before they are acknowledged.
 """
 
 import asyncio
@@ -157,19 +157,19 @@ class UploadSpool:
         return upload_id in self._turns
 
     async def sweep_forever(self, store: JobStore) -> None:
-        """Forget uploads whose time is over, and remove files that are nobody's, once a minute; renew the reserve."""
+        """Delete expired uploads, remove files without an upload, and renew the reserve, once a minute."""
         while True:
             try:
                 await run_in_threadpool(self._disk.using_reserve, lambda: self.sweep(store))
                 await run_in_threadpool(self._disk.set_aside)
             except DamagedDatabase:
-                return  # requests say it
+                return  # requests answer with the problem
             except Exception:
                 _log.exception("upload_sweep_failed")
             await asyncio.sleep(_SWEEP_INTERVAL_S)
 
     def sweep(self, store: JobStore) -> None:
-        """Look once. A file comes a moment before its row, and goes after it."""
+        """Delete expired uploads and remove files without one. A file is made before its row, and removed after it."""
         for upload_id in store.uploads.expired():
             if not self.is_written(upload_id):
                 store.uploads.delete_expired(upload_id)

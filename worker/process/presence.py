@@ -1,4 +1,4 @@
-"""The row of a process in the list of workers, kept fresh from a thread."""
+"""Presence of a worker process: its row in the list of workers, renewed by a thread."""
 
 import os
 import socket
@@ -27,23 +27,23 @@ def process_name() -> str:
 
 
 def forget_lost(workers: Workers) -> None:
-    """Take killed processes of this machine off the list: they would be believed for some seconds more."""
+    """Remove killed processes of this machine from the list, where they would stay for some seconds."""
     named = [(worker.id, *worker.id.rsplit(":", 1)) for worker in workers.all()]
     here = socket.gethostname()
     workers.remove([name for name, host, pid in named if host == here and not is_running(int(pid))])
 
 
 class Presence:
-    """Tells the job store what this process does: every two seconds, and as soon as that changes.
+    """Reports the status of this process to the job store: every few seconds, and as soon as it changes.
 
-    Without a database nobody is told, and the work goes on: the next time may be better.
+    If the database is away, the report is skipped and the work goes on.
 
     Parameters
     ----------
     workers
-        Where workers are listed.
+        List of workers in the job store.
     look
-        Says what this process does now; ``None`` when it takes no more work. Called from the thread.
+        Returns the present status; ``None`` when the process takes no more work. Called from the thread.
     """
 
     def __init__(self, workers: Workers, look: Callable[[], WorkerStatus | None]) -> None:
@@ -54,13 +54,13 @@ class Presence:
         self._thread = threading.Thread(target=self._tell_forever, daemon=True)
 
     def start(self) -> None:
-        """Begin to tell."""
+        """Begin to report."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Take this process off the list."""
+        """Remove this process from the list."""
         self._ended.set()
-        self._thread.join(_STOP_S)  # the database may be away; then the row goes by itself
+        self._thread.join(_STOP_S)  # without a database the row expires by itself
 
     def _tell_forever(self) -> None:
         told: WorkerStatus | None = None

@@ -14,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpcore2
@@ -480,15 +481,16 @@ def test_a_store_that_fails_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     class Failing:
         looks = 0
 
-        def claim_deliveries(self, *_: object) -> list[Delivery]:
+        def claim(self, *_: object) -> list[Delivery]:
             self.looks += 1
             if self.looks == 3:
                 raise KeyboardInterrupt
             raise RuntimeError
 
     monkeypatch.setattr(webhooks, "_LOOK_S", 0.0)
+    store = SimpleNamespace(webhooks=Failing())
     with pytest.raises(KeyboardInterrupt):
-        webhooks.deliver_forever(Failing(), Sender(allow_private=False))  # type: ignore[arg-type]
+        webhooks.deliver_forever(store, Sender(allow_private=False))  # type: ignore[arg-type]
 
 
 class Exploding(Sender):
@@ -656,16 +658,18 @@ def test_slow_receivers_of_one_tenant_do_not_delay_another_s(
     try_s, ended = 3.0, threading.Event()
 
     class Ending:
-        """The store, until the test is over."""
+        """Messages of the store, until the test is over."""
 
         def __getattr__(self, name: str) -> Any:
-            if ended.is_set() and name == "claim_deliveries":
+            if ended.is_set() and name == "claim":
                 raise KeyboardInterrupt
-            return getattr(bench.store, name)
+            return getattr(bench.store.webhooks, name)
+
+    store = SimpleNamespace(webhooks=Ending(), webhook_secrets=bench.store.webhook_secrets)
 
     def send() -> None:
         with contextlib.suppress(KeyboardInterrupt):
-            webhooks.deliver_forever(Ending(), Sender(allow_private=True, try_s=try_s))  # type: ignore[arg-type]
+            webhooks.deliver_forever(store, Sender(allow_private=True, try_s=try_s))  # type: ignore[arg-type]
 
     monkeypatch.setattr(webhooks, "_LOOK_S", 0.1)
     sending = threading.Thread(target=send)
