@@ -2,12 +2,12 @@
 
 A route that changes something does it in these steps::
 
-    if (earlier := once.begin(parts)) is not None:
+    if (earlier := idempotent.begin(parts)) is not None:
         return earlier
-    with once.working():
-        with once.records.transaction() as work:
+    with idempotent.working():
+        with idempotent.records.transaction() as work:
             ...
-            answer = once.store(work, Answer(...))
+            answer = idempotent.store(work, Answer(...))
     return answer.response()
 """
 

@@ -120,7 +120,7 @@ class NewSession:
 
 @contextlib.asynccontextmanager
 async def received(
-    request: Request, services: Services, once: IdempotentRequest, documents: frozenset[str]
+    request: Request, services: Services, idempotent: IdempotentRequest, documents: frozenset[str]
 ) -> AsyncIterator[Sent]:
     """Receive a session as a form, or as JSON that names uploads; its files are there inside the block.
 
@@ -138,10 +138,10 @@ async def received(
     to_come = 0 if names_uploads else announced_bytes(request)
     with_job = SPEC in documents
     # A request that comes again may need no more room than there is.
-    is_answered = await run_in_threadpool(once.is_answered)
+    is_answered = await run_in_threadpool(idempotent.is_answered)
     if not is_answered:
         services.checks.require_room(request.state.caller.owner)
-        await run_in_threadpool(once.records.require_room, to_come, unfinished_jobs=int(with_job))
+        await run_in_threadpool(idempotent.records.require_room, to_come, unfinished_jobs=int(with_job))
     async with _folder(services.settings.spool_dir) as folder:
         if names_uploads:
             if not is_answered:

@@ -59,24 +59,24 @@ _ACCEPTED: Responses = {
 def create_job(
     session_id: SessionId,
     services: ServicesDep,
-    once: IdempotentRequestDep,
+    idempotent: IdempotentRequestDep,
     spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["spec"]}})] = JobSpec(),  # noqa: B008 - frozen
 ) -> Response:
     """Reconstruct a session."""
-    if (earlier := once.begin(spec.model_dump(mode="json"))) is not None:
+    if (earlier := idempotent.begin(spec.model_dump(mode="json"))) is not None:
         return earlier
-    with once.working():
-        session = once.records.sessions.get(session_id)
-        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, once.records)]
+    with idempotent.working():
+        session = idempotent.records.sessions.get(session_id)
+        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
         if not is_of_keypoints(session):
             errors += detector_errors(spec, services, pointer_to("detector"))
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
         stages = plan(session, spec, services.settings.chunk_frames)
-        with once.records.transaction() as work:
+        with idempotent.records.transaction() as work:
             job = work.jobs.add(session.id, spec, stages, services.settings.retention_s, tracing.current())
-            answer = once.store(work, _accepted(job))
+            answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer.response()
 
@@ -91,27 +91,27 @@ def create_job(
     openapi_extra=session_body(MANIFEST, SPEC),
     callbacks=job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
 )
-async def create_session_and_job(request: Request, services: ServicesDep, once: IdempotentRequestDep) -> Response:
+async def create_session_and_job(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
-    async with received(request, services, once, frozenset({MANIFEST, SPEC})) as sent:
-        if (earlier := await run_in_threadpool(once.begin, sent.parts)) is not None:
+    async with received(request, services, idempotent, frozenset({MANIFEST, SPEC})) as sent:
+        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
-        async with once.held():
-            checked = await check(request, services, once.records, sent)
-            answer = await run_in_threadpool(_add_session_and_job, services, once, checked)
+        async with idempotent.held():
+            checked = await check(request, services, idempotent.records, sent)
+            answer = await run_in_threadpool(_add_session_and_job, services, idempotent, checked)
     return answer.response()
 
 
-def _add_session_and_job(services: Services, once: IdempotentRequest, checked: CheckedSession) -> Answer:
+def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
     settings, spec = services.settings, checked.spec
     with stored(services, checked) as new:
         stages = plan(new, spec, settings.chunk_frames)
-        with once.records.transaction() as work:
+        with idempotent.records.transaction() as work:
             work.uploads.use(new.upload_ids)
             work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
             job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current())
-            answer = once.store(work, _accepted(job))
+            answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer
 
@@ -173,22 +173,22 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
 )
-def cancel_job(job_id: JobId, services: ServicesDep, once: IdempotentRequestDep) -> Response:
+def cancel_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Cancel a job. What runs of it stops within seconds."""
-    return services.disk.using_reserve(lambda: _cancel(services, once, job_id))
+    return services.disk.using_reserve(lambda: _cancel(services, idempotent, job_id))
 
 
-def _cancel(services: Services, once: IdempotentRequest, job_id: str) -> Response:
-    if (earlier := once.begin(None)) is not None:
+def _cancel(services: Services, idempotent: IdempotentRequest, job_id: str) -> Response:
+    if (earlier := idempotent.begin(None)) is not None:
         return earlier
-    with once.working():
+    with idempotent.working():
         # Tried again before the key is given back, which may need the reserve too.
-        return services.disk.using_reserve(lambda: _canceled(once, job_id)).response()
+        return services.disk.using_reserve(lambda: _canceled(idempotent, job_id)).response()
 
 
-def _canceled(once: IdempotentRequest, job_id: str) -> Answer:
-    with once.records.transaction() as work:
-        return once.store(work, _accepted(work.jobs.cancel(job_id)))
+def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
+    with idempotent.records.transaction() as work:
+        return idempotent.store(work, _accepted(work.jobs.cancel(job_id)))
 
 
 @small.post(
@@ -199,20 +199,20 @@ def _canceled(once: IdempotentRequest, job_id: str) -> Answer:
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
-def retry_job(job_id: JobId, services: ServicesDep, once: IdempotentRequestDep) -> Response:
+def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Try a failed or canceled job again. What it had finished is not done again."""
-    if (earlier := once.begin(None)) is not None:
+    if (earlier := idempotent.begin(None)) is not None:
         return earlier
-    with once.working():
-        job = once.records.jobs.get(job_id)
-        session = once.records.sessions.get(job.session_id)
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        session = idempotent.records.sessions.get(job.session_id)
         may_retry = job.state in RETRYABLE  # else the store says why not
         if may_retry and not is_of_keypoints(session) and (errors := detector_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
         stages = plan(session, job.spec, services.settings.chunk_frames)
-        with once.records.transaction() as work:
-            answer = once.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
+        with idempotent.records.transaction() as work:
+            answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
     return answer.response()
 

@@ -28,27 +28,27 @@ _LOCATION = {"headers": {"Location": location("session", "/v1/sessions/{session_
     responses={201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
     openapi_extra=session_body(MANIFEST),
 )
-async def create_session(request: Request, services: ServicesDep, once: IdempotentRequestDep) -> Response:
+async def create_session(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
     As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
     found, or all that is wrong.
     """
-    async with received(request, services, once, frozenset({MANIFEST})) as sent:
-        if (earlier := await run_in_threadpool(once.begin, sent.parts)) is not None:
+    async with received(request, services, idempotent, frozenset({MANIFEST})) as sent:
+        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
-        async with once.held():
-            checked = await check(request, services, once.records, sent)
-            answer = await run_in_threadpool(_add_session, services, once, checked)
+        async with idempotent.held():
+            checked = await check(request, services, idempotent.records, sent)
+            answer = await run_in_threadpool(_add_session, services, idempotent, checked)
     return answer.response()
 
 
-def _add_session(services: Services, once: IdempotentRequest, checked: CheckedSession) -> Answer:
+def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session and record it."""
-    with stored(services, checked) as new, once.records.transaction() as work:
+    with stored(services, checked) as new, idempotent.records.transaction() as work:
         work.uploads.use(new.upload_ids)
         session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-        return once.store(work, _created(session))
+        return idempotent.store(work, _created(session))
 
 
 @router.get(

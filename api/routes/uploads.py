@@ -91,7 +91,7 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
 async def create_upload(
     request: Request,
     services: ServicesDep,
-    once: IdempotentRequestDep,
+    idempotent: IdempotentRequestDep,
     _: Annotated[None, Depends(_speaks_tus)],
     upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
     upload_metadata: Annotated[
@@ -114,12 +114,14 @@ async def create_upload(
     has_piece = announced_bytes(request) > 0 or "transfer-encoding" in request.headers
     if has_piece:
         _require_piece_type(request)
-    response = await run_in_threadpool(_begin, services, once, length, name, upload_metadata)
+    response = await run_in_threadpool(_begin, services, idempotent, length, name, upload_metadata)
     if has_piece:
-        upload = await run_in_threadpool(once.records.uploads.get, response.headers["location"].rpartition("/")[2])
+        upload = await run_in_threadpool(
+            idempotent.records.uploads.get, response.headers["location"].rpartition("/")[2]
+        )
         offset = await run_in_threadpool(services.uploads.offset, upload.id)
         if offset == 0:  # else the first answer was lost, and the piece is here
-            offset, upload = await _append(request, services, once.records, upload, 0, checksum)
+            offset, upload = await _append(request, services, idempotent.records, upload, 0, checksum)
         else:
             await drain(aiter(request.stream()))
         response.headers["Upload-Offset"] = str(offset)
@@ -202,18 +204,18 @@ async def delete_upload(
     return Response(status_code=204)
 
 
-def _begin(services: Services, once: IdempotentRequest, length: int, name: str, metadata: str | None) -> Response:
+def _begin(services: Services, idempotent: IdempotentRequest, length: int, name: str, metadata: str | None) -> Response:
     """Make the file of an upload and record it."""
-    if (earlier := once.begin([length, metadata])) is not None:
+    if (earlier := idempotent.begin([length, metadata])) is not None:
         return earlier
-    with once.working():
+    with idempotent.working():
         services.disk.require_room(length)
         upload_id = services.uploads.create()
         try:
-            with once.records.transaction() as work:
+            with idempotent.records.transaction() as work:
                 keep_s = services.settings.upload_keep_s
                 upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s)
-                return once.store(work, _begun(upload)).response()
+                return idempotent.store(work, _begun(upload)).response()
         except BaseException:
             services.uploads.remove(upload_id)
             raise
