@@ -1,4 +1,4 @@
-"""Hold a chunk while it is worked on: beat, count, and say when to stop."""
+"""Lease of a chunk while it is worked on: heartbeats, progress, and the signal to stop."""
 
 import contextlib
 import threading
@@ -21,12 +21,12 @@ _LOOK_S = 0.25
 
 
 class Lease:
-    """A claimed chunk's lease, renewed by a thread of its own.
+    """Lease of a claimed chunk, renewed by its own thread.
 
     Parameters
     ----------
     stopping
-        Says whether the worker shuts down.
+        Returns whether the worker shuts down.
     on_stuck
         Called from the thread when the pass has not noticed for ``STOP_GRACE_S`` that it must stop: it sits in one long
         call. A worker process ends itself here.
@@ -49,12 +49,12 @@ class Lease:
         self._ended = threading.Event()
 
     def on_unit(self) -> None:
-        """Count a unit of work; ``StoppedError`` if no more is wanted."""
+        """Count a unit of work; ``StoppedError`` if the work is no longer wanted."""
         self._done_units += 1
         self.check()
 
     def check(self) -> None:
-        """``StoppedError`` if the work is no longer wanted."""
+        """Raise ``StoppedError`` if the work is no longer wanted."""
         if self._unwanted():
             raise StoppedError
 
@@ -63,7 +63,7 @@ class Lease:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Beat from here to the end of the block."""
+        """Send heartbeats until the end of the block."""
         thread = threading.Thread(target=self._beat_until_ended, name="lease", daemon=True)
         thread.start()
         try:

@@ -1,8 +1,8 @@
-"""Tell clients of their jobs' ends, by Standard Webhooks: signed, small, and never into networks of our own.
+"""Sender of webhooks about jobs' ends, by Standard Webhooks: signed, small, and never into private networks.
 
-A stranger chooses the address. So a name is resolved once, what it resolves to is checked, and that very address is
-connected to: a name that resolves to another one a moment later (DNS rebinding) changes nothing. Redirects are not
-followed, no proxy of the environment is used, and each try has an end.
+Clients choose the address, so it may be hostile. A name is resolved once, the resolved address is checked, and the
+connection is made to that address: a name that resolves to another address a moment later (DNS rebinding) changes
+nothing. Redirects are not followed, no proxy of the environment is used, and each try has a time limit.
 """
 
 import socket
@@ -38,11 +38,11 @@ _GONE = 410
 
 
 class _RefusedError(Exception):
-    """The address is none that a message may go to."""
+    """No message may be sent to the address."""
 
 
 def resolve(host: str, port: int, allow_private: bool, timeout_s: float = _TRY_S) -> str:
-    """The first address of a host that a message may go to; raises if there is none."""
+    """First address of a host that a message may be sent to; raises if there is none."""
     for address in _look_up(host, port, timeout_s):
         if allow_private or is_public(address):
             return address
@@ -50,7 +50,7 @@ def resolve(host: str, port: int, allow_private: bool, timeout_s: float = _TRY_S
 
 
 def _look_up(host: str, port: int, timeout_s: float) -> list[str]:
-    """All addresses of a host; ``TimeoutError`` if its name servers let us wait."""
+    """All addresses of a host; ``TimeoutError`` if its name servers are slow."""
     answer: Future[list[str]] = Future()
 
     def ask() -> None:
@@ -59,13 +59,13 @@ def _look_up(host: str, port: int, timeout_s: float) -> list[str]:
         except Exception as error:
             answer.set_exception(error)
 
-    # The system's look-up takes no time limit; a thread that hangs in it ends by itself, later.
+    # The look-up of the system has no time limit; a thread that hangs in it ends by itself later.
     threading.Thread(target=ask, daemon=True).start()
     return answer.result(timeout_s)
 
 
 class _BoundedStream(httpcore2.NetworkStream):
-    """A connection that ends at a moment, however slowly the other side goes on."""
+    """Connection that ends at a deadline, however slowly the other side sends."""
 
     def __init__(self, stream: httpcore2.NetworkStream, deadline_s: float) -> None:
         self._stream, self._deadline_s = stream, deadline_s
@@ -95,7 +95,7 @@ class _BoundedStream(httpcore2.NetworkStream):
 
 
 class _CheckedBackend(httpcore2.NetworkBackend):
-    """Connects to what it has checked."""
+    """Backend that connects to the address that it has checked."""
 
     def __init__(self, allow_private: bool, try_s: float) -> None:
         self._allow_private, self._try_s = allow_private, try_s
@@ -123,16 +123,16 @@ class Sender:
     Parameters
     ----------
     allow_private
-        Whether they may go to addresses of private networks and of this machine, too.
+        Whether messages may be sent to private networks and to this machine.
     try_s
-        How long a try may take.
+        Time limit of a try.
     """
 
     allow_private: bool
     try_s: float = _TRY_S
 
     def send(self, delivery: Delivery, secrets: Sequence[WebhookSecret]) -> str | None:
-        """Send a message, signed with all secrets; what went wrong, or ``None`` if it is done with."""
+        """Send a message, signed with all secrets; returns the problem, or ``None`` if the message is done."""
         if fault := url_fault(delivery.url):
             return fault
         sent_at = datetime.now(UTC)
@@ -150,7 +150,7 @@ class Sender:
     def _post(self, delivery: Delivery, headers: dict[bytes | str, bytes | str]) -> str | None:
         backend = _CheckedBackend(self.allow_private, self.try_s)
         try:
-            # Of what is answered only the status is of interest; the rest is not read.
+            # Only the status of the response is of interest; the rest is not read.
             with (
                 httpcore2.ConnectionPool(network_backend=backend) as pool,
                 pool.stream("POST", delivery.url, headers=headers, content=delivery.body.encode()) as response,
@@ -181,14 +181,14 @@ def _connection_fault(error: Exception) -> str:
 
 
 class Courier:
-    """Sends what is due, several messages at a time; slow receivers of one tenant leave places to the others."""
+    """Sends due messages, several at a time; slow receivers of one tenant leave places to the other tenants."""
 
     def __init__(self, store: JobStore, sender: Sender, pool: ThreadPoolExecutor) -> None:
         self._store, self._sender, self._pool = store, sender, pool
         self._running: dict[Future[None], str] = {}
 
     def start_due(self) -> int:
-        """Begin to send what is due, as far as there are places; returns how much that is."""
+        """Begin to send due messages while there are places; returns their number."""
         self._running = {one: tenant for one, tenant in self._running.items() if not one.done()}
         free = _AT_ONCE - len(self._running)
         if free == 0:
@@ -200,7 +200,7 @@ class Courier:
         return len(due)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until one of the messages that are being sent has ended, or the time is over."""
+        """Wait until the try of a message has ended, or the time is over."""
         if self._running:
             wait(self._running, timeout_s, FIRST_COMPLETED)
         else:
@@ -208,21 +208,21 @@ class Courier:
 
 
 def deliver_forever(store: JobStore, sender: Sender) -> None:
-    """Send what is due, whenever there is something."""
+    """Send due messages until the database is damaged."""
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         courier = Courier(store, sender, pool)
         while True:
             try:
                 courier.start_due()
             except DamagedDatabase:
-                return  # the reaper ends, and says why
+                return  # the reaper ends with the message
             except Exception:
                 log.exception("webhooks_failed")
             courier.wait(_LOOK_S)
 
 
 def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
-    """Try once and record what became of it, whatever happens."""
+    """Try once, and record the outcome."""
     known = {"message": delivery.message_id, "job": delivery.job_id, "tries": delivery.tries}
     try:
         problem = _try(store, sender, delivery)
@@ -233,7 +233,7 @@ def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
             log.warning("webhook_not_delivered", problem=problem, **known)
         else:
             log.error("webhook_given_up", problem=problem, **known)
-    except Exception:  # The store: the message is due again when its lease ends.
+    except Exception:  # of the store: the message is due again when its lease ends
         log.exception("webhook_not_recorded", **known)
 
 
@@ -243,6 +243,6 @@ def _try(store: JobStore, sender: Sender, delivery: Delivery) -> str | None:
     secrets = store.webhook_secrets.valid(delivery.tenant)
     try:
         return sender.send(delivery, secrets)
-    except Exception:  # Whatever it was, it is a try: one that is not recorded would come again for ever.
+    except Exception:  # counts as a try: without a record the message would be tried for ever
         log.exception("webhook_try_failed", message=delivery.message_id)
         return "The try failed; the reaper's log says why."

@@ -196,7 +196,7 @@ class VerifiedFile(io.FileIO):
     def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
         """Fill a buffer with bytes of the file that has the digest."""
         num_bytes = super().readinto(buffer)
-        # A backup's hard link changes a file's times too, and no byte of it.
+        # The hard link of a backup also changes the times of a file, but not its content.
         if version_of(self.fileno()) != self._version:
             self._version = require_sha256(self.fileno(), self._key, self._sha256)
         return num_bytes
