@@ -24,6 +24,7 @@ from api.requests.preflight import PreflightProgram
 from api.routes import callers, events, health, jobs, options, page, results, sessions, uploads
 from api.settings import Settings
 from api.tus.files import UploadSpool
+from pipeline.stages.code import stage_codes
 from worker.jobs.backup.linked import release_abandoned
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.disk import DiskSpace, is_disk_full
@@ -31,7 +32,6 @@ from worker.jobs.files.private_files import make_private
 from worker.jobs.files.stores import default_data_dir, open_artifacts
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
-from worker.stages.code import stage_codes
 
 _EXPOSED_HEADERS = [
     *("Content-Disposition", "Content-Range", "ETag", "Idempotent-Replayed", "Location", "Retry-After", "X-Request-ID"),

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from pipeline.config import Choice, Kind
+from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.model import (
     CANCELABLE,
@@ -213,6 +214,7 @@ class StageOut(_Answer):
     """A stage of a job: how many of its units are done."""
 
     name: str
+    label: str = Field(description="Name of the stage for people.")
     state: ChunkState
     done: int
     total: int
@@ -225,7 +227,8 @@ class StageOut(_Answer):
     def of(cls, stage: Stage) -> Self:
         """Build the response from a stage."""
         fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
-        return cls(fraction=min(1.0, fraction), **_fields(stage, cls, without=("fraction",)))
+        label = STAGE_BY_NAME[stage.name].label
+        return cls(label=label, fraction=min(1.0, fraction), **_fields(stage, cls, without=("label", "fraction")))
 
 
 class JobError(_Answer):

@@ -7,8 +7,8 @@ from pydantic import Field, IPvAnyNetwork
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from pipeline.runtime.child_processes import module_command
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.files.stores import ARTIFACTS_URL, default_data_dir
-from worker.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.telemetry.logs import LogLevel
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30

@@ -4,7 +4,7 @@ Reconstruct a capture in this process:
 
 >>> import multicap
 >>> session = multicap.open_session(Path("videos"), Path("Calib.qca.txt"))  # doctest: +SKIP
->>> config = multicap.ReconstructionConfig(frames=range(100))  # doctest: +SKIP
+>>> config = multicap.ReconstructionConfig(frame_range=(0, 100))  # doctest: +SKIP
 >>> reconstruction = multicap.reconstruct(session, config)  # doctest: +SKIP
 >>> multicap.write_results(reconstruction, Path("results"), exports=["bvh", "glb"])  # doctest: +SKIP
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
-    from pipeline.stages.local import reconstruct, reconstruct_keypoints
+    from pipeline.stages.local import reconstruct
 
 __all__ = [
     "CaptureSession",
@@ -54,7 +54,6 @@ __all__ = [
     "open_keypoints",
     "open_session",
     "reconstruct",
-    "reconstruct_keypoints",
     "write_results",
 ]
 
@@ -79,7 +78,6 @@ _REFERENCES = {
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
     "reconstruct": "pipeline.stages.local:reconstruct",
-    "reconstruct_keypoints": "pipeline.stages.local:reconstruct_keypoints",
     "write_results": "api.cli.commands.reconstruct:write_results",
 }
 

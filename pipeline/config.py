@@ -212,7 +212,7 @@ class JobChoices(MotionChoices):
 
 
 @dataclass(frozen=True, slots=True)
-class ReconstructionConfig(MotionChoices):
+class ReconstructionConfig(JobChoices):
     """Configuration of one reconstruction; the result does not depend on the last two fields.
 
     Parameters
@@ -222,10 +222,6 @@ class ReconstructionConfig(MotionChoices):
         ``tracking.parameters.TrackingParameters``.
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
-    frames
-        Output frames of the session to reconstruct; ``None``: all.
-    people
-        Largest number of people: those whom most cameras saw for longest; ``None``: everybody.
     chunk_frames
         Output frames of one chunk, which is decoded and detected as one piece, of one camera.
     processes
@@ -234,8 +230,6 @@ class ReconstructionConfig(MotionChoices):
 
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
-    frames: range | None = None
-    people: int | None = None
     chunk_frames: Annotated[
         int,
         About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),
@@ -247,12 +241,29 @@ class ReconstructionConfig(MotionChoices):
     @classmethod
     def of(cls, choices: JobChoices) -> "ReconstructionConfig":
         """Configuration for the choices of a job; fields that jobs do not have keep their defaults."""
-        shared = {one.name: getattr(choices, one.name) for one in fields(MotionChoices)}
-        return cls(
-            **shared,
-            frames=None if choices.frame_range is None else range(*choices.frame_range),
-            people=None if choices.people == "auto" else choices.people,
-        )
+        return cls(**{one.name: getattr(choices, one.name) for one in fields(JobChoices)})
+
+    @property
+    def frames(self) -> range | None:
+        """Output frames of the session to reconstruct; ``None``: all."""
+        return None if self.frame_range is None else range(*self.frame_range)
+
+    @property
+    def num_people(self) -> int | None:
+        """Largest number of people; ``None``: everybody."""
+        return None if self.people == "auto" else self.people
+
+    @property
+    def uses_fields(self) -> bool:
+        """Whether people are found from part affinity fields, where there are videos."""
+        return self.method == "clustering" and NETWORKS[self.detector].leaves_fields
+
+
+def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:
+    """Warnings about the method for a session of videos or of keypoints, a sentence each."""
+    if config.method == "clustering" and not (has_videos and config.uses_fields):
+        return ("Clustering takes whole bodies for evidence: two joints are connected where one detection has both.",)
+    return ()
 
 
 Kind = Literal["one", "several", "number", "whole_number", "frame_range"]

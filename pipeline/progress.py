@@ -1,20 +1,28 @@
-"""How far a reconstruction is."""
+"""Progress of a reconstruction."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import Literal
-
-Stage = Literal["detect", "lengths", "poses", "associate", "fit"]
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """``done`` of ``total`` steps of a stage: frames of all cameras, output frames, or the whole."""
+    """Progress of a stage of ``pipeline.stages.plan.STAGES``.
 
-    stage: Stage
+    Parameters
+    ----------
+    stage
+        Name of the stage.
+    done, total
+        Units of the stage that are done, and all of them.
+    reused
+        Units among ``done`` whose outputs an earlier run has left.
+    """
+
+    stage: str
     done: int
     total: int
+    reused: int = 0
 
 
 OnProgress = Callable[[Progress], None]

@@ -4,6 +4,7 @@ import argparse
 import signal
 import sys
 
+from pipeline.stages.code import stage_codes
 from worker import tasks
 from worker.app import create_celery
 from worker.jobs.files.private_files import keep_files_private
@@ -11,7 +12,6 @@ from worker.jobs.store import JobStore
 from worker.process.compilation import compile_kernels
 from worker.process.descriptors import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
-from worker.stages.code import stage_codes
 from worker.telemetry.logs import configure_logs
 
 

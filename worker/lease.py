@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 
 import structlog
 
+from worker.chunk import StoppedError
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import Claim
 from worker.jobs.store import JobStore
-from worker.stages.execution import StoppedError
 
 log = structlog.get_logger()
 

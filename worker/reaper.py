@@ -14,6 +14,8 @@ from collections.abc import Callable
 
 import structlog
 
+from pipeline.stages.code import stage_codes
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
@@ -21,10 +23,9 @@ from worker.jobs.files.private_files import keep_files_private
 from worker.jobs.files.removals import remove_files
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
+from worker.planning import plan_job
 from worker.process.descriptors import raise_descriptor_limit
 from worker.settings import WorkerSettings, read_settings, require_usable_database
-from worker.stages.code import stage_codes
-from worker.stages.plan import DEFAULT_CHUNK_FRAMES, plan
 from worker.telemetry.logs import configure_logs
 from worker.webhooks.sender import Sender, deliver_forever
 
@@ -55,7 +56,7 @@ def reap(
             if not store.plans.is_run(stage_codes().values()):
                 return  # workers of this version may come later
             job = store.jobs.get(job_id)
-            if store.plans.replace(job_id, plan(store.sessions.get(job.session_id), job.spec, chunk_frames)):
+            if store.plans.replace(job_id, plan_job(store.sessions.get(job.session_id), job.spec, chunk_frames)):
                 log.info("job_planned_again", job=job_id)
                 publish()
 

@@ -9,22 +9,21 @@ import structlog
 from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
+from pipeline.stages.code import stage_codes
+from pipeline.stages.output import Output, ResultFile
+from pipeline.stages.plan import STAGE_BY_NAME
+from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
-from worker.jobs.model import Claim, Result
+from worker.jobs.model import Claim, Result, ResultWarning
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.problems import problem_of
 from worker.process.presence import process_name
 from worker.process.scratch import scratch_folder
-from worker.stages.code import EXPORT, stage_codes
-from worker.stages.execution import DamagedOutputsError, ResultFile, Stages, StoppedError, Work
 from worker.telemetry import tracing
 
 log = structlog.get_logger()
-
-# What it leaves belongs to one job, under the job's name: there is nothing that another job could reuse.
-_NEVER_REUSED = frozenset({EXPORT})
 
 
 class Runner:
@@ -36,8 +35,8 @@ class Runner:
         Where the work is and where it goes.
     publish
         Wakes a worker.
-    stages
-        What to run, by name of the stage.
+    run
+        Runs a chunk.
     lease_s, heartbeat_s
         See ``WorkerSettings``.
     stopping
@@ -53,14 +52,14 @@ class Runner:
         store: JobStore,
         artifacts: ArtifactStore,
         publish: Callable[[], object],
-        stages: Stages,
+        run: Callable[[Work], Output],
         lease_s: float,
         heartbeat_s: float,
         stopping: Callable[[], bool],
         on_stuck: Callable[[], None],
         has_room: Callable[[], bool],
     ) -> None:
-        self._store, self._artifacts, self._publish, self._stages = store, artifacts, publish, stages
+        self._store, self._artifacts, self._publish, self._run_chunk = store, artifacts, publish, run
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
         self._stopping, self._on_stuck, self._has_room = stopping, on_stuck, has_room
         self._name = process_name()
@@ -144,7 +143,7 @@ class Runner:
             return self._store.leases.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
         started_s = time.monotonic()
         with scratch_folder() as scratch:
-            outcome = self._stages[claim.stage](
+            output = self._run_chunk(
                 Work(
                     claim=claim,
                     session=self._store.sessions.get(claim.session_id),
@@ -156,21 +155,21 @@ class Runner:
                 )
             )
             lease.check()
-            results = [self._keep(claim, file) for file in outcome.files]
-        self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), outcome.content)
+            results = [self._keep(claim, file) for file in output.files]
+        self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return self._store.leases.finish(
             claim.chunk_id,
             claim.lease_token,
-            _sha256(outcome.content),
-            len(outcome.content),
+            _sha256(output.content),
+            len(output.content),
             results=results,
-            warnings=outcome.warnings,
+            warnings=[ResultWarning(**warning) for warning in output.warnings],
         )
 
     def _reusable(self, claim: Claim) -> tuple[str, int] | None:
         """Digest and size of this chunk's output if it was finished before and is still whole."""
-        if claim.stage in _NEVER_REUSED:
+        if not STAGE_BY_NAME[claim.stage].is_reusable:
             return None
         recorded = self._store.outputs.find(claim.session_id, claim.output_key)
         if recorded is None:

@@ -12,6 +12,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from pipeline.runtime.kernel_cache import is_complete
+from pipeline.stages.code import stage_codes
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
@@ -22,7 +23,6 @@ from worker.process.compilation import COMPILING
 from worker.process.presence import Presence, forget_lost, process_name
 from worker.runner import Runner
 from worker.settings import WorkerSettings
-from worker.stages.code import stage_codes
 
 log = structlog.get_logger()
 
@@ -75,7 +75,7 @@ def load() -> None:
 def process_runner() -> Runner:
     """Connect this process to the store and load the science, once."""
     # The main process never loads it: its children are forked, and libraries with threads don't survive that.
-    from worker.stages.run import STAGES, warm_up  # noqa: PLC0415
+    from worker.execution import run_chunk, warm_up  # noqa: PLC0415
 
     warm_up()
     settings = WorkerSettings()
@@ -85,7 +85,7 @@ def process_runner() -> Runner:
         store=JobStore(settings.resolved_database_url),
         artifacts=artifacts,
         publish=WorkQueue(settings.broker_url).publish,
-        stages=STAGES,
+        run=run_chunk,
         lease_s=settings.lease_s,
         heartbeat_s=settings.heartbeat_s,
         stopping=shutting_down.is_set,

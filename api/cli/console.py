@@ -32,20 +32,12 @@ from rich.text import Text
 
 from pipeline.errors import InputError, PipelineError
 from pipeline.progress import Progress
+from pipeline.stages.plan import STAGE_BY_NAME
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 
 console = Console(stderr=True, highlight=False, markup=False, emoji=False)
-
-_LABELS = {
-    "detect": "Detect 2D joints",
-    "lengths": "Measure bones",
-    "poses": "Find people",
-    "associate": "Track people",
-    "fit": "Fit skeletons",
-    "export": "Write files",
-}
 
 
 def emit(value: Mapping[str, Any]) -> None:
@@ -170,7 +162,10 @@ def byte_bar(label: str, visible: bool) -> Iterator[Callable[[int, int], None]]:
 
 
 class StageBars:
-    """Progress bars by stage, with frames a second and the time left; keeps each stage's seconds."""
+    """Progress bars by stage, with frames a second and the time left.
+
+    ``seconds`` holds the time of each stage, ``reused`` the units of each stage whose outputs an earlier run has left.
+    """
 
     def __init__(self, visible: bool) -> None:
         self._bars = ProgressBars(
@@ -186,6 +181,7 @@ class StageBars:
         self._tasks: dict[str, TaskID] = {}
         self._started_s: dict[str, float] = {}
         self.seconds: dict[str, float] = {}
+        self.reused: dict[str, str] = {}
 
     def __enter__(self) -> "StageBars":
         self._bars.start()
@@ -203,12 +199,16 @@ class StageBars:
     def update(self, progress: Progress) -> None:
         """Take in a step of ``pipeline.stages.local.reconstruct``."""
         now_s = time.monotonic()
+        stage = STAGE_BY_NAME[progress.stage]
         if progress.stage not in self._tasks:
             self._started_s[progress.stage] = now_s
-            self._tasks[progress.stage] = self._bars.add_task(_LABELS[progress.stage], total=progress.total, rate="")
+            self._tasks[progress.stage] = self._bars.add_task(stage.label, total=progress.total, rate="")
         elapsed_s = now_s - self._started_s[progress.stage]
         self.seconds[progress.stage] = elapsed_s
-        rate = f"{progress.done / elapsed_s:.1f} frames/s" if progress.stage == "detect" and elapsed_s > 1 else ""
+        if progress.reused:
+            self.reused[progress.stage] = f"{progress.reused} of {progress.total} {stage.unit}"
+        num_new = progress.done - progress.reused
+        rate = f"{num_new / elapsed_s:.1f} frames/s" if stage.unit == "frames" and num_new and elapsed_s > 1 else ""
         self._bars.update(self._tasks[progress.stage], completed=progress.done, rate=rate)
 
 

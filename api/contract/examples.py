@@ -4,6 +4,7 @@ import json
 from typing import Any
 
 from api.errors import title_of
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, STAGE_BY_NAME
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
@@ -97,6 +98,7 @@ def _stage(name: str, state: str, done: int, total: int) -> dict[str, Any]:
     started = state in {"running", "done"}
     return {
         "name": name,
+        "label": STAGE_BY_NAME[name].label,
         "state": state,
         "done": done,
         "total": total,
@@ -117,10 +119,10 @@ _JOB: dict[str, Any] = {
     "spec": DOCUMENTS["spec"],
     "attempt": 1,
     "stages": [
-        _stage("detect", "running", 150, 600),
-        _stage("associate", "waiting", 0, 1),
-        _stage("fit", "waiting", 0, 1),
-        _stage("export", "waiting", 0, 1),
+        _stage(DETECT, "running", 150, 600),
+        _stage(ASSOCIATE, "waiting", 0, 1),
+        _stage(FIT, "waiting", 0, 1),
+        _stage(EXPORT, "waiting", 0, 1),
     ],
     "progress": 0.24,
     "queue_position": None,
@@ -169,14 +171,14 @@ _ATTEMPTS: dict[str, Any] = {
             "error": None,
             "failures": [
                 {
-                    "stage": "detect",
+                    "stage": DETECT,
                     "chunk": 2,
                     "chunk_try": 1,
                     "failed_at": "2026-03-01T09:31:40Z",
                     "reason": {
                         "code": "worker_lost",
-                        "detail": "A worker of the stage detect fell silent.",
-                        "stage": "detect",
+                        "detail": f"A worker of the stage {DETECT} fell silent.",
+                        "stage": DETECT,
                         "camera": None,
                         "hint": "It may lack memory.",
                         "retryable": True,

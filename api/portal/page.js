@@ -10,14 +10,6 @@ const STATES = {
   queued: "Waiting", running: "Running", canceling: "Canceling", succeeded: "Done",
   failed: "Failed", canceled: "Canceled", expired: "Expired",
 };
-const STAGES = {
-  detect: "Detect 2D joints",
-  lengths: "Measure bones",
-  poses: "Find people",
-  associate: "Track people",
-  fit: "Fit skeletons",
-  export: "Write files",
-};
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 
 const at = (id) => document.getElementById(id);
@@ -110,12 +102,11 @@ function fillStages(place, stages) {
   while (place.children.length < stages.length) place.append(clone("stage"));
   stages.forEach((stage, index) => {
     const row = place.children[index];
-    const label = STAGES[stage.name] ?? stage.name;
-    row.querySelector(".label").textContent = label;
+    row.querySelector(".label").textContent = stage.label;
     row.querySelector(".count").textContent = counted(stage);
     const bar = row.querySelector("progress");
     bar.value = stage.fraction;
-    bar.setAttribute("aria-label", label);
+    bar.setAttribute("aria-label", stage.label);
   });
 }
 
@@ -243,7 +234,7 @@ function numberInput(choice, whole) {
 const FIELDS = {
   one(choice) {
     const select = Object.assign(document.createElement("select"), { name: choice.name, title: choice.description });
-    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default)));
+    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default, name === choice.default)));
     return labelled(choice.label, select);
   },
   several(choice) {

@@ -30,7 +30,7 @@ from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobState
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
-from worker.stages.plan import is_of_keypoints, plan
+from worker.planning import has_videos, plan_job
 from worker.telemetry import tracing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -68,12 +68,12 @@ def create_job(
     with idempotent.working():
         session = idempotent.records.sessions.get(session_id)
         errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
-        if not is_of_keypoints(session):
+        if has_videos(session):
             errors += detector_errors(spec, services, pointer_to("detector"))
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan(session, spec, services.settings.chunk_frames)
+        stages = plan_job(session, spec, services.settings.chunk_frames)
         with idempotent.records.transaction() as work:
             job = work.jobs.add(session.id, spec, stages, services.settings.retention_s, tracing.current())
             answer = idempotent.store(work, _accepted(job))
@@ -106,7 +106,7 @@ def _add_session_and_job(services: Services, idempotent: IdempotentRequest, chec
     """Store the files of a session, and record both or neither."""
     settings, spec = services.settings, checked.spec
     with stored(services, checked) as new:
-        stages = plan(new, spec, settings.chunk_frames)
+        stages = plan_job(new, spec, settings.chunk_frames)
         with idempotent.records.transaction() as work:
             work.uploads.use(new.upload_ids)
             work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
@@ -207,10 +207,10 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         job = idempotent.records.jobs.get(job_id)
         session = idempotent.records.sessions.get(job.session_id)
         may_retry = job.state in RETRYABLE  # else the store says why not
-        if may_retry and not is_of_keypoints(session) and (errors := detector_errors(job.spec, services, None)):
+        if may_retry and has_videos(session) and (errors := detector_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan(session, job.spec, services.settings.chunk_frames)
+        stages = plan_job(session, job.spec, services.settings.chunk_frames)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()

@@ -21,15 +21,16 @@ from pipeline.clustering.associate import reconstruct_seen
 from pipeline.clustering.instant.candidates import SeenFields
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.data import Observations, Track3D
+from pipeline.data import Observations, Timebase, Track3D
 from pipeline.detect.field_files import FieldFiles
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.joints import COCO_18
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.simulation.scenes import Simulation
 from pipeline.simulation.views.fields import GRID, render
+from pipeline.stages.plan import FrameCut
 from pipeline.stages.records_npz import encode_fields
-from pipeline.video.timeline import chunk_ranges, span_s
+from pipeline.video.timeline import span_s
 
 _CHUNK_FRAMES = 25
 _PAPERS = {"separate_clusters": False, "leniency": 1.0}
@@ -48,7 +49,7 @@ def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
     """All cameras' fields in a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         files = FieldFiles(Path(folder), [camera.name for camera in simulation.cameras])
-        for frames in chunk_ranges(range(simulation.timebase.num_frames), _CHUNK_FRAMES):
+        for frames in _ranges(simulation.timebase):
             span = span_s(simulation.timebase, frames.start, frames.stop)
             for camera, fields in render(simulation.sketches, simulation.times, span).items():
                 files.write(camera, frames, encode_fields(fields))
@@ -72,8 +73,7 @@ def cluster_fields(
         fields = files.read(frames)
         return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
 
-    ranges = chunk_ranges(range(timebase.num_frames), _CHUNK_FRAMES)
-    return reconstruct_seen(simulation.cameras, seen_in, ranges, timebase, COCO_18, parameters)
+    return reconstruct_seen(simulation.cameras, seen_in, _ranges(timebase), timebase, COCO_18, parameters)
 
 
 def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
@@ -85,3 +85,8 @@ def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, di
 
 def _score_variant(simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any]) -> dict[str, Any]:
     return score_simulated(cluster_fields(simulation, files, changes)[0], simulation, COCO_18)
+
+
+def _ranges(timebase: Timebase) -> list[range]:
+    whole = range(timebase.num_frames)
+    return list(FrameCut(whole, (whole,), _CHUNK_FRAMES))

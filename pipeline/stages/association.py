@@ -1,8 +1,8 @@
-"""From what detectors found in a session to tracks: the steps of both methods.
+"""Association: steps of both methods from detections in a session to tracks.
 
 ``tracking`` is one sequential pass. ``clustering`` first measures everybody's bones over the whole session, then finds
-people in any range of frames by itself, and at last links them. What found them may be whole bodies (``Detections``)
-or fields (``PafFields``), of the range at least.
+people in each range of frames by itself, and at last links them. Detections are whole bodies (``Detections``) or peaks
+and fields (``PafFields``), at least those of the range.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -33,9 +33,9 @@ from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
 from pipeline.video.timeline import cut_timebase, frames_in, span_s
 
-Views = CaptureSession | KeypointSession
-Found = Mapping[str, Detections] | Mapping[str, PafFields]
-"""By camera."""
+Session = CaptureSession | KeypointSession
+DetectionsByCamera = Mapping[str, Detections] | Mapping[str, PafFields]
+"""Bodies, or peaks and fields, by name of the camera."""
 
 _DEFAULTS = ReconstructionConfig()
 
@@ -45,10 +45,10 @@ def restrict(session: KeypointSession, frames: range | None) -> KeypointSession:
 
 
 @overload
-def restrict(session: Views, frames: range | None) -> Views: ...
+def restrict(session: Session, frames: range | None) -> Session: ...
 
 
-def restrict(session: Views, frames: range | None) -> Views:
+def restrict(session: Session, frames: range | None) -> Session:
     """The session, as if its output frames were only some of them (``None``: all), numbered from 0.
 
     Raises
@@ -69,13 +69,12 @@ def restrict(session: Views, frames: range | None) -> Views:
     return replace(session, timebase=cut_timebase(whole, frames), detections=wanted)
 
 
-def uses_fields(session: Views, config: ReconstructionConfig) -> bool:
+def uses_fields(session: Session, config: ReconstructionConfig) -> bool:
     """Whether people are found from part affinity fields, not from whole bodies."""
-    is_clustering = config.method == "clustering"
-    return is_clustering and isinstance(session, CaptureSession) and entry_of(config.detector).fields is not None
+    return config.uses_fields and isinstance(session, CaptureSession)
 
 
-def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
+def tracking_parameters(session: Session, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
     """Derive the tracker's parameters from the session, but for what was asked to be otherwise.
 
     A person in a session of fewer than ``confirm_instants`` frames is confirmed by all of them.
@@ -90,7 +89,7 @@ def tracking_parameters(session: Views, changes: Mapping[str, float] = MappingPr
     return change_parameters(replace(derived, confirm_instants=confirm_instants), changes)
 
 
-def clustering_parameters(session: Views, config: ReconstructionConfig) -> ClusteringParameters:
+def clustering_parameters(session: Session, config: ReconstructionConfig) -> ClusteringParameters:
     """Those derived from the session and the detector, but for what was asked to be otherwise.
 
     Raises
@@ -104,7 +103,7 @@ def clustering_parameters(session: Views, config: ReconstructionConfig) -> Clust
 
 
 def track(
-    session: Views,
+    session: Session,
     detections: Mapping[str, Detections],
     config: ReconstructionConfig = _DEFAULTS,
     on_share: OnShare = ignore,
@@ -120,7 +119,7 @@ def track(
 
 
 def track_gathered(
-    session: Views, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
+    session: Session, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
 ) -> People:
     """``track`` what ``gather`` made of all cameras' detections; the session's own are not looked at."""
     parameters = tracking_parameters(session, config.tracking)
@@ -135,18 +134,18 @@ def track_gathered(
         on_share,
         lambda time_s: approximate.add(round((time_s - timebase.start_time_s) * timebase.frame_rate_hz)),
     )
-    return People(*keep_most_seen(*people, config.people), len(approximate))
+    return People(*keep_most_seen(*people, config.num_people), len(approximate))
 
 
-def num_sampled(session: Views, ranges: Iterable[range], config: ReconstructionConfig) -> int:
+def num_sampled(session: Session, ranges: Iterable[range], config: ReconstructionConfig) -> int:
     """Count the frames in which bones are measured, in some ranges of output frames."""
     sampled = sampled_frames(session.timebase, clustering_parameters(session, config))
     return sum(frame in sampled for frames in ranges for frame in frames)
 
 
 def measure_bones(
-    session: Views,
-    chunks: Iterable[tuple[range, Found]],
+    session: Session,
+    chunks: Iterable[tuple[range, DetectionsByCamera]],
     joints: JointSet,
     config: ReconstructionConfig,
     on_frame: Callable[[], None] = lambda: None,
@@ -172,9 +171,9 @@ def measure_bones(
 
 
 def locate_people(
-    session: Views,
+    session: Session,
     frames: range,
-    found: Found,
+    found: DetectionsByCamera,
     lengths: LimbLengths,
     joints: JointSet,
     config: ReconstructionConfig,
@@ -187,7 +186,7 @@ def locate_people(
 
 
 def link(
-    session: Views,
+    session: Session,
     chunks: Iterable[Poses3D],
     joints: JointSet,
     config: ReconstructionConfig,
@@ -197,10 +196,12 @@ def link(
     parameters = clustering_parameters(session, config)
     poses = join_poses(chunks)
     people = link_people(session.cameras, poses, session.timebase, joints, parameters, on_share)
-    return People(*keep_most_seen(*people, config.people), len(poses.approximate))
+    return People(*keep_most_seen(*people, config.num_people), len(poses.approximate))
 
 
-def _seen(session: Views, frames: range, found: Found, joints: JointSet, parameters: ClusteringParameters) -> Seen:
+def _seen(
+    session: Session, frames: range, found: DetectionsByCamera, joints: JointSet, parameters: ClusteringParameters
+) -> Seen:
     """What shows a range of output frames."""
     skeleton = skeleton_of(joints)
     fields = {camera: one for camera, one in found.items() if isinstance(one, PafFields)}

@@ -1,70 +1,55 @@
-"""The whole way on one machine: a capture session to people in motion.
+"""Executor of one machine: the tasks of a plan in this process, or in a pool of processes."""
 
-The same functions that workers of a service call. The result does not depend on the cut of the frames or on the number
-of processes.
-"""
-
+import contextlib
+import hashlib
+import json
 import tempfile
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
-from functools import partial
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
-from typing import TypeVar
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.session import CaptureSession
-from pipeline.config import ReconstructionConfig
-from pipeline.data import DamagedVideo, Detections, People, Reconstruction
-from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
-from pipeline.detect.damage import DamagedFrames, damaged_videos
-from pipeline.detect.detector import Detector, open_detector
-from pipeline.detect.field_files import FieldFiles
-from pipeline.errors import ChildError, InputError, Problem
-from pipeline.joints import JointSet
-from pipeline.progress import OnProgress, OnShare, Progress, Stage, in_units, silent
+from pipeline.config import ReconstructionConfig, method_warnings
+from pipeline.data import Reconstruction
+from pipeline.errors import ChildError, InputError, PipelineError, Problem
+from pipeline.progress import OnProgress, Progress, silent
 from pipeline.runtime.child_processes import ProcessPool
-from pipeline.skeleton.animate import animate
+from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
-from pipeline.stages.association import (
-    Found,
-    Views,
-    clustering_parameters,
-    link,
-    locate_people,
-    measure_bones,
-    num_sampled,
-    restrict,
-    track,
-    tracking_parameters,
-    uses_fields,
-)
-from pipeline.stages.records_npz import decode_damaged, encode_fields
-from pipeline.video.timeline import chunk_ranges, cut_stretches, frames_in, span_s
+from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
+from pipeline.stages.code import sources_sha256, stage_codes
+from pipeline.stages.output_folder import OutputFolder, output_folder
+from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, plan
+from pipeline.stages.records_npz import encode_keypoints, encode_session
+from pipeline.stages.run import Context, assemble, load_detector, run_task
+from pipeline.video.probe import mean_rate_hz
 
 _DEFAULTS = ReconstructionConfig()
-_BY_MEMBERSHIP = (
-    "Clustering takes whole bodies for evidence, not part affinity fields: "
-    "two joints are connected where they belong to one detection."
-)
-_Chunk = tuple[str, range]  # output frames of a camera
-_Detected = TypeVar("_Detected")
-_Detect = Callable[[CaptureSession, _Chunk, Detector, Callable[[], None]], _Detected]
 
 
 def reconstruct(
-    session: CaptureSession, config: ReconstructionConfig, on_progress: OnProgress = silent
+    session: Session,
+    config: ReconstructionConfig = _DEFAULTS,
+    on_progress: OnProgress = silent,
+    cache: Path | None = None,
 ) -> Reconstruction:
     """Reconstruct everybody in a capture session.
+
+    The result does not depend on the cut of the frames or on the number of processes.
 
     Parameters
     ----------
     session
-        Calibrated cameras and their videos, as of ``pipeline.capture.session.open_session``.
+        Calibrated cameras with their videos, or with 2D joints of another program.
     config
-        What to do.
+        What to do; a session of keypoints has nothing to detect.
     on_progress
-        Called after every step, from the calling thread.
+        Called after every unit of a stage, from the calling thread.
+    cache
+        Folder in which outputs of tasks are kept for later runs, see ``pipeline.stages.output_folder``; ``None``: no
+        output is kept.
 
     Raises
     ------
@@ -74,224 +59,212 @@ def reconstruct(
     ModelError
         If the detector is not installed.
     PipelineError
-        If the folder for temporary files can't be written.
+        If the folder for intermediate outputs can't be written.
     """
-    wanted = restrict(session, config.frames)
-    _check(wanted, config)
-    detector = open_detector(config.detector)
-    ranges = chunk_ranges(_wanted(session, config), config.chunk_frames, session.stretches)
-    cameras = [camera.name for camera in session.cameras]
-    chunks = [(camera, frames) for frames in ranges for camera in cameras]
-    if uses_fields(session, config):
-        with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-            files = FieldFiles(Path(folder), cameras)
-            damaged_frames: list[DamagedFrames] = []
-            with closing(_map(_fields_of, session, chunks, detector, config, on_progress)) as detected_fields:
-                for (camera, frames), fields in zip(chunks, detected_fields, strict=True):
-                    files.write(camera, frames, fields)
-                    damaged_frames.append((camera, decode_damaged(fields)))
-            damaged = damaged_videos(wanted, damaged_frames)
-            first = ranges[0].start
-            of_wanted = [range(one.start - first, one.stop - first) for one in ranges]
-            people = _cluster(
-                wanted,
-                of_wanted,
-                lambda frames: files.read(range(frames.start + first, frames.stop + first)),
-                detector.joints,
-                config,
-                on_progress,
-            )
-        return _finish(wanted, people, detector.joints, config, on_progress, damaged)
-    with closing(_map(_bodies_of, session, chunks, detector, config, on_progress)) as detected:
-        detections = concatenate(detected, cameras, len(detector.joints.names))
-    return _reconstruct_people(wanted, detections, detector.joints, config, on_progress)
-
-
-def reconstruct_keypoints(
-    session: KeypointSession, config: ReconstructionConfig = _DEFAULTS, on_progress: OnProgress = silent
-) -> Reconstruction:
-    """Reconstruct everybody from 2D joints that another program found.
-
-    Parameters
-    ----------
-    config
-        What to do; there is nothing to detect.
-    on_progress
-        Called after every step, from the calling thread.
-
-    Raises
-    ------
-    InputError
-        If there is no such parameter.
-    """
-    wanted = restrict(session, config.frames)
-    _check(wanted, config)
-    return _reconstruct_people(wanted, wanted.detections, wanted.joints, config, on_progress)
-
-
-def _check(session: Views, config: ReconstructionConfig) -> None:
-    """Find out what is wrong before the work begins."""
-    check_smoothing(session.timebase, config)
-    tracking_parameters(session, config.tracking)
-    clustering_parameters(session, config)
-    foreign = config.clustering if config.method == "tracking" else config.tracking
-    if foreign:
-        problem = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
-        raise InputError([Problem("unknown_parameter", problem, hint="Leave them out, or use the other method.")])
-
-
-def _reconstruct_people(
-    session: Views,
-    detections: Mapping[str, Detections],
-    joints: JointSet,
-    config: ReconstructionConfig,
-    on_progress: OnProgress,
-) -> Reconstruction:
-    damaged = damaged_videos(session, [(camera, one.damaged) for camera, one in detections.items()])
-    if config.method == "clustering":
-        people = _cluster(
-            session,
-            cut_stretches(session.stretches, range(session.timebase.num_frames)),
-            lambda _: detections,
-            joints,
-            config,
-            on_progress,
+    _check(session, config)
+    facts = session_facts(session, () if cache is None else _inputs(session))
+    with output_folder(cache) as outputs, tempfile.TemporaryDirectory(prefix="multicap-") as scratch:
+        codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
+        stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name != EXPORT]
+        job = _Job(session, config, facts, stages, outputs, Path(scratch))
+        for stage in stages:
+            _run_stage(job, stage, on_progress)
+        reconstruction = assemble(_TaskContext(job))
+        return replace(
+            reconstruction,
+            # The files of the block are gone after it.
+            located=tuple(reconstruction.located),
+            observations=tuple(reconstruction.observations),
+            warnings=(*reconstruction.warnings, *method_warnings(config, facts.has_videos)),
         )
-    else:
-        people = track(session, detections, config, _shares("associate", session, on_progress))
-    return _finish(session, people, joints, config, on_progress, damaged)
 
 
-def _cluster(
-    session: Views,
-    ranges: Sequence[range],
-    found_in: Callable[[range], Found],
-    joints: JointSet,
-    config: ReconstructionConfig,
-    on_progress: OnProgress,
-) -> People:
-    count = _counter("lengths", num_sampled(session, ranges, config), on_progress)
-    lengths = measure_bones(session, ((frames, found_in(frames)) for frames in ranges), joints, config, count)
-    count = _counter("poses", sum(map(len, ranges)), on_progress)
-    poses = [locate_people(session, frames, found_in(frames), lengths, joints, config, count) for frames in ranges]
-    return link(session, poses, joints, config, _shares("associate", session, on_progress))
-
-
-def _finish(
-    session: Views,
-    people: People,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    on_progress: OnProgress,
-    damaged: tuple[DamagedVideo, ...],
-) -> Reconstruction:
-    located, observations, num_approximate_frames = people
-    on_share = _shares("fit", session, on_progress)
-    animation = animate(located, observations, session.cameras, session.timebase, joints, config, on_share)
-    by_membership = config.method == "clustering" and not uses_fields(session, config)
-    return Reconstruction(
-        cameras=session.cameras,
-        joints=joints,
-        timebase=session.timebase,
-        located=located,
-        observations=observations,
-        animation=animation,
-        warnings=(*session.warnings, *([_BY_MEMBERSHIP] if by_membership else [])),
-        num_approximate_frames=num_approximate_frames,
-        damaged=damaged,
+def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFacts:
+    """Facts of an opened session that a plan depends on."""
+    timebase = session.timebase
+    return SessionFacts(
+        inputs=inputs,
+        num_frames=timebase.num_frames,
+        frame_rate_hz=timebase.frame_rate_hz,
+        stretches=session.stretches,
+        camera_rates_hz={
+            name: mean_rate_hz(times.time_s) if len(times.time_s) > 1 else timebase.frame_rate_hz
+            for name, times in session.times.items()
+        },
+        has_videos=not isinstance(session, KeypointSession),
     )
 
 
-def _shares(stage: Stage, session: Views, on_progress: OnProgress) -> OnShare:
-    """Report the shares of a stage over all output frames as so many frames."""
-    num_frames = sum(map(len, cut_stretches(session.stretches, range(session.timebase.num_frames))))
-    return in_units(num_frames, _counter(stage, num_frames, on_progress))
+def _codes(outputs: OutputFolder) -> Mapping[str, str]:
+    """Digests of the stages' code, which an earlier run has kept: to compute them takes a second."""
+    key = sources_sha256()
+    if (kept := outputs.read(key)) is None:
+        outputs.write(key, kept := json.dumps(dict(stage_codes())).encode())
+    codes: dict[str, str] = json.loads(kept)
+    return codes
 
 
-def _counter(stage: Stage, total: int, on_progress: OnProgress) -> Callable[[], None]:
-    """Report that a stage begins; what is returned reports one step more at each call."""
-    done = -1
-
-    def count() -> None:
-        nonlocal done
-        done += 1
-        on_progress(Progress(stage, done, total))
-
-    count()
-    return count
+def _inputs(session: Session) -> tuple[str, ...]:
+    """Digests of all that the result depends on: the opened session, and the videos' files."""
+    if isinstance(session, KeypointSession):
+        return (hashlib.sha256(encode_keypoints(session)).hexdigest(),)
+    opened = hashlib.sha256(encode_session(session)).hexdigest()
+    try:
+        return (opened, *(sha256_of(video.path) for video in session.videos))
+    except OSError as error:
+        raise PipelineError(f"The video {error.filename} can't be read: {error.strerror}.") from error
 
 
-def _bodies_of(session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None]) -> Detections:
-    camera, frames = chunk
-    return detect_chunk(session, camera, span_s(session.timebase, frames.start, frames.stop), detector, on_frame)
+def _check(session: Session, config: ReconstructionConfig) -> None:
+    """Find out what is wrong before the work begins."""
+    wanted = restrict(session, config.frames)
+    check_smoothing(wanted.timebase, config)
+    tracking_parameters(wanted, config.tracking)
+    clustering_parameters(wanted, config)
+    foreign = config.clustering if config.method == "tracking" else config.tracking
+    if foreign:
+        problem = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
+        raise InputError([Problem("unknown_parameter", problem, hint="Omit them, or use the other method.")])
+    if not isinstance(session, KeypointSession):
+        load_detector(config.detector)
 
 
-def _fields_of(session: CaptureSession, chunk: _Chunk, detector: Detector, on_frame: Callable[[], None]) -> bytes:
-    camera, frames = chunk
-    span = span_s(session.timebase, frames.start, frames.stop)
-    return encode_fields(detect_fields_chunk(session, camera, span, detector, on_frame))
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A reconstruction under way.
+
+    Parameters
+    ----------
+    stages
+        Stages of the plan.
+    outputs
+        Folder for outputs of tasks.
+    scratch
+        Folder for temporary files of the process that runs a task.
+    """
+
+    session: Session
+    config: ReconstructionConfig
+    facts: SessionFacts
+    stages: Sequence[PlannedStage]
+    outputs: OutputFolder
+    scratch: Path
 
 
-def _map(
-    detect: _Detect[_Detected],
-    session: CaptureSession,
-    chunks: Sequence[_Chunk],
-    detector: Detector,
-    config: ReconstructionConfig,
-    on_progress: OnProgress,
-) -> Generator[_Detected, None, None]:
-    """Detections of each chunk, in their order; to be closed, or its processes go on."""
-    if config.processes == 1:
-        count = _counter("detect", _num_frames(session, config), on_progress)
-        return (detect(session, chunk, detector, count) for chunk in chunks)
-    return _map_in_processes(detect, session, chunks, config, on_progress)
+@dataclass(frozen=True, slots=True)
+class _TaskContext(Context):
+    """Context on a folder of this machine."""
+
+    job: _Job
+    count: Callable[[], None] = lambda: None
+
+    @property
+    def config(self) -> ReconstructionConfig:
+        return self.job.config
+
+    @property
+    def facts(self) -> SessionFacts:
+        return self.job.facts
+
+    @property
+    def scratch(self) -> Path:
+        return self.job.scratch
+
+    def session(self) -> Session:
+        return self.job.session
+
+    def outline(self) -> Session:
+        return self.job.session  # the caller holds the detections anyway
+
+    def on_unit(self) -> None:
+        self.count()
+
+    def video(self, camera: str) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+    def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        (planned,) = (one for one in self.job.stages if one.name == stage)
+        return [self._output(task) for task in islice(planned.tasks, tasks.start, tasks.stop)]
+
+    def _output(self, task: Task) -> bytes:
+        content = self.job.outputs.read(task.key)
+        if content is None:
+            message = (
+                f"An output of the stage {task.stage} was removed or changed in {self.job.outputs.path} meanwhile."
+            )
+            raise PipelineError(f"{message} Run the command again.")
+        return content
 
 
-def _wanted(session: CaptureSession, config: ReconstructionConfig) -> range:
-    """Output frames that are reconstructed."""
-    return range(session.timebase.num_frames) if config.frames is None else config.frames
+class _Counter:
+    """Reports progress of a stage."""
+
+    def __init__(self, stage: PlannedStage, on_progress: OnProgress) -> None:
+        self._stage, self._on_progress = stage.name, on_progress
+        self._total = stage.num_units
+        self._done = self._reused = self._whole = 0
+        self._report()
+
+    def on_unit(self) -> None:
+        """Count a unit of the task at hand."""
+        self._done += 1
+        self._report()
+
+    def finish(self, task: Task, is_reused: bool) -> None:
+        """Count a whole task. The number of units of a task is a good guess before it has run."""
+        self._whole += task.num_units
+        self._done = self._whole
+        self._reused += task.num_units if is_reused else 0
+        self._report()
+
+    def _report(self) -> None:
+        self._on_progress(Progress(self._stage, min(self._done, self._total), self._total, self._reused))
 
 
-def _num_frames(session: CaptureSession, config: ReconstructionConfig) -> int:
-    """How many of all cameras' frames are looked at."""
-    frames = _wanted(session, config)
-    span = span_s(session.timebase, frames.start, frames.stop)
-    return sum(len(frames_in(times, *span)) for times in session.times.values())
+def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> None:
+    counter = _Counter(stage, on_progress)
+    missing = []
+    for task in stage.tasks:
+        if job.outputs.read(task.key) is None:
+            missing.append(task)
+        else:
+            counter.finish(task, is_reused=True)
+    for task in _finished(job, missing, counter.on_unit):
+        counter.finish(task, is_reused=False)
+
+
+def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[], None]) -> Iterable[Task]:
+    """Run tasks; yields each one when it is done."""
+    if job.config.processes == 1 or len(tasks) < 2:
+        return (_run(job, task, on_unit) for task in tasks)
+    return _finished_in_processes(job, tasks)
+
+
+def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> Task:
+    job.outputs.write(task.key, run_task(task, _TaskContext(job, on_unit)).content)
+    return task
+
+
+def _finished_in_processes(job: _Job, tasks: Sequence[Task]) -> Iterator[Task]:
+    try:
+        with ProcessPool(min(job.config.processes, len(tasks)), _Worker.start, (job,)) as pool:
+            yield from pool.map(_Worker.run, tasks)
+    except BrokenProcessPool as error:
+        raise ChildError(
+            "A process was ended from outside, most likely for lack of memory. Try fewer processes."
+        ) from error
 
 
 class _Worker:
-    """What a process of the pool keeps from one chunk to the next: the session and the loaded network."""
+    """State of a process of the pool from one task to the next."""
 
-    session: CaptureSession
-    detector: Detector
-
-    @classmethod
-    def start(cls, session: CaptureSession, detector_name: str) -> None:
-        cls.session = session
-        cls.detector = open_detector(detector_name)
+    job: _Job
 
     @classmethod
-    def run(cls, detect: _Detect[_Detected], chunk: _Chunk) -> _Detected:
-        return detect(cls.session, chunk, cls.detector, lambda: None)
+    def start(cls, job: _Job) -> None:
+        scratch = tempfile.mkdtemp(prefix=f"{Path(job.scratch).name}-", dir=job.scratch)
+        cls.job = replace(job, scratch=Path(scratch))
 
-
-def _map_in_processes(
-    detect: _Detect[_Detected],
-    session: CaptureSession,
-    chunks: Sequence[_Chunk],
-    config: ReconstructionConfig,
-    on_progress: OnProgress,
-) -> Generator[_Detected, None, None]:
-    done, total = 0, len(chunks)
-    num_frames = _num_frames(session, config)
-    on_progress(Progress("detect", 0, num_frames))
-    try:
-        with ProcessPool(config.processes, _Worker.start, (session, config.detector)) as pool:
-            for detected in pool.map(partial(_Worker.run, detect), chunks):
-                done += 1
-                on_progress(Progress("detect", num_frames * done // total, num_frames))
-                yield detected
-    except BrokenProcessPool as error:
-        raise ChildError(
-            "A detection process was ended from outside, most likely for lack of memory. Try fewer processes."
-        ) from error
+    @classmethod
+    def run(cls, task: Task) -> Task:
+        return _run(cls.job, task)

@@ -59,33 +59,6 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
     return tuple(range(start, stop) for start, stop in zip(starts, stops, strict=True))
 
 
-def cut_stretches(stretches: Iterable[range], frames: range) -> list[range]:
-    """Those parts of ascending stretches that lie within ``frames``; the first frame if there are none."""
-    parts = (range(max(one.start, frames.start), min(one.stop, frames.stop)) for one in stretches)
-    return [part for part in parts if part] or [frames[:1]]
-
-
-def chunk_ranges(frames: range, chunk_frames: int, stretches: Iterable[range] | None = None) -> list[range]:
-    """Cut the output frames of a session at the multiples of ``chunk_frames``.
-
-    Parameters
-    ----------
-    frames
-        The output frames that are wanted.
-    stretches
-        Of ``recorded_stretches``; pieces without any of their frames are left out. ``None``: all frames.
-
-    Returns
-    -------
-        Ranges in order, which don't overlap, one at least. The first and the last one may be shorter.
-    """
-    numbers: dict[int, None] = {}
-    for part in cut_stretches([frames] if stretches is None else stretches, frames):
-        numbers |= dict.fromkeys(range(part.start // chunk_frames, -(-part.stop // chunk_frames)))
-    starts = (number * chunk_frames for number in numbers)
-    return [range(max(start, frames.start), min(start + chunk_frames, frames.stop)) for start in starts]
-
-
 def cut_timebase(timebase: Timebase, frames: range) -> Timebase:
     """Some of the output frames, numbered from 0."""
     return Timebase(timebase.time_s(frames.start), timebase.frame_rate_hz, len(frames))

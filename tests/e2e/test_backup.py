@@ -18,7 +18,7 @@ import pytest
 from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests, serving, wait_for
 from tests.e2e.test_serve_keypoints import capture, files
 
@@ -50,7 +50,7 @@ def multicap(*arguments: str | Path) -> dict[str, Any]:
 def as_the_library_does(capture: Path, folder: Path, spec: dict[str, Any]) -> dict[str, str]:
     folder.mkdir()
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    write_results(reconstruct_keypoints(session, ReconstructionConfig(**spec)), folder)
+    write_results(reconstruct(session, ReconstructionConfig(**spec)), folder)
     return digests(folder)
 
 

@@ -28,7 +28,7 @@ from pipeline.config import ReconstructionConfig
 from pipeline.runtime.packages.samples import Sample
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct, reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.api.processes import peak_bytes
 from tests.api.test_upload_clients import free_port
 from tests.e2e.serving import digests, wait_for
@@ -168,7 +168,7 @@ def keypoint_session(folder: Path, archive_bytes: int) -> None:
 def test_keypoints(distributed: Distributed, tmp_path: Path, archive_bytes: int) -> None:
     keypoint_session(tmp_path, archive_bytes)
     session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")
-    write_results(reconstruct_keypoints(session, ReconstructionConfig()), tmp_path / "results")
+    write_results(reconstruct(session, ReconstructionConfig()), tmp_path / "results")
     archives = sorted(tmp_path.glob("*.zip"))
     started_s = time.monotonic()
     job = distributed.submit(
@@ -196,7 +196,7 @@ def test_videos(distributed: Distributed, sample: Sample, results: Path, receive
         assert "chunk_done" in log
         copies = list((distributed.folder / f"worker-{number}" / "cache").glob("*.copy"))
         assert 0 < len(copies) <= len(sample.videos)
-    config = ReconstructionConfig(frames=range(25, 60), people=1)
+    config = ReconstructionConfig(frame_range=(25, 60), people=1)
     session = open_session(list(sample.videos.values()), sample.calibration)
     write_results(reconstruct(session, config), tmp_path)
     spec = {"frame_range": [25, 60], "people": 1}

@@ -24,7 +24,7 @@ from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.skeleton.feet import ANKLE_HEIGHT_M
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 
@@ -77,7 +77,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Capture:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
     session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv", None)
-    return exported("walk", reconstruct_keypoints(session, ReconstructionConfig()), folder)
+    return exported("walk", reconstruct(session, ReconstructionConfig()), folder)
 
 
 @pytest.fixture(scope="session")

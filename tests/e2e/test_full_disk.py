@@ -11,7 +11,7 @@ import pytest
 from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.serving import Served, digests, serving, wait_for
 from tests.e2e.test_serve_keypoints import files
@@ -80,7 +80,7 @@ def test_a_full_disk_is_emptied_through_the_api_and_jobs_go_on(served: Served, c
         (served.data_dir / "filler").unlink()
     assert served.wait_for_end(waiting["id"])["state"] == "succeeded"
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    write_results(reconstruct_keypoints(session, ReconstructionConfig()), tmp_path / "results")
+    write_results(reconstruct(session, ReconstructionConfig()), tmp_path / "results")
     assert served.downloads(waiting["id"]) == digests(tmp_path / "results")
     wait_for(lambda: client.get("/readyz").is_success)
     client.post("/v1/uploads", headers=TUS | {"Upload-Length": "10"}).raise_for_status()

@@ -31,7 +31,7 @@ def test_offsets(served: Served, sample: Sample, tmp_path: Path) -> None:
     videos = list(sample.videos.values())
     recordings = [Recording("cam02", videos[1].name, 0.04), Recording("cam03", offset_s=-0.08)]
     session = open_session(videos, sample.calibration, recordings)
-    config = ReconstructionConfig(smoothing="none", frames=range(10, 22))
+    config = ReconstructionConfig(smoothing="none", frame_range=(10, 22))
     write_results(reconstruct(session, config), tmp_path)
     said = [{"name": "cam02", "file": videos[1].name, "offset_s": 0.04}, {"name": "cam03", "offset_s": -0.08}]
     answer = send(served, videos, sample.calibration, {"cameras": said})

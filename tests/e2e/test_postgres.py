@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import capture, files
 from tests.postgres import Postgres, running_postgres
@@ -38,7 +38,7 @@ def test_the_same_bytes_also_when_the_server_is_restarted(
     on_postgres: Served, postgres: Postgres, capture: Path, tmp_path: Path, method: Method
 ) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    write_results(reconstruct_keypoints(session, ReconstructionConfig(method=method)), tmp_path)
+    write_results(reconstruct(session, ReconstructionConfig(method=method)), tmp_path)
     spec = ("spec", (None, f'{{"method": "{method}"}}'))
     job_id = on_postgres.client.post("/v1/jobs", files=[*files(capture), spec]).raise_for_status().json()["id"]
     while on_postgres.job(job_id)["state"] == "queued":

@@ -21,7 +21,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
 
 pytestmark = pytest.mark.xdist_group("sample")
@@ -71,7 +71,7 @@ def test_the_same_files_as_without_the_service(
 ) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
     config = ReconstructionConfig(method=method, smoothing=smoothing, cutoff_hz=5.0)
-    write_results(reconstruct_keypoints(session, config), tmp_path, exports, preset)
+    write_results(reconstruct(session, config), tmp_path, exports, preset)
     choices = {"method": method, "smoothing": smoothing, "cutoff_hz": 5.0, "exports": exports, "bvh": preset}
     spec = ("spec", (None, json.dumps(choices)))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
@@ -90,8 +90,8 @@ def test_some_frames_and_some_people_at_another_rate(
     served: Served, capture: Path, tmp_path: Path, method: Method
 ) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-    config = ReconstructionConfig(method=method, frames=range(20, 70), people=2)
-    write_results(reconstruct_keypoints(session, config), tmp_path, frame_rate_hz=24.0)
+    config = ReconstructionConfig(method=method, frame_range=(20, 70), people=2)
+    write_results(reconstruct(session, config), tmp_path, frame_rate_hz=24.0)
     spec = ("spec", (None, json.dumps({"method": method, "frame_range": [20, 70], "output_rate_hz": 24, "people": 2})))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text

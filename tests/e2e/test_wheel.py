@@ -14,10 +14,10 @@ import pytest
 
 from api.cli.commands.serve import READY
 from pipeline.runtime.packages.storage import home
+from pipeline.stages.code import stage_codes
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import archives
-from worker.stages.code import stage_codes
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -30,7 +30,7 @@ import multicap
 
 capture, out = map(Path, sys.argv[1:])
 session = multicap.open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
-multicap.write_results(multicap.reconstruct_keypoints(session), out)
+multicap.write_results(multicap.reconstruct(session), out)
 """
 SEND = """
 import sys

@@ -10,7 +10,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.e2e.serving import digests
 
 METHODS: tuple[Method, ...] = ("tracking", "clustering")
@@ -32,6 +32,6 @@ def undisturbed(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     found = {}
     for method in METHODS:
         folder = tmp_path_factory.mktemp(method)
-        write_results(reconstruct_keypoints(session, ReconstructionConfig(method=method)), folder)
+        write_results(reconstruct(session, ReconstructionConfig(method=method)), folder)
         found[method] = digests(folder)
     return found

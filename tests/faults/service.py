@@ -15,10 +15,10 @@ from pathlib import Path
 
 from standardwebhooks import Webhook
 
+from pipeline.stages.code import stage_codes
 from tests.e2e.serving import Served, serving
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.store import JobStore
-from worker.stages.code import stage_codes
 
 ROOT = Path(__file__).parents[2]
 CLOCK_FOLDER = Path(__file__).parent / "clock"

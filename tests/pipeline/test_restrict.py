@@ -13,7 +13,7 @@ from pipeline.errors import InputError
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.association import restrict
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +39,8 @@ def positions(found: Reconstruction) -> Mapping[int, np.ndarray]:
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Method) -> None:
     config = ReconstructionConfig(method=method, smoothing="none")
-    whole = positions(reconstruct_keypoints(session, config))
-    part = reconstruct_keypoints(session, replace(config, frames=range(30, 70)))
+    whole = positions(reconstruct(session, config))
+    part = reconstruct(session, replace(config, frame_range=(30, 70)))
     assert part.timebase.num_frames == 40
     assert part.timebase.start_time_s == pytest.approx(session.timebase.time_s(30))
     assert len(part.located) == len(whole) == 3
@@ -50,8 +50,8 @@ def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Met
 
 
 def test_all_of_them_are_the_whole(session: KeypointSession) -> None:
-    frames = range(session.timebase.num_frames)
-    whole, same = (reconstruct_keypoints(session, ReconstructionConfig(frames=one)) for one in (None, frames))
+    frames = 0, session.timebase.num_frames
+    whole, same = (reconstruct(session, ReconstructionConfig(frame_range=one)) for one in (None, frames))
     for one, other in zip(whole.located, same.located, strict=True):
         np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
 
@@ -65,10 +65,10 @@ def test_frames_that_are_not_there(session: KeypointSession, frames: range) -> N
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_those_whom_most_cameras_saw_for_longest_stay(session: KeypointSession, method: Method) -> None:
-    everybody = reconstruct_keypoints(session, ReconstructionConfig(method=method, smoothing="none")).located
+    everybody = reconstruct(session, ReconstructionConfig(method=method, smoothing="none")).located
     seen = sorted((int(track.views.sum()) for track in everybody), reverse=True)
     for most in (1, 2, 3, 9):
-        some = reconstruct_keypoints(session, ReconstructionConfig(method=method, smoothing="none", people=most))
+        some = reconstruct(session, ReconstructionConfig(method=method, smoothing="none", people=most))
         assert [track.track_id for track in some.located] == list(range(1, min(most, 3) + 1))
         assert sorted((int(track.views.sum()) for track in some.located), reverse=True) == seen[:most]
         assert len(some.animation.motions) == len(some.located)

@@ -8,41 +8,42 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
+from pipeline.stages.output import Output, ResultFile
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
+from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
+from worker.planning import plan_job
 from worker.runner import Runner
-from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT
-from worker.stages.execution import Outcome, ResultFile, Work
-from worker.stages.plan import plan
 
 NUM_FRAMES, CHUNK_FRAMES = 40, 10
 
 RESULT = b"squares: " + b",".join(str(k * k).encode() for k in range(NUM_FRAMES))
 
 
-def detect(work: Work) -> Outcome:
+def detect(work: Work) -> Output:
     frames = range(work.claim.payload["start_frame"], work.claim.payload["stop_frame"])
     squares = []
     for frame in frames:
         squares.append(str(frame * frame))
         work.on_unit()
-    return Outcome(",".join(squares).encode())
+    return Output(",".join(squares).encode())
 
 
-def associate(work: Work) -> Outcome:
-    return Outcome(b",".join(work.outputs(DETECT)))
+def associate(work: Work) -> Output:
+    return Output(b",".join(work.outputs(DETECT)))
 
 
-def fit(work: Work) -> Outcome:
-    return Outcome(b"squares: " + work.outputs(ASSOCIATE)[0])
+def fit(work: Work) -> Output:
+    return Output(b"squares: " + work.outputs(ASSOCIATE)[0])
 
 
-def export(work: Work) -> Outcome:
+def export(work: Work) -> Output:
     path = work.scratch / "person-1.bvh"
     path.write_bytes(work.outputs(FIT)[0])
-    return Outcome(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),))
+    return Output(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),))
 
 
 @dataclass
@@ -53,7 +54,7 @@ class Bench:
     store: JobStore
     artifacts: LocalArtifacts
     session: Session
-    stages: dict[str, Callable[[Work], Outcome]] = field(
+    stages: dict[str, Callable[[Work], Output]] = field(
         default_factory=lambda: {DETECT: detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}
     )
     published: int = 0
@@ -66,7 +67,7 @@ class Bench:
             store=self.store,
             artifacts=self.artifacts,
             publish=self._publish,
-            stages=self.stages,
+            run=lambda work: self.stages[work.claim.stage](work),
             lease_s=lease_s,
             heartbeat_s=heartbeat_s,
             stopping=lambda: self.stopping,
@@ -78,7 +79,7 @@ class Bench:
         self.published += 1
 
     def create_job(self, retention_s: float | None = None) -> Job:
-        stages = plan(self.session, JobSpec(), CHUNK_FRAMES)
+        stages = plan_job(self.session, JobSpec(), CHUNK_FRAMES)
         return self.store.jobs.add(self.session.id, JobSpec(), stages, retention_s)
 
     def result(self, job_id: str) -> bytes:

@@ -11,17 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+from pipeline.stages.output import Output
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
 from tests.worker.conftest import associate, detect, export, fit
 from worker import __main__ as worker_main
+from worker.chunk import Work
 from worker.jobs.store import JobStore
 from worker.process import embedded
 from worker.process.supervisor import Supervisor
 from worker.settings import WorkerSettings
-from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT
-from worker.stages.execution import Outcome, Work
 
 
-def slow_detect(work: Work) -> Outcome:
+def slow_detect(work: Work) -> Output:
     def on_unit() -> None:
         time.sleep(float(os.environ["LIGHT_FRAME_S"]))
         work.on_unit()
@@ -30,10 +31,11 @@ def slow_detect(work: Work) -> Outcome:
 
 
 def run_worker() -> None:
-    stages = ModuleType("worker.stages.run")
-    stages.STAGES = {DETECT: slow_detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}  # type: ignore[attr-defined]
-    stages.warm_up = lambda: None  # type: ignore[attr-defined]
-    sys.modules["worker.stages.run"] = stages
+    stages = {DETECT: slow_detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}
+    execution = ModuleType("worker.execution")
+    execution.run_chunk = lambda work: stages[work.claim.stage](work)  # type: ignore[attr-defined]
+    execution.warm_up = lambda: None  # type: ignore[attr-defined]
+    sys.modules["worker.execution"] = execution
     worker_main.main()
 
 

@@ -5,6 +5,7 @@ import time
 import pytest
 import sqlalchemy as sa
 
+from pipeline.stages.plan import DETECT
 from tests.worker.conftest import Bench
 from worker.jobs.database.connection import Database
 from worker.jobs.database.tables import removals
@@ -15,7 +16,6 @@ from worker.jobs.files.removals import remove_files
 from worker.jobs.model import JobState
 from worker.jobs.store import JobStore
 from worker.reaper import reap
-from worker.stages.code import DETECT
 
 LEASE_S = 20.0
 

@@ -4,7 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +12,19 @@ import pytest
 
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
+from pipeline.stages.output import Output
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
+from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
 from worker.jobs.model import ChunkState, JobState, ResultWarning
 from worker.jobs.repositories.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
-from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT
-from worker.stages.execution import Outcome, Work
-from worker.stages.plan import plan
+from worker.planning import plan_job
 
 
 def fail_with(error: Exception) -> Any:
-    def stage(work: Work) -> Outcome:
+    def stage(work: Work) -> Output:
         raise error
 
     return stage
@@ -35,14 +36,14 @@ class Endless:
     def __init__(self) -> None:
         self.begun = threading.Event()
 
-    def __call__(self, work: Work) -> Outcome:
+    def __call__(self, work: Work) -> Output:
         self.begun.set()
         while True:
             time.sleep(0.01)
             work.on_unit()
 
 
-def slow_detect(work: Work) -> Outcome:
+def slow_detect(work: Work) -> Output:
     time.sleep(0.05)
     return detect(work)
 
@@ -75,7 +76,7 @@ def test_without_work_nothing_is_published(bench: Bench) -> None:
 def test_a_worker_that_finds_work_wakes_the_next(bench: Bench) -> None:
     published_before_the_first = []
 
-    def first(work: Work) -> Outcome:
+    def first(work: Work) -> Output:
         published_before_the_first.append(bench.published)
         return detect(work)
 
@@ -160,7 +161,7 @@ def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
     run = bench.stages[reader]
     damages = iter([damage])
 
-    def damaging(work: Work) -> Outcome:
+    def damaging(work: Work) -> Output:
         for once in damages:
             once(stored(bench, work.claim.job_id, stage, chunk))
         return run(work)
@@ -179,11 +180,11 @@ def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
 def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(bench: Bench) -> None:
     computed: list[int] = []
 
-    def counted(work: Work) -> Outcome:
+    def counted(work: Work) -> Output:
         computed.append(work.claim.index)
         return detect(work)
 
-    def damaging(work: Work) -> Outcome:
+    def damaging(work: Work) -> Output:
         if len(computed) == 4:
             for chunk in (1, 3):
                 flip(stored(bench, work.claim.job_id, DETECT, chunk))
@@ -200,7 +201,7 @@ def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(
 def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: Bench) -> None:
     damages = iter([DETECT, ASSOCIATE])
 
-    def damaging(work: Work) -> Outcome:
+    def damaging(work: Work) -> Output:
         for stage in damages:
             flip(stored(bench, work.claim.job_id, stage))
         return fit(work)
@@ -216,7 +217,7 @@ def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(benc
 def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(bench: Bench) -> None:
     runs = []
 
-    def damaging(work: Work) -> Outcome:
+    def damaging(work: Work) -> Output:
         runs.append(work.claim.index)
         flip(stored(bench, work.claim.job_id, DETECT, 1))
         return associate(work)
@@ -232,7 +233,7 @@ def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(ben
     assert "disk" in (found.problem.hint or "")
     assert len(runs) == MAX_ATTEMPTS
     bench.stages[ASSOCIATE] = associate
-    bench.store.jobs.retry(job.id, plan(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
 
@@ -240,7 +241,7 @@ def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(ben
 def test_workers_side_by_side_compute_a_damaged_output_again(bench: Bench) -> None:
     damaged = threading.Event()
 
-    def damaging(work: Work) -> Outcome:
+    def damaging(work: Work) -> Output:
         if not damaged.is_set():
             damaged.set()
             for chunk in range(4):
@@ -313,7 +314,7 @@ def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retr
     assert (found.code, found.retryable) == (code, True)
     assert "multicap models install x" in found.detail
     bench.stages[DETECT] = detect
-    bench.store.jobs.retry(job.id, plan(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
@@ -321,7 +322,7 @@ def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retr
 def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     tries = []
 
-    def broken(work: Work) -> Outcome:
+    def broken(work: Work) -> Output:
         tries.append(work.claim.attempt)
         raise OSError(28, "No space left on device", "/secret/path")
 
@@ -341,7 +342,7 @@ def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pyte
 def test_one_bad_moment_costs_nothing(bench: Bench) -> None:
     failures = iter([RuntimeError("once")])
 
-    def flaky(work: Work) -> Outcome:
+    def flaky(work: Work) -> Output:
         for error in failures:
             raise error
         return detect(work)
@@ -369,7 +370,7 @@ def test_cancel_stops_the_running_pass(bench: Bench) -> None:
 def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
     halfway, go_on = threading.Event(), threading.Event()
 
-    def slow(work: Work) -> Outcome:
+    def slow(work: Work) -> Output:
         for _ in range(work.claim.unit_count // 2):
             work.on_unit()
         halfway.set()
@@ -421,7 +422,7 @@ def test_shutdown_gives_the_chunk_back(bench: Bench) -> None:
 def test_a_pass_that_does_not_notice_is_given_up(bench: Bench) -> None:
     begun, hang = threading.Event(), threading.Event()
 
-    def hanging(work: Work) -> Outcome:
+    def hanging(work: Work) -> Output:
         begun.set()
         hang.wait(20)
         return detect(work)
@@ -456,9 +457,9 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: P
 
 def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Bench) -> None:
     warning = ResultWarning("nobody_found", "Nobody was found.")
-    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
+    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(asdict(warning),))
     spec = JobSpec(callback_url="https://example.com/hook")
-    job = bench.store.jobs.add(bench.session.id, spec, plan(bench.session, spec, CHUNK_FRAMES))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).result_warnings == (warning,)
     (delivery,) = bench.store.webhooks.pending()

@@ -18,13 +18,14 @@ from pipeline.data import Detections, FrameTimes, Timebase
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.records_npz import encode_keypoints
+from worker.chunk import Work
+from worker.execution import run_chunk
 from worker.jobs.files.artifacts import LocalArtifacts, record_key
 from worker.jobs.model import Claim, InputFile, Session
 from worker.jobs.spec import JobSpec
-from worker.stages import run as stages
-from worker.stages.execution import Work
 
 SESSION_ID = "0190"
+PAYLOAD = {"camera": None, "start_frame": 0, "stop_frame": 1, "chunk_frames": 1}
 MAX_BYTES_A_JOINT = 70  # a worker of 25 million joints then takes less than 1.7 GiB beside code and kernels
 
 
@@ -57,7 +58,7 @@ def work(folder: Path, stage: str) -> Work:
     file = InputFile("cam_00.zip", "keypoints", "sessions/0190/inputs/0-cam_00.zip", 1, "0" * 64)
     digest = hashlib.sha256(content).hexdigest()
     session = Session(SESSION_ID, "take", datetime.now(UTC), (file,), PREFLIGHT, record_sha256=digest)
-    claim = Claim(1, "job", SESSION_ID, stage, 0, {}, 100, "0" * 64, JobSpec(smoothing="none"), "token", 1, None)
+    claim = Claim(1, "job", SESSION_ID, stage, 0, PAYLOAD, 100, "0" * 64, JobSpec(smoothing="none"), "token", 1, None)
 
     def outputs(stage: str, chunks: slice = slice(None)) -> list[bytes]:
         return [(folder / stage).read_bytes()][chunks]
@@ -67,8 +68,8 @@ def work(folder: Path, stage: str) -> Work:
 
 def run(folder: Path, stage: str) -> None:
     """Run a stage in this process, keep its output, and print its peak of memory in KiB."""
-    outcome = stages.STAGES[stage](work(folder, stage))
-    (folder / stage).write_bytes(outcome.content)
+    output = run_chunk(work(folder, stage))
+    (folder / stage).write_bytes(output.content)
     status = Path("/proc/self/status").read_text()
     sys.stdout.write(status.split("VmHWM:")[1].split()[0])
 

@@ -11,10 +11,10 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from pipeline.config import (
     CHOICES,
     MAX_OUTPUT_FRAMES,
-    NETWORKS,
     About,
     Choice,
     JobChoices,
+    ReconstructionConfig,
     Value,
     members,
     too_long_for,
@@ -118,25 +118,6 @@ class JobSpec(_Choices, frozen=True):
         return found
 
     @property
-    def frames(self) -> range | None:
-        """``frame_range`` as a range."""
-        return None if self.frame_range is None else range(*self.frame_range)
-
-    @property
-    def uses_fields(self) -> bool:
-        """Whether people are found from part affinity fields, if the session has videos."""
-        return self.method == "clustering" and NETWORKS[self.detector].leaves_fields
-
-    def warnings(self, of_keypoints: bool) -> tuple[str, ...]:
-        """Warnings about the choices for the client, one sentence each.
-
-        Parameters
-        ----------
-        of_keypoints
-            Whether the session has keypoints instead of videos, and so needs no detector.
-        """
-        if self.method == "clustering" and (of_keypoints or not self.uses_fields):
-            return (
-                "Clustering takes whole bodies for evidence: two joints are connected where one detection has both.",
-            )
-        return ()
+    def config(self) -> ReconstructionConfig:
+        """Configuration of the reconstruction."""
+        return ReconstructionConfig(**{name: getattr(self, name) for name in CHOICES})

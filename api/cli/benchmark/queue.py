@@ -20,11 +20,12 @@ from api.cli.client import ServiceError
 from api.cli.console import emit, reporting
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
+from worker.planning import plan_job
 from worker.process.lifeline import tied
-from worker.stages.plan import DEFAULT_CHUNK_FRAMES, plan
 
 _FEW = 20
 _CAMERAS, _NUM_FRAMES, _RATE_HZ = 4, 3000, 25.0
@@ -44,7 +45,7 @@ def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
     )
     files = [InputFile(f"{name}.mp4", "video", f"inputs/{name}.mp4", 1, "0" * 64) for name in cameras]
     session = store.sessions.add("take", files, preflight, store.sessions.reserve_id())
-    stages = plan(session, JobSpec(), DEFAULT_CHUNK_FRAMES)
+    stages = plan_job(session, JobSpec(), DEFAULT_CHUNK_FRAMES)
     return store, [store.jobs.add(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
 
 

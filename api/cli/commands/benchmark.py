@@ -33,6 +33,7 @@ from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import warm_up
 from pipeline.stages.local import reconstruct
+from pipeline.stages.plan import DETECT, EXPORT
 from pipeline.video.decode import decode
 from worker.jobs.spec import JobSpec
 
@@ -92,7 +93,7 @@ def pipeline(
         peak_mib = peak_rss_mib()
         network_s = network_seconds(session, detector)
     wall_s = ended_s - started_s
-    stages = {"open": opened_s - started_s, **bars.seconds, "export": ended_s - reconstructed_s}
+    stages = {"open": opened_s - started_s, **bars.seconds, EXPORT: ended_s - reconstructed_s}
     result = {
         "frames": sum(video.num_frames for video in session.videos),
         "stages": stages,
@@ -166,7 +167,7 @@ def service(
         "two_workers": two,
         "added_s": one["wall_s"] - library_s,
         "speedup": one["job_s"] / two["job_s"],
-        "detect_speedup": one["stages"]["detect"] / two["stages"]["detect"],
+        "detect_speedup": one["stages"][DETECT] / two["stages"][DETECT],
     }
     if as_json:
         emit(result)

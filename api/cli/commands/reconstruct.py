@@ -12,7 +12,7 @@ import typer
 from api.cli.console import StageBars, emit, print_table, reporting, warn
 from api.cli.options import checked, known_units, with_choices
 from pipeline.calibration.registry import UNITS_M
-from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Recording, open_session
 from pipeline.config import Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction
@@ -20,8 +20,10 @@ from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export import results
 from pipeline.export.results import DEFAULT_EXPORTS, check_exports
 from pipeline.quality.report import all_checks
-from pipeline.stages.association import Views, restrict
-from pipeline.stages.local import reconstruct, reconstruct_keypoints
+from pipeline.stages.association import Session, restrict
+from pipeline.stages.local import reconstruct
+from pipeline.stages.output_folder import default_cache
+from pipeline.stages.plan import STAGE_BY_NAME
 
 
 def write_results(
@@ -178,6 +180,15 @@ def command(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see docs/clustering.md; repeatable."),
     ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for intermediate outputs, which later runs reuse. Default: MULTICAP_CACHE, else the user's "
+            "cache folder; at most 2 GiB.",
+            show_default=False,
+        ),
+    ] = None,
+    no_cache: Annotated[bool, typer.Option("--no-cache", help="Keep and reuse no intermediate outputs.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Reconstruct all people in synchronised videos, or in keypoint files, of calibrated cameras."""
@@ -194,7 +205,7 @@ def command(
         )
         offsets = _parameters(offset or [], "cam_2=0.48")
         _check_sources(videos, keypoints, timestamps, frame_rate, offsets)
-        session: Views
+        session: Session
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
         else:
@@ -204,10 +215,7 @@ def command(
         check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)
-        if isinstance(session, KeypointSession):
-            reconstruction = reconstruct_keypoints(session, config, bars.update)
-        else:
-            reconstruction = reconstruct(session, config, bars.update)
+        reconstruction = reconstruct(session, config, bars.update, None if no_cache else cache or default_cache())
         paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:
@@ -220,10 +228,14 @@ def command(
                 "metrics": metrics,
                 "files": [str(path) for path in paths],
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
+                "reused": bars.reused,
                 "warnings": list(reconstruction.warnings),
             }
         )
         return
     print_summary(metrics)
+    if bars.reused:
+        parts = (f"{STAGE_BY_NAME[name].label} ({units})" for name, units in bars.reused.items())
+        typer.echo(f"Reused from an earlier run: {', '.join(parts)}; --no-cache computes all anew.")
     for path in paths:
         typer.echo(f"  {path}")

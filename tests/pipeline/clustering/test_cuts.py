@@ -12,7 +12,8 @@ from pipeline.data import Detections, FrameTimes, Observations, People, Track3D
 from pipeline.detect.chunk import bodies_in
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.association import link, locate_people, measure_bones
-from pipeline.video.timeline import chunk_ranges, frames_in, span_s
+from pipeline.stages.plan import FrameCut
+from pipeline.video.timeline import frames_in, span_s
 
 CONFIG = ReconstructionConfig(method="clustering")
 
@@ -40,7 +41,8 @@ def of_range(session: KeypointSession, frames: range) -> Mapping[str, Detections
 
 
 def clustered(session: KeypointSession, chunk_frames: int) -> People:
-    ranges = chunk_ranges(range(session.timebase.num_frames), chunk_frames)
+    whole = range(session.timebase.num_frames)
+    ranges = list(FrameCut(whole, (whole,), chunk_frames))
     found = [of_range(session, frames) for frames in ranges]
     lengths = measure_bones(session, zip(ranges, found, strict=True), session.joints, CONFIG)
     poses = [

@@ -15,7 +15,7 @@ from pipeline.data import Reconstruction
 from pipeline.export.resample import _slerp, resample
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import forward_kinematics
-from pipeline.stages.local import reconstruct_keypoints
+from pipeline.stages.local import reconstruct
 from tests.pipeline.test_restrict import session
 
 __all__ = ["session"]
@@ -23,7 +23,7 @@ __all__ = ["session"]
 
 @pytest.fixture(scope="module")
 def take(session: KeypointSession) -> Reconstruction:
-    return reconstruct_keypoints(session, ReconstructionConfig())
+    return reconstruct(session, ReconstructionConfig())
 
 
 def test_the_session_s_own_rate_changes_nothing(take: Reconstruction) -> None:

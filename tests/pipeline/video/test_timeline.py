@@ -4,10 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.data import FrameTimes, Timebase
+from pipeline.stages.plan import FrameCut
 from pipeline.video.probe import mean_rate_hz
 from pipeline.video.timeline import (
-    chunk_ranges,
-    cut_stretches,
     frames_in,
     recorded_stretches,
     session_timebase,
@@ -24,7 +23,7 @@ from pipeline.video.timeline import (
 def test_every_frame_is_in_exactly_one_chunk(rate_hz: float, num_frames: int, chunk_frames: int, phase: float) -> None:
     times = FrameTimes((np.arange(num_frames) + phase) / rate_hz)
     timebase = Timebase(0.0, rate_hz, num_frames)
-    ranges = chunk_ranges(range(num_frames), chunk_frames)
+    ranges = list(FrameCut(range(num_frames), (range(num_frames),), chunk_frames))
     assert [frame for one in ranges for frame in one] == list(range(num_frames))
     spans = [span_s(timebase, one.start, one.stop) for one in ranges]
     assert [frame for span in spans for frame in frames_in(times, *span)] == list(range(num_frames))
@@ -49,7 +48,7 @@ def test_every_frame_is_in_a_chunk_whatever_the_pauses(start_s: list[float], chu
     times = {str(k): FrameTimes(one_s + np.arange(20) / 10.0) for k, one_s in enumerate(start_s)}
     timebase = session_timebase(times)
     stretches = recorded_stretches(timebase, (one.time_s for one in times.values()))
-    ranges = chunk_ranges(range(timebase.num_frames), chunk_frames, stretches)
+    ranges = FrameCut(range(timebase.num_frames), stretches, chunk_frames)
     frames = [frame for one in ranges for frame in one]
     assert frames == sorted(set(frames))
     spans = [span_s(timebase, one.start, one.stop) for one in ranges]
@@ -59,10 +58,10 @@ def test_every_frame_is_in_a_chunk_whatever_the_pauses(start_s: list[float], chu
 
     inside = wanted if wanted.start < timebase.num_frames else range(timebase.num_frames)
     inside = range(inside.start, min(inside.stop, timebase.num_frames))
-    cut = chunk_ranges(inside, chunk_frames, stretches)
+    cut = FrameCut(inside, stretches, chunk_frames)
     worked_on = {frame for one in cut for frame in one}
     assert worked_on <= set(inside)
-    assert {frame for one in cut_stretches(stretches, inside) for frame in one} <= worked_on
+    assert {frame for one in cut.parts for frame in one} <= worked_on
 
 
 def test_timebase_takes_the_fastest_camera_and_the_longest_span() -> None:

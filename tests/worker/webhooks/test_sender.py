@@ -34,7 +34,7 @@ from worker.jobs.database.tables import deliveries
 from worker.jobs.model import Delivery, Job, WebhookSecret
 from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.jobs.spec import JobSpec
-from worker.stages.plan import plan
+from worker.planning import plan_job
 from worker.webhooks import sender as webhooks
 from worker.webhooks.addresses import is_public, url_fault
 from worker.webhooks.sender import Courier, Sender
@@ -106,7 +106,7 @@ def certify(folder: Path, name: str) -> tuple[Path, Path]:
 def end_job(bench: Bench, url: str) -> Job:
     """Have a job come to its end that somebody wants to be told of."""
     spec = JobSpec(callback_url=url)
-    job = bench.store.jobs.add(bench.session.id, spec, plan(bench.session, spec, 1000))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000))
     bench.runner().work(60.0)
     return bench.store.jobs.get(job.id)
 
@@ -156,7 +156,7 @@ def test_nobody_is_told_who_did_not_ask(bench: Bench) -> None:
 def test_every_end_is_told(bench: Bench, receiver: Receiver, end: str, state: str) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
-    job = bench.store.jobs.add(bench.session.id, spec, plan(bench.session, spec, 1000), retention_s=-1.0)
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000), retention_s=-1.0)
     if end == "cancel":
         bench.store.jobs.cancel(job.id)
     else:

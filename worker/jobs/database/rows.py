@@ -8,6 +8,8 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
 from pipeline.capture.preflight_record import Preflight
+from pipeline.config import method_warnings
+from pipeline.stages.plan import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, ResultWarning, Session, Stage
@@ -78,7 +80,7 @@ def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
 def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
     spec = JobSpec.model_validate(row.spec)
     preflight = Preflight.from_json(row.preflight)
-    of_keypoints = all(stage.name != "detect" for stage in stages)
+    has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(ResultWarning(**warning) for warning in row.warnings)
     return Job(
         id=row.id,
@@ -100,7 +102,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         problem=None if row.problem is None else Problem(**row.problem),
         warnings=(
             *preflight.warnings,
-            *spec.warnings(of_keypoints),
+            *method_warnings(spec.config, has_videos),
             *(warning.message for warning in found),
         ),
         result_warnings=found,

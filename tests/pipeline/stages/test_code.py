@@ -9,26 +9,12 @@ from pathlib import Path
 import pytest
 
 from pipeline.runtime.code_digest import function_digest, reachable_modules
-from worker.stages.code import (
-    ASSOCIATE,
-    DETECT,
-    EXPORT,
-    FIT,
-    FUNCTIONS,
-    LENGTHS,
-    LIBRARIES,
-    POSES,
-    stage_codes,
-)
-from worker.stages.run import STAGES
+from pipeline.stages.code import LIBRARIES, stage_codes
+from pipeline.stages.plan import DETECT, EXPORT, FIT, LENGTHS, POSES
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 # Packages that the stages import and that change no number.
 NOT_NUMERIC = {"defusedxml", "filelock", "google", "httpx2", "jaxtyping", "platformdirs", "threadpoolctl", "unearth"}
-
-
-def test_the_functions_are_those_of_the_stages() -> None:
-    assert {stage: function.__name__ for stage, function in STAGES.items()} == FUNCTIONS
 
 
 def imported_by(path: Path) -> set[str]:
@@ -38,7 +24,7 @@ def imported_by(path: Path) -> set[str]:
 
 
 def test_all_libraries_of_the_stages_count() -> None:
-    direct = {name for name in imported_by(ROOT / "worker/stages/run.py") if name.startswith("pipeline.")}
+    direct = {name for name in imported_by(ROOT / "pipeline/stages/run.py") if name.startswith("pipeline.")}
     paths = [ROOT.joinpath(*name.split(".")) for name in reachable_modules(ROOT, direct)]
     files = [path / "__init__.py" if path.is_dir() else path.with_suffix(".py") for path in paths]
     packages = {name.partition(".")[0] for path in files for name in imported_by(path)}
@@ -55,8 +41,7 @@ def test_another_version_of_a_library_is_other_code() -> None:
 @pytest.fixture
 def sources(tmp_path: Path) -> Path:
     """A copy of the sources."""
-    for package in ("pipeline", "worker"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "pipeline", tmp_path / "pipeline", ignore=shutil.ignore_patterns("__pycache__"))
     return tmp_path
 
 
@@ -107,14 +92,10 @@ def test_a_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
 
 
 def test_the_stage_s_own_function_and_its_helpers_count(sources: Path) -> None:
-    edit(
-        sources / "worker/stages/run.py",
-        "    first = cut.frames.start",
-        "    first = 1 + cut.frames.start",
-    )
+    edit(sources / "pipeline/stages/run.py", "(frames, task.frames.start), detected", "(frames, 1), detected")
     assert changed(sources) == {LENGTHS}
-    edit(sources / "worker/stages/run.py", "cutoff_hz=spec.cutoff_hz", "cutoff_hz=2 * spec.cutoff_hz")
-    assert changed(sources) == {LENGTHS, POSES, ASSOCIATE, FIT}
+    edit(sources / "pipeline/stages/run.py", "range(frames.start - first,", "range(1 + frames.start - first,")
+    assert changed(sources) == {LENGTHS, POSES}
 
 
 def write(root: Path, **modules: str) -> None:

@@ -12,19 +12,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
-from pipeline.runtime.code_digest import forget_sources, function_digest
-
-DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
-
-FUNCTIONS: Mapping[str, str] = {
-    DETECT: "detect",
-    LENGTHS: "measure_lengths",
-    POSES: "find_poses",
-    ASSOCIATE: "associate_people",
-    FIT: "fit_skeletons",
-    EXPORT: "export",
-}
-"""Name of each stage's function in ``worker.stages.run``, which is not imported here: it loads the science."""
+from pipeline.runtime.code_digest import PACKAGE, forget_sources, function_digest
+from pipeline.stages.plan import STAGES
 
 LIBRARIES = (
     "av",
@@ -42,6 +31,8 @@ LIBRARIES = (
 """Distributions whose versions results may depend on."""
 
 _ROOT = Path(__file__).parents[2]
+# Not imported here: it loads the science.
+_MODULE = "pipeline.stages.run"
 
 
 @functools.cache
@@ -62,7 +53,7 @@ def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Map
         SHA-256 in hexadecimal digits.
     """
     versions = [[name, _version(name)] for name in libraries]
-    digests = {stage: function_digest(root, "worker.stages.run", function) for stage, function in FUNCTIONS.items()}
+    digests = {stage.name: function_digest(root, _MODULE, stage.function) for stage in STAGES}
     forget_sources()
     return MappingProxyType(
         {
@@ -70,6 +61,17 @@ def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Map
             for stage, digest in digests.items()
         }
     )
+
+
+def sources_sha256(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> str:
+    """SHA-256 of all sources of the pipeline and of the libraries' versions: equal for equal ``stage_codes``.
+
+    It takes milliseconds.
+    """
+    sources = hashlib.sha256(repr([_version(name) for name in libraries]).encode())
+    for path in sorted((root / PACKAGE).rglob("*.py")):
+        sources.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+    return sources.hexdigest()
 
 
 def _version(distribution: str) -> str:

@@ -14,11 +14,11 @@ from pipeline.errors import InputError
 from pipeline.stages.records_npz import decode_detections
 from tests.e2e.captures import video_capture
 from tests.worker.jobs.damage import overwrite
+from worker import execution
+from worker.chunk import StoppedError, Work
 from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key
 from worker.jobs.model import Claim, InputFile, Session
 from worker.jobs.spec import JobSpec
-from worker.stages import run as stages
-from worker.stages.execution import StoppedError, Work
 
 NUM_FRAMES = 20
 
@@ -50,17 +50,17 @@ def session(
     files.append(keep(artifacts, session_id, len(files), calibration, "calibration"))
     artifacts.put_bytes(record_key(session_id), record.read_bytes())
     digest = hashlib.sha256(record.read_bytes()).hexdigest()
-    opened = stages._OpenSession()
-    monkeypatch.setattr(stages, "_open", opened)
+    opened = execution.KeptSession()
+    monkeypatch.setattr(execution, "_kept", opened)
     yield Session(session_id, "take", datetime.now(UTC), tuple(files), found, record_sha256=digest)
-    opened._files.close()
+    opened.close()
 
 
 def work(
     session: Session, artifacts: LocalArtifacts, scratch: Path, on_unit: Callable[[], None] = lambda: None
 ) -> Work:
     """The chunk of all frames of the camera on the left."""
-    payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES}
+    payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES, "chunk_frames": NUM_FRAMES}
     claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, JobSpec(), "token", 1, None)
     return Work(claim, session, artifacts, lambda stage, chunks=slice(None): [], scratch, on_unit, lambda: None)
 
@@ -76,17 +76,17 @@ def flip(path: Path) -> None:
 
 
 def test_a_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
-    outcome = stages.detect(work(session, artifacts, tmp_path))
+    outcome = execution.run_chunk(work(session, artifacts, tmp_path))
     assert decode_detections(outcome.content).camera == "left"
 
 
 def test_a_video_that_is_damaged_between_chunks_is_noticed(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path
 ) -> None:
-    stages.detect(work(session, artifacts, tmp_path))
+    execution.run_chunk(work(session, artifacts, tmp_path))
     flip(stored(session, tmp_path))
     with pytest.raises(InputError) as refused:
-        stages.detect(work(session, artifacts, tmp_path))
+        execution.run_chunk(work(session, artifacts, tmp_path))
     (problem,) = refused.value.problems
     assert (problem.code, problem.file, problem.camera) == ("input_damaged", "left.mp4", "left")
     assert problem.hint is not None
@@ -103,7 +103,7 @@ def test_a_video_that_is_damaged_while_it_is_decoded_leaves_no_output(
             once(stored(session, tmp_path))
 
     with pytest.raises(InputError) as refused:
-        stages.detect(work(session, artifacts, tmp_path, on_unit))
+        execution.run_chunk(work(session, artifacts, tmp_path, on_unit))
     assert [problem.code for problem in refused.value.problems] == ["input_damaged"]
 
 
@@ -112,11 +112,11 @@ def test_an_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArt
         raise StoppedError
 
     with pytest.raises(StoppedError):
-        stages.detect(work(session, artifacts, tmp_path, stop))
+        execution.run_chunk(work(session, artifacts, tmp_path, stop))
 
 
 def test_a_record_without_a_digest_is_read_as_before(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path
 ) -> None:
     old = Session(session.id, session.name, session.created_at, session.files, session.preflight)
-    assert stages.detect(work(old, artifacts, tmp_path)).content
+    assert execution.run_chunk(work(old, artifacts, tmp_path)).content

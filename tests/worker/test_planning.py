@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
-from pipeline.config import MAX_OUTPUT_FRAMES
+from pipeline.config import MAX_OUTPUT_FRAMES, method_warnings
 from pipeline.detect.registry import REGISTRY
-from pipeline.video.timeline import chunk_ranges
+from pipeline.stages.code import stage_codes
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, MAX_TASKS, POSES, FrameCut
 from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec
-from worker.stages.code import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, POSES, stage_codes
-from worker.stages.plan import MAX_CHUNKS, FrameCut, plan
+from worker.planning import plan_job
 
 FILES = tuple(
     InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
@@ -53,13 +53,13 @@ def keys(
 ) -> dict[str, list[str]]:
     return {
         stage.name: [chunk.output_key for chunk in stage.chunks]
-        for stage in plan(session, spec or JobSpec(), chunk_frames, codes)
+        for stage in plan_job(session, spec or JobSpec(), chunk_frames, codes)
     }
 
 
 @given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
 def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
-    chunks = list(plan(make_session(num_frames), JobSpec(), chunk_frames)[0].chunks)
+    chunks = list(plan_job(make_session(num_frames), JobSpec(), chunk_frames)[0].chunks)
     assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
     for camera in ("0", "1"):
         of_camera = [chunk for chunk in chunks if chunk.payload["camera"] == camera]
@@ -70,7 +70,7 @@ def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int
 
 
 def test_the_stages_and_their_sizes() -> None:
-    stages = plan(make_session(60), JobSpec(), 25)
+    stages = plan_job(make_session(60), JobSpec(), 25)
     assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
         (DETECT, 6),
         (ASSOCIATE, 1),
@@ -91,9 +91,9 @@ CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
 def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
-    detect, lengths, poses, *_ = stages = plan(make_session(60), CLUSTERING, 25)
+    detect, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
     assert [stage.name for stage in stages] == [DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
-    assert next(iter(lengths.chunks)).payload == {"chunk_frames": 25}
+    assert next(iter(lengths.chunks)).payload["chunk_frames"] == 25
     ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
     assert ranges == [(0, 25), (25, 50), (50, 60)]
     assert [chunk.unit_count for chunk in poses.chunks] == [25, 25, 10]
@@ -116,7 +116,7 @@ def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int)
 
 
 def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
-    chunks = plan(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
+    chunks = plan_job(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
     assert [chunk.unit_count for chunk in chunks] == [50, 25, 30]
 
 
@@ -141,20 +141,17 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "changed"),
+    ("choice", "changed"),
     [
-        ("detector", {DETECT, ASSOCIATE, FIT, EXPORT}),
-        ("method", {ASSOCIATE, FIT, EXPORT}),
-        ("smoothing", {FIT, EXPORT}),
-        ("feet", {FIT, EXPORT}),
-        ("exports", {EXPORT}),
+        ({"detector": "openpose-mobilenet-thin"}, {DETECT, ASSOCIATE, FIT, EXPORT}),
+        ({"method": "clustering"}, {ASSOCIATE, FIT, EXPORT}),
+        ({"smoothing": "none"}, {FIT, EXPORT}),
+        ({"feet": "off"}, {FIT, EXPORT}),
+        ({"exports": ("glb",)}, {EXPORT}),
     ],
 )
-def test_a_choice_changes_the_keys_of_its_stage_and_those_after(field: str, changed: set[str]) -> None:
-    ours, other = (
-        keys(make_session()),
-        keys(make_session(), JobSpec.model_construct(**{**JobSpec().model_dump(), field: "x"})),
-    )
+def test_a_choice_changes_the_keys_of_its_stage_and_those_after(choice: dict[str, Any], changed: set[str]) -> None:
+    ours, other = keys(make_session()), keys(make_session(), JobSpec(**choice))
     assert {name for name in ours if ours[name] != other[name]} == changed
 
 
@@ -185,10 +182,10 @@ def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
 def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
     for name, entry in REGISTRY.items():
         spec = JobSpec.model_validate({"method": "clustering", "detector": name})
-        assert spec.uses_fields == (entry.fields is not None)
-        assert bool(spec.warnings(of_keypoints=False)) == (entry.fields is None)
-        assert spec.warnings(of_keypoints=True)
-        assert not JobSpec.model_validate({"detector": name}).warnings(of_keypoints=True)
+        assert spec.config.uses_fields == (entry.fields is not None)
+        assert bool(method_warnings(spec.config, has_videos=True)) == (entry.fields is None)
+        assert method_warnings(spec.config, has_videos=False)
+        assert not method_warnings(JobSpec.model_validate({"detector": name}).config, has_videos=False)
 
 
 def test_what_was_said_of_the_videos_is_an_input() -> None:
@@ -211,12 +208,12 @@ def test_of_the_frames_that_are_wanted_each_is_there_once(
     start = data.draw(st.integers(0, num_frames - 1))
     stop = data.draw(st.integers(start + 1, num_frames))
     session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
-    detect, _, poses, *_ = plan(session, spec, chunk_frames)
-    ranges = [(one.start, one.stop) for one in chunk_ranges(range(start, stop), chunk_frames)]
+    detect, _, poses, *_ = plan_job(session, spec, chunk_frames)
+    ranges = [(one.start, one.stop) for one in FrameCut(range(start, stop), (range(num_frames),), chunk_frames)]
     for camera in ("0", "1"):
         payloads = [chunk.payload for chunk in detect.chunks if chunk.payload["camera"] == camera]
         assert [(one["start_frame"], one["stop_frame"]) for one in payloads] == ranges
-    found = [(chunk.payload["start_frame"] + start, chunk.payload["stop_frame"] + start) for chunk in poses.chunks]
+    found = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
     assert found == ranges
     assert [frame for one in ranges for frame in range(*one)] == list(range(start, stop))
 
@@ -245,7 +242,7 @@ def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:
 
 def test_pauses_have_no_chunks() -> None:
     session = paused(900_000, [[0, 60], [899_950, 900_000]])
-    detect, lengths, poses, *_ = plan(session, CLUSTERING, 25)
+    detect, lengths, poses, *_ = plan_job(session, CLUSTERING, 25)
     assert (
         ranges_of(detect) == ranges_of(poses) == [(0, 25), (25, 50), (50, 75), (899_950, 899_975), (899_975, 900_000)]
     )
@@ -253,37 +250,20 @@ def test_pauses_have_no_chunks() -> None:
 
 
 def test_stretches_within_one_range_share_its_chunk() -> None:
-    detect, *_ = plan(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
+    detect, *_ = plan_job(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
     assert ranges_of(detect) == [(0, 50), (50, 100), (100, 150)]
 
 
 def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
-    detect, *_ = plan(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
+    detect, *_ = plan_job(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
     assert ranges_of(detect) == [(5000, 5100)]
-
-
-@given(
-    stretches=st.lists(st.tuples(st.integers(0, 50), st.integers(1, 80)), min_size=1, max_size=6),
-    chunk_frames=st.integers(1, 60),
-    data=st.data(),
-)
-def test_the_pipeline_cuts_alike(stretches: list[tuple[int, int]], chunk_frames: int, data: st.DataObject) -> None:
-    borders, end = [], 0
-    for pause, length in stretches:
-        borders.append([end + pause, end + pause + length])
-        end += pause + length
-    start = data.draw(st.integers(0, end - 1))
-    stop = data.draw(st.integers(start + 1, end))
-    session, spec = paused(end, borders), JobSpec(frame_range=(start, stop))
-    ours = chunk_ranges(range(start, stop), chunk_frames, [range(*one) for one in borders])
-    assert list(FrameCut.of(session, spec, chunk_frames)) == ours
 
 
 def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
     session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
-    detect, *_ = plan(session, JobSpec(), 1)
-    assert sum(1 for _ in detect.chunks) <= MAX_CHUNKS
-    part, *_ = plan(session, JobSpec(frame_range=(0, 10_000)), 1)
+    detect, *_ = plan_job(session, JobSpec(), 1)
+    assert sum(1 for _ in detect.chunks) <= MAX_TASKS
+    part, *_ = plan_job(session, JobSpec(frame_range=(0, 10_000)), 1)
     assert ranges_of(part)[:-1] == ranges_of(detect)[: len(ranges_of(part)) - 1]  # jobs of a session cut alike
 
 
@@ -291,7 +271,7 @@ def test_a_plan_takes_no_memory() -> None:
     session = make_session(MAX_OUTPUT_FRAMES)
     tracemalloc.start()
     try:
-        stages = plan(session, CLUSTERING, 100)
+        stages = plan_job(session, CLUSTERING, 100)
         assert sum(1 for stage in stages for _ in stage.chunks) > 20_000
         assert tracemalloc.get_traced_memory()[1] < 2**20
     finally:

@@ -1,0 +1,35 @@
+"""Output of a task. Standard library only."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFile:
+    """A result file for the client. The executor may move it away from ``path``."""
+
+    name: str
+    kind: str
+    person: str | None
+    media_type: str
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Output of a task.
+
+    Parameters
+    ----------
+    content
+        Bytes that later stages read.
+    files
+        Result files, of the last stage only.
+    warnings
+        Warnings about the results, ``code`` and ``message``.
+    """
+
+    content: bytes
+    files: tuple[ResultFile, ...] = ()
+    warnings: tuple[Mapping[str, str], ...] = ()

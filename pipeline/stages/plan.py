@@ -1,0 +1,371 @@
+"""Plan of a reconstruction: stages, their tasks and the keys of the tasks' outputs. Standard library only.
+
+``STAGES`` declares each stage once; progress, labels, keys, the page and the command line read it. ``plan`` is pure:
+equal inputs give equal plans on every machine. The key of a task is a hash of the stage, the digest of its code, the
+choices that it depends on, and the keys of its inputs down to the digests of the session's files. Work that is planned
+again, after a crash or for another job, has the same keys, and its outputs are found.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Literal
+
+from pipeline.config import JobChoices, ReconstructionConfig
+
+DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
+
+DEFAULT_CHUNK_FRAMES = 100
+MAX_TASKS = 20_000
+"""Largest number of tasks of a stage. Each is a row of the service's database, and a job is read from all its rows."""
+
+# A frame of a task on the whole session takes about a tenth of the time of detecting people in it.
+_FRAMES_A_UNIT = 10
+# Rate of the frames in which clustering measures bones.
+_MEASURED_HZ = 5
+
+Cut = Literal["camera ranges", "ranges", "whole"]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """Facts of a session that a plan depends on.
+
+    Parameters
+    ----------
+    inputs
+        Digests of the files, and of all that was found in them or stated about them.
+    num_frames, frame_rate_hz
+        Output frames of the session, and their rate.
+    stretches
+        Output frames in which a camera took frames, ascending; pauses lie between them.
+    camera_rates_hz
+        Frame rate of each camera, by name, in the session's order.
+    has_videos
+        Whether the session consists of videos; else of keypoints.
+    """
+
+    inputs: tuple[str, ...]
+    num_frames: int
+    frame_rate_hz: float
+    stretches: tuple[range, ...]
+    camera_rates_hz: Mapping[str, float]
+    has_videos: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCut:
+    """Cut of a session's output frames into ranges.
+
+    Parameters
+    ----------
+    frames
+        Wanted output frames.
+    stretches
+        Output frames of the session that have to be worked on, ascending; ranges without any of them are left out.
+    chunk_frames
+        Length of a range. Ranges begin at its multiples; the first and the last one may be shorter.
+    """
+
+    frames: range
+    stretches: tuple[range, ...]
+    chunk_frames: int
+
+    def __iter__(self) -> Iterator[range]:
+        """Ranges in order, at least one."""
+        stop = 0
+        for part in self.parts:
+            first = max(stop, part.start // self.chunk_frames)
+            stop = -(-part.stop // self.chunk_frames)
+            for number in range(first, stop):
+                start = number * self.chunk_frames
+                yield range(max(start, self.frames.start), min(start + self.chunk_frames, self.frames.stop))
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of all parts."""
+        return sum(map(len, self.parts))
+
+    @property
+    def parts(self) -> list[range]:
+        """Stretches within the wanted frames; the first wanted frame if there are none."""
+        inside = (range(max(one.start, self.frames.start), min(one.stop, self.frames.stop)) for one in self.stretches)
+        return [part for part in inside if part] or [self.frames[:1]]
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Declaration of a stage.
+
+    Parameters
+    ----------
+    name
+        Name in the service's API, in keys and in logs.
+    label
+        What forms and progress bars call it.
+    cut
+        How it is cut into tasks: by camera and range of frames, by range of frames, or not at all.
+    follows
+        Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
+    choices
+        Keys of ``effective_choices`` that its output depends on.
+    function
+        Name of its function in ``pipeline.stages.run``.
+    is_planned
+        Whether a reconstruction has this stage.
+    unit
+        What its progress counts.
+    is_reusable
+        Whether its outputs serve other jobs of the session too.
+    """
+
+    name: str
+    label: str
+    cut: Cut
+    follows: tuple[str, ...]
+    choices: tuple[str, ...]
+    function: str
+    is_planned: Callable[[SessionFacts, JobChoices], bool] = lambda facts, config: True
+    unit: Literal["frames", "steps"] = "steps"
+    is_reusable: bool = True
+
+
+def _has_videos(facts: SessionFacts, _: JobChoices) -> bool:
+    return facts.has_videos
+
+
+def _is_clustering(_: SessionFacts, config: JobChoices) -> bool:
+    return config.method == "clustering"
+
+
+STAGES = (
+    Stage(
+        DETECT,
+        "Detect 2D joints",
+        cut="camera ranges",
+        follows=(),
+        choices=("detector", "output"),
+        function="detect",
+        is_planned=_has_videos,
+        unit="frames",
+    ),
+    Stage(
+        LENGTHS,
+        "Measure bones",
+        cut="whole",
+        follows=(DETECT,),
+        choices=("frames", "clustering"),
+        function="measure_lengths",
+        is_planned=_is_clustering,
+    ),
+    Stage(
+        POSES,
+        "Find people",
+        cut="ranges",
+        follows=(DETECT, LENGTHS),
+        choices=("frames", "clustering"),
+        function="find_poses",
+        is_planned=_is_clustering,
+    ),
+    Stage(
+        ASSOCIATE,
+        "Track people",
+        cut="whole",
+        follows=(DETECT, LENGTHS, POSES),
+        choices=("method", "frames", "people", "tracking", "clustering"),
+        function="associate_people",
+    ),
+    Stage(
+        FIT,
+        "Fit skeletons",
+        cut="whole",
+        follows=(ASSOCIATE,),
+        choices=("smoothing", "cutoff_hz", "feet"),
+        function="fit_skeletons",
+    ),
+    Stage(
+        EXPORT,
+        "Write files",
+        cut="whole",
+        follows=(ASSOCIATE, FIT),
+        choices=("exports", "bvh", "output_rate_hz"),
+        function="export",
+        is_reusable=False,
+    ),
+)
+"""All stages in their order."""
+
+STAGE_BY_NAME: Mapping[str, Stage] = {stage.name: stage for stage in STAGES}
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A task of a stage.
+
+    Parameters
+    ----------
+    stage
+        Name of the stage.
+    index
+        Number within the stage.
+    camera
+        Camera whose frames it is about; ``None``: all cameras.
+    frames
+        Output frames, in the session's numbering.
+    chunk_frames
+        Length of the ranges into which the session's frames are cut.
+    num_units
+        Number of units that its progress counts, at least 1.
+    key
+        Content-addressed key of its output.
+    """
+
+    stage: str
+    index: int
+    camera: str | None
+    frames: range
+    chunk_frames: int
+    num_units: int
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStage:
+    """A stage of a plan: its tasks may run at once as soon as all tasks of the stage before it are done.
+
+    Parameters
+    ----------
+    name
+        Name of the stage.
+    tasks
+        At least one; may be iterated more than once. There may be thousands, so they are derived one at a time.
+    code_sha256
+        Digest of the code that can run the tasks; see ``pipeline.stages.code``.
+    """
+
+    name: str
+    tasks: Iterable[Task]
+    code_sha256: str
+
+    @property
+    def num_units(self) -> int:
+        """Units of all tasks."""
+        return sum(task.num_units for task in self.tasks)
+
+
+def plan(
+    facts: SessionFacts,
+    config: ReconstructionConfig,
+    codes: Mapping[str, str],
+    chunk_frames: int = DEFAULT_CHUNK_FRAMES,
+) -> tuple[PlannedStage, ...]:
+    """Cut a reconstruction into stages and tasks.
+
+    Parameters
+    ----------
+    facts, config
+        The session, and what to do with it.
+    codes
+        Digest of each stage's code, by name of the stage; see ``pipeline.stages.code.stage_codes``.
+    chunk_frames
+        Output frames of a range. The frames between the start of a range and the keyframe before it are decoded in
+        vain, so few long ranges of one camera are better than many short ones of all cameras. Ranges begin at its
+        multiples, so jobs of a session cut alike. No key of a task on the whole session depends on it. It is doubled
+        for a session that would have more than ``MAX_TASKS`` tasks in a stage.
+
+    Returns
+    -------
+        The planned stages of ``STAGES``, in their order.
+    """
+    whole = range(facts.num_frames)
+    cut = FrameCut(config.frames or whole, facts.stretches, _bounded_length(facts, chunk_frames))
+    choices = effective_choices(config)
+    keys: dict[str, str] = {}
+    stages = []
+    for stage in STAGES:
+        if stage.is_planned(facts, config):
+            inputs = [keys[name] for name in stage.follows if name in keys] or facts.inputs
+            own = {name: choices[name] for name in stage.choices}
+            keys[stage.name] = _hash([stage.name, codes[stage.name], own, inputs])
+            stages.append(PlannedStage(stage.name, _tasks(stage, keys[stage.name], facts, cut), codes[stage.name]))
+    return tuple(stages)
+
+
+def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
+    """Choices as JSON, as far as outputs depend on them: what has no effect is ``None``."""
+    is_clustering = config.method == "clustering"
+    return {
+        "detector": config.detector,
+        "output": "fields" if config.uses_fields else "bodies",
+        "method": config.method,
+        "tracking": None if is_clustering else dict(config.tracking),
+        "clustering": dict(config.clustering) if is_clustering else None,
+        "frames": config.frame_range,
+        "people": config.people,
+        "smoothing": config.smoothing,
+        "cutoff_hz": config.cutoff_hz if config.smoothing == "butterworth" else None,
+        "feet": config.feet,
+        "exports": sorted(config.exports),
+        "bvh": config.bvh if "bvh" in config.exports else None,
+        "output_rate_hz": config.output_rate_hz,
+    }
+
+
+def _bounded_length(facts: SessionFacts, chunk_frames: int) -> int:
+    """Double the length of ranges until a stage has at most ``MAX_TASKS``; alike for all jobs of a session."""
+    most = max(1, MAX_TASKS // len(facts.camera_rates_hz))
+    whole = range(facts.num_frames)
+    while sum(1 for _ in islice(FrameCut(whole, facts.stretches, chunk_frames), most + 1)) > most:
+        chunk_frames *= 2
+    return chunk_frames
+
+
+def _tasks(stage: Stage, stage_key: str, facts: SessionFacts, cut: FrameCut) -> Iterable[Task]:
+    if stage.cut == "camera ranges":
+        return _CameraTasks(stage.name, stage_key, cut, facts.frame_rate_hz, facts.camera_rates_hz)
+    if stage.cut == "ranges":
+        return _RangeTasks(stage.name, stage_key, cut)
+    num_units = -(-cut.num_frames // _FRAMES_A_UNIT)
+    if stage.name == LENGTHS:
+        num_units = max(1, min(cut.num_frames, round(_MEASURED_HZ * cut.num_frames / facts.frame_rate_hz)))
+    return (Task(stage.name, 0, None, cut.frames, cut.chunk_frames, num_units, stage_key),)
+
+
+@dataclass(frozen=True, slots=True)
+class _CameraTasks:
+    """Tasks of a stage that is cut by range of output frames and camera."""
+
+    stage: str
+    stage_key: str
+    cut: FrameCut
+    frame_rate_hz: float
+    camera_rates_hz: Mapping[str, float]
+
+    def __iter__(self) -> Iterator[Task]:
+        pieces = ((camera, frames) for frames in self.cut for camera in self.camera_rates_hz)
+        for index, (camera, frames) in enumerate(pieces):
+            # About as many frames as the camera took meanwhile.
+            num_units = max(1, round(len(frames) * self.camera_rates_hz[camera] / self.frame_rate_hz))
+            key = _hash([self.stage_key, camera, frames.start, frames.stop])
+            yield Task(self.stage, index, camera, frames, self.cut.chunk_frames, num_units, key)
+
+
+@dataclass(frozen=True, slots=True)
+class _RangeTasks:
+    """Tasks of a stage that is cut by range of output frames."""
+
+    stage: str
+    stage_key: str
+    cut: FrameCut
+
+    def __iter__(self) -> Iterator[Task]:
+        for index, frames in enumerate(self.cut):
+            key = _hash([self.stage_key, frames.start, frames.stop])
+            yield Task(self.stage, index, None, frames, self.cut.chunk_frames, len(frames), key)
+
+
+def _hash(value: Sequence[Any]) -> str:
+    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(canonical.encode()).hexdigest()

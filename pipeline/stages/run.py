@@ -1,0 +1,290 @@
+"""Functions of the stages: the only code that knows what a task does.
+
+``run_task`` is called by the executor of one machine, ``pipeline.stages.local``, and by the workers of the service.
+"""
+
+import functools
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.config import FILE_FORMATS, ReconstructionConfig
+from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
+from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
+from pipeline.detect.damage import DamagedFrames, damaged_videos
+from pipeline.detect.detector import open_detector
+from pipeline.errors import PipelineError
+from pipeline.export.results import METRICS, write_results
+from pipeline.joints import JointSet
+from pipeline.progress import OnShare, in_units
+from pipeline.quality.report import all_checks
+from pipeline.skeleton.animate import animate
+from pipeline.stages.association import (
+    DetectionsByCamera,
+    Session,
+    link,
+    locate_people,
+    measure_bones,
+    restrict,
+    track_gathered,
+)
+from pipeline.stages.output import Output, ResultFile
+from pipeline.stages.plan import ASSOCIATE, DETECT, FIT, LENGTHS, POSES, STAGE_BY_NAME, FrameCut, SessionFacts, Task
+from pipeline.stages.records_npz import (
+    decode_animation,
+    decode_damaged_videos,
+    decode_detections,
+    decode_fields,
+    decode_lengths,
+    decode_poses,
+    encode_animation,
+    encode_detections,
+    encode_fields,
+    encode_lengths,
+    encode_poses,
+    open_people,
+    write_people,
+)
+from pipeline.tracking.observations import Bodies, gather
+from pipeline.video.timeline import span_s
+
+_PEOPLE = "people.npz"
+_MEDIA_TYPES = {".json": "application/json"} | {
+    f".{name}": file_format.media_type for name, file_format in FILE_FORMATS.items()
+}
+
+load_detector = functools.cache(open_detector)
+
+
+class Context(ABC):
+    """Access of a task to its session, to the outputs of earlier stages, and to its executor."""
+
+    @property
+    @abstractmethod
+    def config(self) -> ReconstructionConfig:
+        """Configuration of the reconstruction."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> SessionFacts:
+        """Facts of the session for which the task was planned."""
+
+    @property
+    @abstractmethod
+    def scratch(self) -> Path:
+        """Folder for temporary files and result files of this task."""
+
+    @abstractmethod
+    def session(self) -> Session:
+        """The whole session."""
+
+    @abstractmethod
+    def outline(self) -> Session:
+        """The whole session without the detections of keypoint files, which take most of its memory."""
+
+    @abstractmethod
+    def video(self, camera: str) -> AbstractContextManager[None]:
+        """Block in which the video of a camera can be read."""
+
+    @abstractmethod
+    def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        """Outputs of tasks of an earlier stage, in the tasks' order; by default of all tasks."""
+
+    @abstractmethod
+    def on_unit(self) -> None:
+        """Count a unit of the task's progress; may raise to end the task."""
+
+
+def run_task(task: Task, context: Context) -> Output:
+    """Run a task.
+
+    Parameters
+    ----------
+    task
+        A task of ``pipeline.stages.plan.plan``. All tasks of the stages before it are done.
+    context
+        Its session, and the outputs of the stages before it.
+
+    Raises
+    ------
+    InputError
+        If a video can't be decoded or too many of its frames are damaged.
+    ModelError
+        If the detector is not installed.
+    PipelineError
+        If a result file is not whole when it is read back.
+    """
+    return _FUNCTIONS[STAGE_BY_NAME[task.stage].function](task, context)
+
+
+def wanted_session(session: Session, config: ReconstructionConfig) -> tuple[Session, JointSet]:
+    """Session as if it had the wanted frames alone, numbered from 0, and the joints of its detections."""
+    wanted = restrict(session, config.frames)
+    return wanted, wanted.joints if isinstance(wanted, KeypointSession) else load_detector(config.detector).joints
+
+
+def detect(task: Task, context: Context) -> Output:
+    """Find bodies in a range of a camera's frames, or the peaks and fields that clustering takes."""
+    session = context.session()
+    if isinstance(session, KeypointSession) or task.camera is None:
+        raise PipelineError("A session of keypoints has no videos.")
+    span = span_s(session.timebase, task.frames.start, task.frames.stop)
+    of_chunk = session, task.camera, span, load_detector(context.config.detector), context.on_unit
+    with context.video(task.camera):
+        if context.config.uses_fields:
+            return Output(encode_fields(detect_fields_chunk(*of_chunk)))
+        return Output(encode_detections(detect_chunk(*of_chunk)))
+
+
+def measure_lengths(task: Task, context: Context) -> Output:
+    """Measure everybody's bones in frames all over the session, a range of frames at a time."""
+    session, joints = wanted_session(context.session(), context.config)
+    cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
+    damaged: list[DamagedFrames] = []
+
+    def ranges() -> Iterator[tuple[range, DetectionsByCamera]]:
+        for number, frames in enumerate(cut):
+            detected = _detected(context, session, joints, number)
+            damaged.extend((camera, of_camera.damaged) for camera, of_camera in detected.items())
+            yield _from_first(frames, task.frames.start), detected
+
+    lengths = measure_bones(session, ranges(), joints, context.config, context.on_unit)
+    return Output(encode_lengths(lengths, damaged_videos(session, damaged)))
+
+
+def find_poses(task: Task, context: Context) -> Output:
+    """Find people in a range of output frames, each instant by itself."""
+    session, joints = wanted_session(context.session(), context.config)
+    first = 0 if context.config.frames is None else context.config.frames.start
+    detected = _detected(context, session, joints, task.index)
+    lengths = decode_lengths(*context.outputs(LENGTHS))
+    frames = _from_first(task.frames, first)
+    return Output(
+        encode_poses(locate_people(session, frames, detected, lengths, joints, context.config, context.on_unit))
+    )
+
+
+def associate_people(task: Task, context: Context) -> Output:
+    """Turn bodies or poses of all frames into tracks: one pass in time order."""
+    on_share = _on_share(task, context)
+    if context.config.method == "clustering":
+        session, joints = wanted_session(context.outline(), context.config)
+        people = link(session, map(decode_poses, context.outputs(POSES)), joints, context.config, on_share)
+        damaged = decode_damaged_videos(*context.outputs(LENGTHS))
+    else:
+        bodies, damaged = _gathered(context)
+        session, _ = wanted_session(context.outline(), context.config)
+        people = track_gathered(session, bodies, context.config, on_share)
+        del bodies
+    archive = context.scratch / _PEOPLE
+    write_people(archive, people, damaged)
+    del people
+    return Output(archive.read_bytes())
+
+
+def fit_skeletons(task: Task, context: Context) -> Output:
+    """Animate one skeleton a person."""
+    return Output(encode_animation(_animation(task, context)))
+
+
+def export(task: Task, context: Context) -> Output:
+    """Write the result files, and an index of them."""
+    reconstruction = assemble(context)
+    config = context.config
+    on_share = _on_share(task, context)
+    paths = write_results(reconstruction, context.scratch, config.exports, config.bvh, config.output_rate_hz, on_share)
+    files = [_result_file(path) for path in paths]
+    index = json.dumps({"files": [file.name for file in files]}).encode()
+    report = json.loads((context.scratch / METRICS).read_bytes())
+    return Output(index, tuple(files), tuple(all_checks(report)))
+
+
+def assemble(context: Context) -> Reconstruction:
+    """Assemble the reconstruction from the outputs of association and fit.
+
+    Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
+    """
+    session, joints = wanted_session(context.outline(), context.config)
+    archive = _archive_of_people(context)
+    animation = decode_animation(*context.outputs(FIT))
+    located, observations, num_approximate_frames = open_people(archive)
+    return Reconstruction(
+        cameras=session.cameras,
+        joints=joints,
+        timebase=session.timebase,
+        located=located,
+        observations=observations,
+        animation=animation,
+        warnings=session.warnings,
+        num_approximate_frames=num_approximate_frames,
+        damaged=decode_damaged_videos(archive),
+    )
+
+
+def _on_share(task: Task, context: Context) -> OnShare:
+    return in_units(task.num_units, context.on_unit)
+
+
+def _from_first(frames: range, first: int) -> range:
+    """Frames of the session in the numbering of its wanted frames."""
+    return range(frames.start - first, frames.stop - first)
+
+
+def _bodies(session: Session, joints: JointSet, outputs: Iterable[bytes]) -> Mapping[str, Detections]:
+    """All cameras' bodies from outputs of detection."""
+    cameras = [camera.name for camera in session.cameras]
+    return concatenate(map(decode_detections, outputs), cameras, len(joints.names))
+
+
+def _detected(context: Context, session: Session, joints: JointSet, number: int) -> DetectionsByCamera:
+    """Detections in a range of output frames: consecutive tasks, one of each camera."""
+    if isinstance(session, KeypointSession):
+        return session.detections
+    num_cameras = len(session.cameras)
+    outputs = context.outputs(DETECT, slice(number * num_cameras, (number + 1) * num_cameras))
+    if context.config.uses_fields:
+        return {fields.camera: fields for fields in map(decode_fields, outputs)}
+    return _bodies(session, joints, outputs)
+
+
+def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
+    """All cameras' bodies as tracking takes them, and the damaged videos among those that show them."""
+    session, joints = wanted_session(context.session(), context.config)
+    detections = (
+        session.detections
+        if isinstance(session, KeypointSession)
+        else _bodies(session, joints, iter(context.outputs(DETECT)))
+    )
+    damaged = damaged_videos(session, [(camera, of_camera.damaged) for camera, of_camera in detections.items()])
+    return gather(session.cameras, session.times, detections), damaged
+
+
+def _animation(task: Task, context: Context) -> Animation:
+    session, joints = wanted_session(context.outline(), context.config)
+    located, observations, _ = open_people(_archive_of_people(context))
+    # Windows of all observations are asked for again and again, a track but once.
+    in_memory = tuple(observations)
+    on_share = _on_share(task, context)
+    return animate(located, in_memory, session.cameras, session.timebase, joints, context.config, on_share)
+
+
+def _archive_of_people(context: Context) -> Path:
+    """Write the output of association to a file: in memory it would be a fifth of what a stage takes."""
+    archive = context.scratch / _PEOPLE
+    archive.write_bytes(*context.outputs(ASSOCIATE))
+    return archive
+
+
+def _result_file(path: Path) -> ResultFile:
+    kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
+    person = None if path.suffix == ".json" else path.stem
+    return ResultFile(path.name, kind, person, _MEDIA_TYPES[path.suffix], path)
+
+
+_FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
+    function.__name__: function
+    for function in (detect, measure_lengths, find_poses, associate_people, fit_skeletons, export)
+}

@@ -1,0 +1,157 @@
+"""Execution of claimed chunks: the pipeline's tasks on the sessions and outputs of the service.
+
+A worker process keeps the session that it worked on last and the loaded networks: the next chunk is mostly of the same
+session.
+"""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.config import ReconstructionConfig
+from pipeline.errors import InputError, ModelError, Problem
+from pipeline.runtime.warm_up import warm_up as compile_kernels
+from pipeline.stages.association import Session as OpenedSession
+from pipeline.stages.output import Output
+from pipeline.stages.plan import SessionFacts
+from pipeline.stages.records_npz import decode_keypoints, decode_session
+from pipeline.stages.run import Context, load_detector, run_task
+from worker.chunk import Work
+from worker.jobs.errors import DamagedArtifact, NotFound
+from worker.jobs.files.artifacts import ArtifactStore, read_artifact, record_key
+from worker.jobs.files.checksums import require_file
+from worker.jobs.model import Session
+from worker.jobs.spec import JobSpec
+from worker.planning import has_videos, session_facts, task_of
+
+
+def run_chunk(work: Work) -> Output:
+    """Run a claimed chunk."""
+    return run_task(task_of(work.claim), _TaskContext(work, _kept))
+
+
+def warm_up() -> None:
+    """Load the default network and the compiled kernels before they are needed; a chunk says what is missing."""
+    with contextlib.suppress(ModelError):
+        load_detector(JobSpec().detector)
+    compile_kernels()
+
+
+class KeptSession:
+    """The session that a worker process has opened last, with its videos under their own names in a folder."""
+
+    def __init__(self) -> None:
+        self._files = contextlib.ExitStack()
+        self._id: str | None = None
+        self._session: OpenedSession | None = None
+        self._is_outline = False
+        self._folder: Path
+        self._names: set[str] = set()
+
+    def whole(self, session: Session, artifacts: ArtifactStore) -> OpenedSession:
+        """Open a session, unless it is open."""
+        if self._session is None or self._id != session.id or self._is_outline:
+            return self._open(session, artifacts)
+        return self._session
+
+    def outline(self, session: Session, artifacts: ArtifactStore) -> OpenedSession:
+        """Open a session without the detections of keypoint files: they leave the memory, of which they take most."""
+        opened = self._session
+        if opened is None or self._id != session.id:
+            opened = self._open(session, artifacts)
+        if isinstance(opened, KeypointSession):
+            self._session, self._is_outline = replace(opened, detections={}), True
+            return self._session
+        return opened
+
+    def _open(self, session: Session, artifacts: ArtifactStore) -> OpenedSession:
+        self.close()
+        with _undamaged("The record of the session's check"):
+            content = read_artifact(artifacts, record_key(session.id), session.record_sha256)
+        opened = decode_session(content, self._new_folder()) if has_videos(session) else decode_keypoints(content)
+        self._session, self._id = opened, session.id
+        return opened
+
+    def close(self) -> None:
+        """Free the session's memory, and its files on this machine."""
+        self._files.close()
+        self._names.clear()
+        self._session, self._id, self._is_outline = None, None, False
+
+    @contextlib.contextmanager
+    def video(self, work: Work, camera: str) -> Iterator[None]:
+        """Have the open session's video of a camera at hand, inside the block: it is what was sent, to the block's end.
+
+        A distant store's video is fetched when it is needed, and kept for the next chunk.
+        """
+        (name,) = (one.file for one in work.session.preflight.cameras if one.name == camera)
+        (file,) = (file for file in work.session.files if file.name == name)
+        sent = file.key, file.sha256, work.check
+        with _undamaged(name, camera):
+            if name not in self._names:
+                stored = self._files.enter_context(work.artifacts.local_path(*sent))
+                (self._folder / name).symlink_to(stored.absolute())
+                self._names.add(name)
+            with work.artifacts.local_path(*sent) as stored:
+                try:
+                    yield
+                finally:
+                    require_file(stored, *sent)
+
+    def _new_folder(self) -> Path:
+        self._folder = Path(self._files.enter_context(tempfile.TemporaryDirectory(prefix="multicap-")))
+        return self._folder
+
+
+_kept = KeptSession()
+
+
+@dataclass(frozen=True, slots=True)
+class _TaskContext(Context):
+    """Context of a claimed chunk."""
+
+    work: Work
+    kept: KeptSession
+
+    @property
+    def config(self) -> ReconstructionConfig:
+        return self.work.claim.spec.config
+
+    @property
+    def facts(self) -> SessionFacts:
+        return session_facts(self.work.session)
+
+    @property
+    def scratch(self) -> Path:
+        return self.work.scratch
+
+    def on_unit(self) -> None:
+        self.work.on_unit()
+
+    def session(self) -> OpenedSession:
+        return self.kept.whole(self.work.session, self.work.artifacts)
+
+    def outline(self) -> OpenedSession:
+        return self.kept.outline(self.work.session, self.work.artifacts)
+
+    def video(self, camera: str) -> contextlib.AbstractContextManager[None]:
+        return self.kept.video(self.work, camera)
+
+    def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        return self.work.outputs(stage, tasks)
+
+
+@contextlib.contextmanager
+def _undamaged(file: str, camera: str | None = None) -> Iterator[None]:
+    """Report an input whose stored copy differs from the file that was sent: it has to be sent again."""
+    try:
+        yield
+    except (DamagedArtifact, NotFound) as error:
+        message = "The service's copy of this file is damaged: it is not what was sent."
+        if isinstance(error, NotFound):
+            message = "The service's copy of this file is missing."
+        hint = "Send the session again. The operator finds the cause on the disk that holds the service's artifacts."
+        raise InputError([Problem("input_damaged", message, file=file, camera=camera, hint=hint)]) from error

@@ -1,0 +1,105 @@
+"""Plans of jobs: the pipeline's plan of a session and a spec, as rows of the store."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Protocol, runtime_checkable
+
+from pipeline.capture.preflight_record import Preflight
+from pipeline.stages.code import stage_codes
+from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
+from worker.jobs.model import ChunkPlan, Claim, InputFile, StagePlan
+from worker.jobs.spec import JobSpec
+
+
+@runtime_checkable
+class CheckedSession(Protocol):
+    """A session whose files were checked; ``worker.jobs.model.Session``."""
+
+    @property
+    def files(self) -> tuple[InputFile, ...]:
+        """Its files."""
+
+    @property
+    def preflight(self) -> Preflight:
+        """Result of the check of its files."""
+
+
+def plan_job(
+    session: CheckedSession,
+    spec: JobSpec,
+    chunk_frames: int = DEFAULT_CHUNK_FRAMES,
+    codes: Mapping[str, str] | None = None,
+) -> tuple[StagePlan, ...]:
+    """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
+
+    Parameters
+    ----------
+    codes
+        Digests of the stages' code; ``None``: of this process's.
+    """
+    stages = plan(session_facts(session), spec.config, codes or stage_codes(), chunk_frames)
+    return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
+
+
+def session_facts(session: CheckedSession) -> SessionFacts:
+    """Facts of a session that a plan depends on."""
+    preflight = session.preflight
+    return SessionFacts(
+        inputs=_inputs(session),
+        num_frames=preflight.timebase.num_frames,
+        frame_rate_hz=preflight.timebase.frame_rate_hz,
+        stretches=preflight.stretches,
+        camera_rates_hz={camera.name: camera.frame_rate_hz for camera in preflight.cameras},
+        has_videos=has_videos(session),
+    )
+
+
+def has_videos(session: CheckedSession) -> bool:
+    """Return whether the client sent videos; else keypoints."""
+    return not any(file.kind == "keypoints" for file in session.files)
+
+
+def task_of(claim: Claim) -> Task:
+    """Task of a claimed chunk."""
+    payload = claim.payload
+    return Task(
+        stage=claim.stage,
+        index=claim.index,
+        camera=payload["camera"],
+        frames=range(payload["start_frame"], payload["stop_frame"]),
+        chunk_frames=payload["chunk_frames"],
+        num_units=claim.unit_count,
+        key=claim.output_key,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunks:
+    """Tasks of a stage as chunks, derived one at a time."""
+
+    stage: PlannedStage
+
+    def __iter__(self) -> Iterator[ChunkPlan]:
+        for task in self.stage.tasks:
+            payload = {
+                "camera": task.camera,
+                "start_frame": task.frames.start,
+                "stop_frame": task.frames.stop,
+                "chunk_frames": task.chunk_frames,
+            }
+            yield ChunkPlan(task.index, payload, task.num_units, task.key)
+
+
+def _inputs(session: CheckedSession) -> tuple[str, ...]:
+    """Digests and names of the files, and what the client stated about them.
+
+    Names count: files and cameras find each other by name.
+    """
+    files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
+    if (units := session.preflight.units) != "m":
+        files.append(units)
+    if not has_videos(session):
+        return (*files, repr(session.preflight.timebase.frame_rate_hz))
+    recordings = sorted(json.dumps(asdict(one), sort_keys=True) for one in session.preflight.recordings)
+    return (*files, *recordings)

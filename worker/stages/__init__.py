@@ -1,1 +1,0 @@
-"""Stages of a job, as workers run them."""
