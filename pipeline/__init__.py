@@ -1,1 +1,1 @@
-"""The science of Multicap: from synchronised videos to animated skeletons. Imports nothing of the service."""
+"""Reconstruction pipeline: from videos of calibrated cameras to animated skeletons. Imports nothing of the service."""

@@ -1,7 +1,7 @@
-"""The records that pass between stages.
+"""Records that pass between stages: cameras, detections, tracks, motions and the reconstruction.
 
-All are frozen; their arrays are read-only by convention of the makers (``read_only``). NaN means unseen, and its score
-is 0. World coordinates are metres, right-handed, Z up; pixel (0, 0) is the centre of the first pixel.
+All records are frozen, and their arrays are read-only by convention (``read_only``). NaN marks a joint without a
+value; its score is 0. World coordinates are metres, right-handed, Z up. Pixel (0, 0) is the centre of the first pixel.
 """
 
 from collections.abc import Sequence
@@ -25,12 +25,12 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def no_frames() -> Int[np.ndarray, " 0"]:
-    """Frame numbers of no frame."""
+    """Return an empty, read-only array of frame numbers."""
     return read_only(np.empty(0, np.int64))
 
 
 class Source(IntEnum):
-    """How a joint of a frame is known."""
+    """Origin of a joint's position in a frame: absent, measured, interpolated or predicted."""
 
     ABSENT = 0
     MEASURED = 1
@@ -39,7 +39,7 @@ class Source(IntEnum):
 
     @property
     def letter(self) -> str:
-        """The letter of ``skeletons.json``."""
+        """Letter of the source in ``skeletons.json``: ``-``, ``m``, ``i`` or ``p``."""
         return "-mip"[self.value]
 
 
@@ -50,7 +50,7 @@ class Camera:
     Parameters
     ----------
     name
-        Unique in a session.
+        Name of the camera, unique in a session.
     size_px
         Width and height of the image, after the video's rotation is applied.
     matrix
@@ -60,7 +60,7 @@ class Camera:
     cam_from_world
         Extrinsics: ``x_in_cam = R x_in_world + t``.
     section
-        What a calibration file calls the camera beside its name, if it does; files may bear this name too.
+        Second name of the camera in a calibration file, which video files may bear too; empty if there is none.
     """
 
     name: str
@@ -73,14 +73,14 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTimes:
-    """Times of one camera's frames on the session's clock, ascending."""
+    """Times of one camera's frames on the session's clock, in seconds, ascending."""
 
     time_s: Float[np.ndarray, " frames"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """All 2D bodies that one camera saw, sorted by frame.
+    """2D bodies in the frames of one camera, sorted by frame.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Detections:
     frame
         The camera's frame number of each body, ascending.
     keypoints_px
-        Joints in full-image pixels (distorted, as seen), NaN where the detector found none.
+        Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint.
     score
         The detector's confidence in [0, 1], 0 where the joint is NaN.
     box_px
@@ -108,29 +108,31 @@ class Detections:
 
 @dataclass(frozen=True, slots=True)
 class MapGrid:
-    """Where the cells of a network's maps lie on an image: cell (0, 0) at ``offset_px``, then every ``pitch_px``.
+    """Positions of the cells of a network's maps on an image.
 
     Parameters
     ----------
-    offset_px, pitch_px
-        In x and y, pixels of the full image.
+    offset_px
+        Centre of cell (0, 0) in x and y, pixels of the full image.
+    pitch_px
+        Distance of neighbouring cells in x and y, pixels of the full image.
     """
 
     offset_px: tuple[float, float]
     pitch_px: tuple[float, float]
 
     def image_from_map(self, cells: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-        """Map places on the maps, in cells, to pixels."""
+        """Map positions in cells to pixels of the full image."""
         return cells * np.array(self.pitch_px) + np.array(self.offset_px)
 
     def map_from_image(self, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-        """Map pixels to places on the maps, in cells."""
+        """Map pixels of the full image to positions in cells."""
         return (points_px - np.array(self.offset_px)) / np.array(self.pitch_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PafFields:
-    """What a network with part affinity fields saw in some of a camera's frames, before anybody grouped it to bodies.
+    """Heatmap peaks and part affinity fields in frames of one camera, not yet grouped to bodies (Cao et al. 2017).
 
     Parameters
     ----------
@@ -139,19 +141,19 @@ class PafFields:
     frame
         The camera's frame numbers, ascending.
     peak_row, peak_joint
-        Of each peak of a heatmap: its row in ``frame``, ascending, and the joint.
+        Row of each peak in ``frame``, ascending, and its joint.
     peak_px
-        Where it is, in pixels of the full image (distorted, as seen).
+        Position of each peak in pixels of the full image (distorted, as seen).
     peak_score
-        The heatmap's value there, the detector's confidence.
+        Value of the heatmap at each peak: the detector's confidence.
     fields
-        A limb's unit vectors (x, y) where it lies, in the order of ``limbs``; bytes as of ``geometry.fields.quantise``.
+        Unit vectors (x, y) along each limb, in the order of ``limbs``; bytes made by ``geometry.fields.quantise``.
     limbs
-        Which two joints each field leads from and to, numbers on the joint axis.
+        First and second joint of each field's limb, as numbers on the joint axis.
     grid
-        Where the fields' cells lie on the image.
+        Positions of the fields' cells on the image.
     damaged
-        Numbers of the frames whose picture is damaged or missing, ascending; a missing one is not in ``frame``.
+        Numbers of the frames whose picture is damaged or missing, ascending; a missing frame is not in ``frame``.
     """
 
     camera: str
@@ -168,7 +170,7 @@ class PafFields:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses3D:
-    """People at some output frames, each instant by itself: nobody knows yet who is who.
+    """3D poses at some output frames, located frame by frame and not yet linked to tracks.
 
     Parameters
     ----------
@@ -177,11 +179,11 @@ class Poses3D:
     xyz_m
         World positions of the joints of a method's skeleton, NaN where a joint was not found.
     points_px
-        The 2D joints behind them in full-image pixels (distorted, as seen), NaN where a camera has none.
+        2D joints behind the positions in full-image pixels (distorted, as seen), NaN where a camera has no joint.
     score
-        The detector's confidence, 0 where there is none.
+        The detector's confidence, 0 where ``points_px`` is NaN.
     approximate
-        The output frames in which there was more to decide than exact methods can, ascending.
+        Output frames that exceeded a limit of the exact methods, ascending.
     """
 
     frame: Int[np.ndarray, " poses"]
@@ -198,19 +200,19 @@ class Track3D:
     Parameters
     ----------
     track_id
-        From 1, in order of first appearance.
+        Number from 1, in order of first appearance.
     start_frame
         Output frame of the first row. Includes the frames in which the track was tentative.
     xyz_m
-        World positions, NaN where absent.
+        World positions, NaN where a joint is absent.
     score
-        Mean confidence of the observations behind a joint, 0 where absent.
+        Mean confidence of the observations behind a joint, 0 where it is absent.
     source
-        ``Source`` values: how each joint is known.
+        ``Source`` value of each joint.
     error_px
-        Mean reprojection error of a joint over its observations in pixels of the full image, NaN where it has none.
+        Mean reprojection error of a joint in pixels of the full image, NaN where it has no observation.
     views
-        Number of cameras whose observations stand behind a joint.
+        Number of cameras with an observation of the joint.
     """
 
     track_id: int
@@ -229,16 +231,16 @@ class Track3D:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """The 2D observations that association gave to one track, on its output frames.
+    """2D observations that association gave to one track, on the track's output frames.
 
     Parameters
     ----------
     track_id
-        The track's.
+        Number of the track.
     points_px
-        Matched joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has none.
+        Joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has no observation.
     score
-        The detector's confidence, 0 where there is none.
+        The detector's confidence, 0 where ``points_px`` is NaN.
     """
 
     track_id: int
@@ -248,27 +250,27 @@ class Observations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timebase:
-    """The output frames: frame k is at ``start_time_s + k / frame_rate_hz`` on the session's clock."""
+    """Times of the output frames: frame k is at ``start_time_s + k / frame_rate_hz`` on the session's clock."""
 
     start_time_s: float
     frame_rate_hz: float
     num_frames: int
 
     def time_s(self, frame: int | float) -> float:
-        """When an output frame is; half-way between two of them at halves."""
+        """Time of an output frame in seconds; a fraction gives a time between two frames."""
         return self.start_time_s + frame / self.frame_rate_hz
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """The floor that feet stand on, as a plane: ``z_m + slope_x x + slope_y y`` is its height at x and y.
+    """Floor plane: its height at x and y is ``z_m + slope_x x + slope_y y``.
 
     Parameters
     ----------
     z_m
-        Height at the world's origin.
+        Height at the world's origin in metres.
     slope_x, slope_y
-        Rise a metre.
+        Rise in metres for each metre along X and Y.
     """
 
     z_m: float
@@ -277,7 +279,7 @@ class Floor:
 
     @property
     def tilt_deg(self) -> float:
-        """Angle to the horizontal."""
+        """Angle between the floor and the horizontal."""
         return float(np.degrees(np.arctan(np.hypot(self.slope_x, self.slope_y))))
 
     def height_m(self, xyz_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
@@ -287,20 +289,20 @@ class Floor:
 
 @dataclass(frozen=True, slots=True)
 class FootContact:
-    """A foot that stands on the floor for a while.
+    """Contact of a foot with the floor over consecutive frames.
 
     Parameters
     ----------
     side
-        Which foot.
+        Left or right foot.
     start_frame, num_frames
-        On the motion's frames.
+        First frame, counted from the start of the motion, and length.
     confidence
-        How sure it is, in [0, 1]: by height and speed of the ankle, and how long it lasts.
+        Confidence in [0, 1], from the ankle's height and speed and from the length of the contact.
     pinned
         Whether the foot is held in place.
     slide_before_m, slide_after_m
-        Mean horizontal distance of the ankle from its median place, without pinning and in the motion as it is.
+        Mean horizontal distance of the ankle from its median position, before and after pinning.
     """
 
     side: Side
@@ -313,7 +315,7 @@ class FootContact:
 
     @property
     def rows(self) -> slice:
-        """Its frames on the motion's."""
+        """Rows of the contact in the motion's arrays."""
         return slice(self.start_frame, self.start_frame + self.num_frames)
 
 
@@ -323,7 +325,7 @@ class People(NamedTuple):
     Parameters
     ----------
     tracks, observations
-        Everybody's, in the same order.
+        One each a person, in the same order.
     num_approximate_frames
         See ``Reconstruction``.
     """
@@ -335,7 +337,7 @@ class People(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonMotion:
-    """One person's animation: constant bones, a root path and a rotation a joint and frame.
+    """One person's skeleton animation: constant bone lengths, a root path and joint rotations.
 
     Joints are those of ``pipeline.skeleton.model``; a joint's position is its parent's position plus the parent's
     rotation applied to the joint's rest offset.
@@ -343,9 +345,9 @@ class SkeletonMotion:
     Parameters
     ----------
     track_id, name
-        Whose it is.
+        Number of the track and name of the person.
     start_frame, frame_rate_hz
-        When it begins on the session's output frames, and how fast these follow each other.
+        Output frame of the first row, and rate of the output frames.
     bone_length_m
         Length of the bone from a joint's parent to the joint; 0 for the root.
     root_m
@@ -353,7 +355,7 @@ class SkeletonMotion:
     parent_from_joint
         Quaternions (x, y, z, w); the root's parent is the world, Z up.
     contacts
-        When and where feet stand on the floor, by start.
+        Contacts of the feet with the floor, in order of their start.
     """
 
     track_id: int
@@ -368,16 +370,16 @@ class SkeletonMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """What smoothing or the fit makes of tracks.
+    """Smoothed or fitted tracks, their skeletons and the floor.
 
     Parameters
     ----------
     tracks
-        With final positions.
+        Tracks with final positions.
     motions
-        A skeleton each, in their order.
+        One skeleton motion a track, in the tracks' order.
     floor
-        ``None`` if no foot was ever seen.
+        Floor plane; ``None`` if no foot was ever seen.
     """
 
     tracks: tuple[Track3D, ...]
@@ -392,9 +394,9 @@ class DamagedVideo:
     Parameters
     ----------
     camera, file
-        Name of the camera, and of the video's file.
+        Name of the camera, and base name of the video file.
     num_damaged, num_frames
-        How many frames are damaged, of how many that are used.
+        Number of damaged frames, and of all frames that are used.
     first_s, last_s
         Times of the first and the last damaged frame since the start of the video.
     """
@@ -409,18 +411,22 @@ class DamagedVideo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """Everything that a reconstruction gives.
+    """Result of a reconstruction.
 
     Parameters
     ----------
+    cameras, joints, timebase
+        Cameras of the session, joints of the tracks, and times of the output frames.
     located
-        Tracks as association located the joints, before anything was smoothed or fit.
+        Tracks with joints as association located them, before smoothing and fit.
     observations
-        Behind them, in their order.
+        Observations behind the located tracks, in the same order.
     animation
-        Made of them, in their order.
+        Final tracks and skeletons, in the same order.
+    warnings
+        Sentences for the user.
     num_approximate_frames
-        Output frames in which people were not told apart exactly: there was more to decide than exact methods can.
+        Number of output frames that exceeded a limit of the exact methods of association.
     damaged
         Videos with damaged frames, in the cameras' order.
     """
@@ -437,10 +443,10 @@ class Reconstruction:
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:
-        """Everybody with final positions."""
+        """Tracks with final positions."""
         return self.animation.tracks
 
     @property
     def motions(self) -> tuple[SkeletonMotion, ...]:
-        """Everybody's skeleton."""
+        """Skeleton motions, in the tracks' order."""
         return self.animation.motions

@@ -1,4 +1,4 @@
-"""Errors with a message for people, and the problems that they list.
+"""Error classes of the pipeline, and the problems of the input that they list.
 
 ::
 
@@ -17,7 +17,7 @@ from typing import ClassVar
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Numbers of ``OSError`` that mean a full disk; the input is not at fault."""
-# Thousands of problems have one cause; the first ones show it.
+# Thousands of problems usually have a single cause, which the first problems show.
 _MAX_LISTED = 60
 _MAX_LISTED_ALIKE = 10
 _MAX_TEXT = 1000
@@ -25,18 +25,19 @@ _MAX_TEXT = 1000
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong with the input, and what to do about it.
+    """One problem of the input, and how to correct it.
 
     Parameters
     ----------
     code
-        Stable and documented, such as ``video_truncated``.
+        Stable, documented code, such as ``video_truncated``.
     message
-        One sentence for a person. Names a file by its base name, never by its path.
+        Sentence for the user. Names a file by its base name, never by its path.
     file, camera, field
-        Where it is: a file's base name, a camera's name, a field such as ``matrix``; ``None`` where it does not apply.
+        Location of the problem: a file's base name, a camera's name, a field such as ``matrix``; ``None`` where it
+        does not apply.
     hint
-        What to do.
+        Advice for the user; ``None`` if there is none.
     """
 
     code: str
@@ -80,7 +81,7 @@ def printable(text: str) -> str:
     'a\N{REPLACEMENT CHARACTER}b'
     """
     cut = text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
-    return "".join("\ufffd" if unicodedata.category(one).startswith("C") else one for one in cut)
+    return "".join("\ufffd" if unicodedata.category(letter).startswith("C") else letter for letter in cut)
 
 
 def _printable_problem(problem: Problem) -> Problem:
@@ -89,7 +90,7 @@ def _printable_problem(problem: Problem) -> Problem:
 
 
 class PipelineError(Exception):
-    """Base of the errors that have a message for people and a stable code."""
+    """Base of the errors that carry a message for users and a stable code."""
 
     code: ClassVar[str] = "pipeline_error"
 
@@ -104,7 +105,7 @@ class InputError(PipelineError):
         super().__init__("\n".join(str(problem) for problem in listed(self.problems)))
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[Sequence[Problem]]]:
-        """Problems as the argument to make an equal error of: detection processes raise it, too."""
+        """Pickle the error by its problems: detection processes raise it, too."""
         return type(self), (self.problems,)
 
 

@@ -1,18 +1,18 @@
-"""The joints that detectors find, by name, and the bones between them."""
+"""Joint sets of detectors: joint names in the detector's order, and the bones between them."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class JointSet:
-    """Names of joints in a detector's order, and the pairs that belong together.
+    """Joints of a detector and the bones between them.
 
     Parameters
     ----------
     names
-        One a joint, in the order of the arrays' joint axis.
+        Names of the joints, in the order of the arrays' joint axis.
     bones
-        Pairs of names, for drawing and for bone lengths.
+        Pairs of joint names, for drawing and for bone lengths.
     """
 
     names: tuple[str, ...]
@@ -23,7 +23,7 @@ class JointSet:
         return self.names.index(name)
 
     def indices(self, names: tuple[str, ...]) -> list[int]:
-        """Positions of several joints."""
+        """Positions of joints on the joint axis; ``ValueError`` if the set lacks a joint."""
         return [self.names.index(name) for name in names]
 
 
@@ -78,7 +78,7 @@ _OPENPOSE_FEET = tuple(
     )
 )
 
-# OpenPose's two models, in the order of its output.
+# Joints of OpenPose's models BODY_25 and COCO, in the order of its output.
 BODY_25 = JointSet(
     names=(
         "nose",
@@ -133,7 +133,7 @@ COCO_18 = JointSet(
     bones=_OPENPOSE_BONES,
 )
 
-# Rigid enough to have one length a person: shoulders, arms, hips and legs.
+# Bones whose length is constant for a person: upper arms, forearms, thighs and shins.
 LIMBS: tuple[tuple[str, str], ...] = (
     ("left_shoulder", "left_elbow"),
     ("right_shoulder", "right_elbow"),

@@ -1,4 +1,4 @@
-"""Change a method's parameters by name."""
+"""Change of a method's parameters by name, with a check of each value."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -12,13 +12,20 @@ _Parameters = TypeVar("_Parameters", bound=Any)
 
 
 def change_parameters(parameters: _Parameters, changes: Mapping[str, float]) -> _Parameters:
-    """Set some fields of a record of parameters; 0 and 1 say no and yes where a field is a choice.
+    """Set fields of a dataclass of parameters.
+
+    Parameters
+    ----------
+    parameters
+        Dataclass instance with fields of type float, int or bool.
+    changes
+        New values by field name; 0 or 1 for a bool.
 
     Raises
     ------
     InputError
-        With every name that is none, and every value that a parameter can't have: all are positive numbers, but for
-        weights, which may be 0.
+        If a name is unknown or a value is not allowed; lists all of them. Values are positive numbers; fields whose
+        name begins with ``weight`` may be 0.
     """
     known = {field.name: type(getattr(parameters, field.name)) for field in fields(parameters)}
     problems = []
@@ -26,8 +33,8 @@ def change_parameters(parameters: _Parameters, changes: Mapping[str, float]) -> 
         if name not in known:
             hint = f"Known are {', '.join(known)}."
             problems.append(Problem("unknown_parameter", f"The method has no parameter {name!r}.", hint=hint))
-        elif wrong := _what_is_wrong(name, known[name], value):
-            problems.append(Problem("parameter_range", f"{name} must be {wrong}, not {value:g}.", field=name))
+        elif rule := _violated_rule(name, known[name], value):
+            problems.append(Problem("parameter_range", f"{name} must be {rule}, not {value:g}.", field=name))
     if problems:
         raise InputError(problems)
     values: dict[str, Any] = {name: known[name](value) for name, value in changes.items()}
@@ -35,7 +42,8 @@ def change_parameters(parameters: _Parameters, changes: Mapping[str, float]) -> 
     return changed
 
 
-def _what_is_wrong(name: str, kind: type, value: float) -> str | None:
+def _violated_rule(name: str, kind: type, value: float) -> str | None:
+    """Describe the values that a parameter may have, if this value is none of them; else return ``None``."""
     if kind is bool:
         return None if value in {0, 1} else "0 or 1"
     if not np.isfinite(value) or value < 0 or (value == 0 and not name.startswith("weight")):

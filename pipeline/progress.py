@@ -1,4 +1,4 @@
-"""Progress of a reconstruction."""
+"""Progress of a reconstruction: steps of a stage, and callbacks for shares of a piece of work."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ def silent(_: Progress) -> None:
 
 
 OnShare = Callable[[float], None]
-"""Takes the share of a piece of work that is done, from 0 to 1, ascending."""
+"""Callback that takes the completed share of a piece of work, from 0 to 1, ascending."""
 
 
 def ignore(_: float) -> None:
@@ -41,15 +41,25 @@ def ignore(_: float) -> None:
 
 
 def part_of(on_share: OnShare, start: float, stop: float) -> OnShare:
-    """Report the shares of a part of the work, which goes from one share of the whole to another."""
+    """Make the callback of a part of the work.
+
+    Parameters
+    ----------
+    on_share
+        Callback of the whole work.
+    start, stop
+        Shares of the whole work at the start and at the end of the part.
+    """
     return lambda share: on_share(start * (1.0 - share) + stop * share)
 
 
 def split(on_share: OnShare, weights: Sequence[int]) -> list[OnShare]:
-    """Split work into parts that follow each other, and return how each part reports its own share.
+    """Split work into consecutive parts, and return the callback of each part.
 
     Parameters
     ----------
+    on_share
+        Callback of the whole work.
     weights
         Amount of work in each part.
     """
@@ -59,7 +69,7 @@ def split(on_share: OnShare, weights: Sequence[int]) -> list[OnShare]:
 
 
 def in_units(total: int, on_unit: Callable[[], None]) -> OnShare:
-    """Report shares as so many units: one call for each unit that is done."""
+    """Make a callback that calls ``on_unit`` once for each of ``total`` units of work that is completed."""
     done = 0
 
     def on_share(share: float) -> None:

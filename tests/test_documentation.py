@@ -106,3 +106,16 @@ def option_names(command: Any) -> set[str]:
     """Options of a command and of its subcommands."""
     inner = set().union(*(option_names(one) for one in getattr(command, "commands", {}).values()))
     return inner | {name for parameter in command.params for name in parameter.opts}
+
+
+def test_every_folder_of_code_has_a_row() -> None:
+    page = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
+    folders = {
+        path.parent.relative_to(ROOT).as_posix()
+        for package in ("api", "multicap", "pipeline", "worker")
+        for path in (ROOT / package).rglob("*.py")
+        if path.parent.name != "versions"
+    }
+    rows = set(re.findall(r"^\| `([a-z_/]+)` \|", page, re.MULTILINE))
+    assert folders <= rows
+    assert {row for row in rows if not (ROOT / row).is_dir()} == set()

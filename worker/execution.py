@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.preflight_npz import decode_keypoints, decode_session
 from pipeline.config import ReconstructionConfig
 from pipeline.errors import InputError, ModelError, Problem
 from pipeline.runtime.warm_up import warm_up as compile_kernels
 from pipeline.stages.association import Session as OpenedSession
 from pipeline.stages.output import Output
 from pipeline.stages.plan import SessionFacts
-from pipeline.stages.records_npz import decode_keypoints, decode_session
 from pipeline.stages.run import Context, load_detector, run_task
 from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound

@@ -1,1 +1,1 @@
-"""Readers of calibration files, one module a format, one registry."""
+"""Readers of calibration files: one module a format, and a registry that chooses the reader."""

@@ -1,4 +1,4 @@
-"""Calibration in JSON: our own format, and the one of published benchmark conversions (``K, R, t, dist``)."""
+"""Calibration in JSON: Multicap's own format, and that of benchmark conversions (``K``, ``R``, ``t``, ``dist``)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,30 +15,30 @@ _SHORT = frozenset({"name", "width", "height", "K", "R", "t", "dist"})
 
 
 def read(content: bytes, file: str) -> tuple[Camera, ...]:
-    """Read a JSON file; ``InputError`` with everything that is wrong."""
+    """Read the cameras of a JSON file; ``InputError`` lists all its problems."""
     try:
         document = read_json(content)
     except UnreadableError as error:
         raise InputError(
             [Problem("calibration_unreadable", "The file is not valid JSON.", file=file, hint="Export it again.")]
         ) from error
-    found = document.get("cameras") if isinstance(document, dict) else None
-    if not isinstance(found, list) or not all(isinstance(camera, dict) for camera in found):
+    listed = document.get("cameras") if isinstance(document, dict) else None
+    if not isinstance(listed, list) or not all(isinstance(camera, dict) for camera in listed):
         raise InputError(
-            [Problem("calibration_unreadable", "There is no list of cameras.", file=file, field="cameras")]
+            [Problem("calibration_unreadable", "The file has no list of cameras.", file=file, field="cameras")]
         )
-    # One more than there may be shows that there are too many.
-    found = found[: MAX_CAMERAS + 1]
-    short = bool(found) and all("K" in camera for camera in found)
+    # One camera above the limit suffices to report that there are too many.
+    listed = listed[: MAX_CAMERAS + 1]
+    short = bool(listed) and all("K" in camera for camera in listed)
     problems = unknown_fields(document, frozenset({"cameras", "convention" if short else "schema_version"}), file, None)
     if not short and document.get("schema_version") != SCHEMA_VERSION:
         problems.append(
             Problem("unknown_version", f"schema_version must be {SCHEMA_VERSION}.", file=file, field="schema_version")
         )
     known, raw = (_SHORT, _raw_short) if short else (_OWN, _raw_own)
-    for camera in found:
+    for camera in listed:
         problems.extend(unknown_fields(camera, known, file, str(camera.get("name"))))
-    return build_cameras([raw(camera) for camera in found], file, problems)
+    return build_cameras([raw(camera) for camera in listed], file, problems)
 
 
 def _raw_own(camera: Mapping[str, Any]) -> RawCamera:

@@ -1,7 +1,7 @@
 """Qualisys QCA calibration (XML).
 
-Intrinsics are in 1/64 pixel, lengths in millimetres. The transform holds the camera's orientation with y up and z
-backwards, ``x_cv = diag(1, -1, -1) R (x - c)``, and the camera's centre c.
+Intrinsics are in 1/64 pixel, lengths in millimetres. The transform holds the camera's centre c and its orientation R
+with y up and z backwards: ``x_cv = diag(1, -1, -1) R (x - c)``.
 """
 
 import math
@@ -18,13 +18,13 @@ from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
 
 _SUBPIXELS = 64.0
-# Of every number, whatever it is: what is computed from them here does not overflow.
+# Range of every number in the file, so that the arithmetic of this module does not overflow.
 _NUMBER = Quantity(-1e9, 1e9, "")
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 
 
 def read(content: bytes, file: str) -> tuple[Camera, ...]:
-    """Read a QCA file; ``InputError`` with everything that is wrong."""
+    """Read the cameras of a QCA file; ``InputError`` lists all its problems."""
     try:
         root = parse(fromstring, content)
     except UnreadableError as error:
@@ -32,7 +32,7 @@ def read(content: bytes, file: str) -> tuple[Camera, ...]:
             [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
         ) from error
     problems: list[Problem] = []
-    # One more than there may be shows that there are too many.
+    # One camera above the limit suffices to report that there are too many.
     elements = islice(root.iterfind("./cameras/camera"), MAX_CAMERAS + 1)
     raw = [_raw(element, file, problems) for element in elements]
     return build_cameras(raw, file, problems)
@@ -48,11 +48,11 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
             message = f"The attribute {attribute} of {tag} must be {_NUMBER}."
         except ValueError:
             value = math.nan
-            message = f"The attribute {attribute} of {tag} is missing or no number."
+            message = f"The attribute {attribute} of {tag} is missing or not a number."
         if _NUMBER.holds(value):
             return value
         problems.append(Problem("invalid_number", message, file=file, camera=name, field=attribute))
-        # Finite, so that one missing number is said once.
+        # A finite number, so that a missing number is reported only once.
         return 0.0
 
     def intrinsic(attribute: str) -> float:
@@ -60,7 +60,9 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
 
     if element.get("model") not in {None, "none"} or not math.isclose(intrinsic("skew"), 0.0):
         problems.append(
-            Problem("unsupported_lens", "Only the standard lens model without skew is read.", file=file, camera=name)
+            Problem(
+                "unsupported_lens", "Only the standard lens model without skew is supported.", file=file, camera=name
+            )
         )
     rotation = np.array([[number("transform", f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)])
     center_m = np.array([number("transform", axis) for axis in "xyz"]) / 1000.0
@@ -81,7 +83,7 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
             for attribute in (
                 "radialDistortion1",
                 "radialDistortion2",
-                # Spelled so in the format.
+                # The misspelling is part of the format.
                 "tangentalDistortion1",
                 "tangentalDistortion2",
                 "radialDistortion3",

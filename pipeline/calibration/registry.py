@@ -1,4 +1,4 @@
-"""Which reader reads a calibration file."""
+"""Choose the reader of a calibration file, and read it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -14,7 +14,7 @@ Units = Literal["m", "cm", "mm"]
 
 UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
-# 128 cameras take some 200 kB in the wordiest format.
+# 128 cameras take about 200 kB in the most verbose format.
 MAX_BYTES = 4 * 2**20
 
 _BY_ENDING: Mapping[str, Callable[[bytes, str], tuple[Camera, ...]]] = {
@@ -26,13 +26,13 @@ _BY_ENDING: Mapping[str, Callable[[bytes, str], tuple[Camera, ...]]] = {
 
 
 def _reader(name: str, content: bytes) -> Callable[[bytes, str], tuple[Camera, ...]] | None:
-    """The reader that fits the ending, or else the first character (Qualisys ends its XML in .txt)."""
+    """Choose the reader by the file's ending, or by its first character (Qualisys names XML files ``.txt``)."""
     head = content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
     return _BY_ENDING.get(Path(name).suffix.lower()) or {b"<": qca.read, b"{": json_formats.read}.get(head)
 
 
-def _says_its_unit(reader: Callable[[bytes, str], tuple[Camera, ...]], content: bytes) -> bool:
-    """Whether a format leaves no doubt of what lengths are in: Qualisys' millimetres, our own ``translation_m``."""
+def _has_known_unit(reader: Callable[[bytes, str], tuple[Camera, ...]], content: bytes) -> bool:
+    """Return whether the format determines the unit: millimetres of Qualisys, metres of ``translation_m``."""
     return reader is qca.read or (reader is json_formats.read and b'"translation_m"' in content)
 
 
@@ -42,17 +42,21 @@ def _scaled(camera: Camera, unit_m: float) -> Camera:
 
 
 def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
-    """Read cameras from a file in any of the formats that Multicap knows.
+    """Read cameras from a file in any supported format.
 
     Parameters
     ----------
     units
-        What lengths are in, where the format does not say so.
+        Unit of the lengths in the file, for formats that don't determine it.
+
+    Returns
+    -------
+        Cameras in the order of the file, with lengths in metres.
 
     Raises
     ------
     InputError
-        With everything that is wrong with the file.
+        With all problems of the file.
     """
     file = path.name
 
@@ -61,13 +65,13 @@ def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
 
     try:
         if not path.is_file():
-            raise refuse("calibration_missing", "There is no such calibration file.")
+            raise refuse("calibration_missing", "The calibration file does not exist.")
         num_bytes = path.stat().st_size
         if num_bytes > MAX_BYTES:
             raise refuse(
                 "calibration_too_large",
-                f"The file has {num_bytes / 2**20:.0f} MiB; a calibration has at most {MAX_BYTES // 2**20}.",
-                "Is it another file?",
+                f"The file has {num_bytes / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} MiB are allowed.",
+                "Check that it is the calibration file.",
             )
         content = path.read_bytes()
     except OSError as error:
@@ -76,14 +80,14 @@ def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
     if reader is None:
         raise refuse(
             "calibration_format",
-            "This is no calibration format that Multicap knows.",
+            "The format of the calibration file is not supported.",
             "Use Qualisys QCA (XML), Caliscope/anipose TOML, or JSON.",
         )
     cameras = reader(content, file)
     if units == "m":
         return cameras
-    if _says_its_unit(reader, content):
+    if _has_known_unit(reader, content):
         raise refuse(
-            "calibration_units", f"This format says what lengths are in; it is not {units}.", "Leave units away."
+            "calibration_units", f"The format determines the unit of lengths; it is not {units}.", "Omit the units."
         )
     return tuple(_scaled(camera, UNITS_M[units]) for camera in cameras)

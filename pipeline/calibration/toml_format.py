@@ -14,12 +14,12 @@ from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
-# Sections that hold no camera.
+# Sections that are not cameras.
 _IGNORED = frozenset({"metadata"})
 
 
 def read(content: bytes, file: str) -> tuple[Camera, ...]:
-    """Read a TOML file; ``InputError`` with everything that is wrong."""
+    """Read the cameras of a TOML file; ``InputError`` lists all its problems."""
     try:
         sections = parse(_loads, content)
     except UnreadableError as error:
@@ -27,7 +27,7 @@ def read(content: bytes, file: str) -> tuple[Camera, ...]:
         raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
     problems: list[Problem] = []
     cameras = ((name, section) for name, section in sections.items() if name not in _IGNORED)
-    # One more than there may be shows that there are too many.
+    # One camera above the limit suffices to report that there are too many.
     raw = [_raw(name, section, file, problems) for name, section in islice(cameras, MAX_CAMERAS + 1)]
     return build_cameras(raw, file, problems)
 
@@ -58,7 +58,7 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
     except UnreadableError:
         message = f"The rotation must be a Rodrigues vector: 3 numbers from {ROTATION_VECTOR_RAD}."
         problems.append(Problem("invalid_rotation", message, file=file, camera=str(name), field="rotation"))
-        rotation = np.eye(3)  # so that the mistake is said once
+        rotation = np.eye(3)  # so that the problem is reported only once
     return RawCamera(
         name=name,
         size_px=section.get("size"),
@@ -71,7 +71,7 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
 
 
 def _rotation_matrix(rodrigues: Any) -> np.ndarray | None:
-    """The matrix of a Rodrigues vector, ``None`` without one; raises ``UnreadableError`` for all else."""
+    """Matrix of a Rodrigues vector, ``None`` if it is missing; raises ``UnreadableError`` for other values."""
     if rodrigues is None:
         return None
     vector = read_numbers(rodrigues)

@@ -1,4 +1,4 @@
-"""From numbers in a file to cameras: everything that can be wrong with them, said at once."""
+"""Check the numbers of a calibration file and build cameras; all problems are reported at once."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -23,13 +23,27 @@ from pipeline.geometry.rigid import Rigid3
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12)
-# Files carry 5-7 digits; a real rotation is far closer than this, a mistake far off.
+# Files have 5 to 7 digits: a correct rotation is far within this tolerance, a mistake far outside.
 _ROTATION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class RawCamera:
-    """A camera as a file has it: unchecked values under the names that our messages use."""
+    """Unchecked values of a camera in a file.
+
+    Parameters
+    ----------
+    name, section
+        Name of the camera, and name of its section in the file.
+    size_px
+        Width and height of the picture.
+    matrix
+        Camera matrix K, 3 x 3.
+    distortion
+        OpenCV's coefficients.
+    rotation, translation_m
+        Transform from world to camera.
+    """
 
     name: Any
     size_px: Any
@@ -41,7 +55,7 @@ class RawCamera:
 
 
 def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
-    """The value as a finite array of one of the shapes, or what is wrong with it."""
+    """Convert a value to a finite array of one of the shapes; return the end of a message if that fails."""
     if value is None:
         return "is missing."
     wanted = " or ".join(" x ".join(str(n) for n in shape) for shape in shapes)
@@ -50,9 +64,9 @@ def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
     except UnreadableError:
         return f"is not a list of {wanted} numbers."
     if not array.shape:
-        return f"is one number where {wanted} numbers are needed."
+        return f"is one number instead of {wanted} numbers."
     if array.shape not in shapes:
-        return f"has {' x '.join(str(n) for n in array.shape)} numbers where {wanted} are needed."
+        return f"has {' x '.join(str(n) for n in array.shape)} numbers instead of {wanted}."
     if not np.isfinite(array).all():
         return "has a number that is not finite."
     return array
@@ -60,7 +74,7 @@ def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
 
 def _matrix_problem(matrix: np.ndarray) -> str | None:
     if not np.allclose(matrix[2], [0.0, 0.0, 1.0], atol=1e-9) or matrix[1, 0] != 0:
-        return "is no camera matrix: it must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]."
+        return "is not a camera matrix: it must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]."
     if not FOCAL_LENGTH_PX.holds(matrix.diagonal()[:2]):
         return f"has a focal length that is not {FOCAL_LENGTH_PX}."
     if not PRINCIPAL_POINT_PX.holds(matrix[:2, 2]):
@@ -79,8 +93,8 @@ def _size_problem(size_px: np.ndarray) -> str | None:
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray | str:
-    """The rotation nearest to a matrix that is nearly one, or what is wrong with it."""
-    # Large numbers first: their products would overflow.
+    """Find the rotation nearest to a 3 x 3 matrix; return the end of a message if the matrix is not a rotation."""
+    # Large numbers are refused first: their products would overflow.
     if np.abs(matrix).max() > 1 + _ROTATION_TOLERANCE or (
         np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROTATION_TOLERANCE
     ):
@@ -93,7 +107,7 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray | str:
 
 def _name_problem(name: Any) -> str | None:
     if not isinstance(name, str) or not name.strip():
-        return "is missing or no text."
+        return "is missing or not a text."
     if len(name) > _MAX_NAME_LENGTH or not name.isprintable() or "/" in name or "\\" in name:
         return f"must be at most {_MAX_NAME_LENGTH} printable characters without slashes."
     return None
@@ -102,23 +116,30 @@ def _name_problem(name: Any) -> str | None:
 def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem] = ()) -> tuple[Camera, ...]:
     """Check all cameras of a file and build them.
 
+    Parameters
+    ----------
+    file
+        Name of the file, for problems.
+    earlier
+        Problems that the reader found.
+
     Raises
     ------
     InputError
-        With all problems of all cameras, ``earlier`` ones first.
+        With all problems of all cameras, ``earlier`` problems first.
     """
     problems = list(earlier)
     if not raw:
-        problems.append(Problem("calibration_empty", "There is no camera in the calibration.", file=file))
+        problems.append(Problem("calibration_empty", "The calibration has no camera.", file=file))
     if len(raw) > MAX_CAMERAS:
-        problems.append(Problem("too_many_cameras", f"More than {MAX_CAMERAS} cameras.", file=file))
+        problems.append(Problem("too_many_cameras", f"The calibration has more than {MAX_CAMERAS} cameras.", file=file))
     cameras: list[Camera] = []
-    for position, one in enumerate(raw[:MAX_CAMERAS]):
-        camera, found = _build(one, position, file)
-        problems.extend(found)
+    for position, raw_camera in enumerate(raw[:MAX_CAMERAS]):
+        camera, camera_problems = _build(raw_camera, position, file)
+        problems.extend(camera_problems)
         if camera is not None:
             cameras.append(camera)
-    names = Counter(one.name for one in raw if isinstance(one.name, str))
+    names = Counter(raw_camera.name for raw_camera in raw if isinstance(raw_camera.name, str))
     problems.extend(
         Problem("duplicate_camera", "Two cameras have this name.", file=file, camera=name, hint="Rename one.")
         for name in sorted(name for name, count in names.items() if count > 1)
@@ -128,10 +149,10 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
     return tuple(cameras)
 
 
-def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
+def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
     problems: list[Problem] = []
-    fault = _name_problem(one.name)
-    label = f"number {position + 1}" if fault else str(one.name)
+    fault = _name_problem(raw_camera.name)
+    label = f"number {position + 1}" if fault else str(raw_camera.name)
 
     def complain(field: str, message: str) -> None:
         problems.append(Problem(f"invalid_{field}", f"The {field} {message}", file=file, camera=label, field=field))
@@ -140,11 +161,11 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
         complain("name", fault)
     values: dict[str, np.ndarray] = {}
     for field, value, shapes in (
-        ("size", one.size_px, [(2,)]),
-        ("matrix", one.matrix, [(3, 3)]),
-        ("distortion", one.distortion, [(n,) for n in _DISTORTION_LENGTHS]),
-        ("rotation", one.rotation, [(3, 3)]),
-        ("translation", one.translation_m, [(3,)]),
+        ("size", raw_camera.size_px, [(2,)]),
+        ("matrix", raw_camera.matrix, [(3, 3)]),
+        ("distortion", raw_camera.distortion, [(n,) for n in _DISTORTION_LENGTHS]),
+        ("rotation", raw_camera.rotation, [(3, 3)]),
+        ("translation", raw_camera.translation_m, [(3,)]),
     ):
         checked = _numbers(value, shapes)
         if isinstance(checked, str):
@@ -168,28 +189,28 @@ def _build(one: RawCamera, position: int, file: str) -> tuple[Camera | None, lis
         return None, problems
     return (
         Camera(
-            name=one.name,
+            name=raw_camera.name,
             size_px=(int(values["size"][0]), int(values["size"][1])),
             matrix=read_only(values["matrix"]),
             distortion=read_only(values["distortion"]),
             cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
-            section=one.section,
+            section=raw_camera.section,
         ),
         [],
     )
 
 
-def unknown_fields(found: Any, known: frozenset[str], file: str, camera: str | None) -> list[Problem]:
-    """One problem a field that the format does not have."""
+def unknown_fields(fields: Any, known: frozenset[str], file: str, camera: str | None) -> list[Problem]:
+    """Report each field that the format does not have."""
     return [
         Problem(
             "unknown_field",
-            f"There is no field '{str(field)[:40]}' in this format.",
+            f"The format has no field '{str(field)[:40]}'.",
             file=file,
             camera=camera,
             field=str(field)[:40],
             hint="Remove it, or correct its name.",
         )
-        for field in found
+        for field in fields
         if field not in known
     ]

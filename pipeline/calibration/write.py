@@ -1,4 +1,4 @@
-"""Write cameras in our own JSON format; ``registry.read_calibration`` reads it back."""
+"""Write cameras in Multicap's own JSON format, which ``registry.read_calibration`` reads."""
 
 import json
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from pipeline.data import Camera
 
 
 def encode(cameras: Sequence[Camera]) -> bytes:
-    """Encode cameras; equal cameras give equal bytes, and every digit of a number is kept."""
+    """Encode cameras with every digit of their numbers; equal cameras give equal bytes."""
     document = {
         "schema_version": SCHEMA_VERSION,
         "cameras": [

@@ -1,4 +1,4 @@
-"""Unpack a stranger's archives of keypoint files, a zip a camera, within limits."""
+"""Unpack untrusted zip archives of keypoint files, one a camera, within limits."""
 
 import io
 import stat
@@ -10,9 +10,9 @@ from typing import TypeVar
 
 from pipeline.errors import DISK_FULL, InputError, Problem
 
-_BROKEN = "This is no zip archive, or it is broken or encrypted."
+_BROKEN = "The file is not a zip archive, or it is damaged or encrypted."
 _MAX_ENTRIES = 500_000
-# Of that many files with names of the usual length.
+# Size of the directory of so many files with names of the usual length.
 _MAX_DIRECTORY_BYTES = 96 * 2**20
 _MAX_FILE_BYTES = 4 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30
@@ -21,21 +21,22 @@ _Found = TypeVar("_Found")
 
 
 def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
-    """Unpack each archive into a folder of its name, as ``keypoints.open_keypoints`` takes them.
+    """Unpack each archive into a folder of the same name, for ``keypoints.open_keypoints``.
 
-    The files of an archive lie at its top, or in one folder; only their names count, and what is no JSON is left out.
+    The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON files are unpacked.
 
     Parameters
     ----------
     archives
-        ``<camera>.zip`` each.
+        Archives named ``<camera>.zip``.
     folder
-        Empty.
+        Empty folder to unpack into.
 
     Raises
     ------
     InputError
-        With all archives that are none, hold too much, hold links or one name twice, or are encrypted or broken.
+        With the problems of all archives that are damaged, encrypted or too large, or that contain links or a name
+        twice.
     """
     problems: list[Problem] = []
     # The directories of all archives first: reading them is cheap, unpacking is not.
@@ -50,11 +51,11 @@ def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
 
 
 class _RefusedError(Exception):
-    """Why an archive is not taken, in words for a person."""
+    """The archive is refused; the text is the message of its problem."""
 
 
 class _BoundedReader(io.BufferedReader):
-    """A file that refuses to read an archive's directory at once where that is too large."""
+    """Reader that refuses to read a too large directory of an archive at once."""
 
     def read(self, size: int | None = -1) -> bytes:
         """Read some bytes."""
@@ -64,57 +65,59 @@ class _BoundedReader(io.BufferedReader):
 
 
 def _attempt(archive: Path, step: Callable[[], _Found], problems: list[Problem]) -> _Found | None:
-    """Take a step with an archive; what is wrong with the archive is added to the problems."""
+    """Run a step with an archive; add its problem if that fails, and return ``None``."""
     try:
         return step()
     except _RefusedError as refused:
         message = str(refused)
     except OSError as error:
         if error.errno in DISK_FULL:
-            raise  # the archive is not to blame
+            raise  # not a problem of the archive
         message = _BROKEN
     except MemoryError:
         raise
-    # zipfile passes on whatever the decompressors and Python raise of a damaged archive.
+    # zipfile passes on all kinds of exceptions of the decompressors for a damaged archive.
     except Exception:
         message = _BROKEN
-    hint = "Send a zip archive a camera, with the JSON files of its frames."
+    hint = "Send one zip archive for each camera, with the JSON files of its frames."
     problems.append(Problem("keypoints_archive", message, file=archive.name, hint=hint))
     return None
 
 
 def _list_files(archive: Path, folder: Path) -> Sequence[zipfile.ZipInfo]:
-    """List the JSON files of an archive by its directory, and make the folder that they go to."""
+    """List the JSON files in the directory of an archive, check them, and make the target folder."""
     target = folder / archive.stem
     if archive.suffix.lower() != ".zip" or target.exists():
-        raise _RefusedError("The archive of a camera is named as the camera, with .zip behind.")
+        raise _RefusedError("The archive must have the name of its camera with the ending .zip.")
     target.mkdir()
     with _BoundedReader(io.FileIO(archive)) as file, zipfile.ZipFile(file) as entries:
-        found = [one for one in entries.infolist() if not one.is_dir() and one.filename.lower().endswith(".json")]
-    if len(found) > _MAX_ENTRIES:
-        raise _RefusedError(f"The archive holds {len(found)} files; at most {_MAX_ENTRIES} are taken.")
-    if len({str(PurePosixPath(one.filename).parent) for one in found}) > 1:
-        raise _RefusedError("The archive holds files of several folders; it must be of one camera.")
+        files = [
+            entry for entry in entries.infolist() if not entry.is_dir() and entry.filename.lower().endswith(".json")
+        ]
+    if len(files) > _MAX_ENTRIES:
+        raise _RefusedError(f"The archive has {len(files)} files; at most {_MAX_ENTRIES} are allowed.")
+    if len({str(PurePosixPath(entry.filename).parent) for entry in files}) > 1:
+        raise _RefusedError("The archive has files in several folders; it must contain the files of one camera.")
     names = set()
-    for entry in found:
+    for entry in files:
         name = _name_of(entry)
         if stat.S_ISLNK(entry.external_attr >> 16):
             raise _RefusedError(f"{name} is a link.")
         if name in names:
-            raise _RefusedError(f"The archive holds {name} twice.")
+            raise _RefusedError(f"The archive contains {name} twice.")
         if entry.file_size > _MAX_FILE_BYTES:
             raise _too_large(name)
         names.add(name)
-    return found
+    return files
 
 
 def _name_of(entry: zipfile.ZipInfo) -> str:
-    """Name of a file, never a path: what stands before the last slash is dropped."""
+    """Name of an entry without its folders."""
     return PurePosixPath(entry.filename.replace("\\", "/")).name
 
 
 def _unpack(archive: Path, files: Sequence[zipfile.ZipInfo], target: Path, left_bytes: int) -> int:
-    """Unpack the files of one archive and return how many bytes came out."""
+    """Unpack the files of an archive; return the number of bytes written."""
     total_bytes = 0
     with zipfile.ZipFile(archive) as entries:
         for entry in files:
@@ -124,7 +127,7 @@ def _unpack(archive: Path, files: Sequence[zipfile.ZipInfo], target: Path, left_
 
 
 def _copy(entries: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path, max_bytes: int) -> int:
-    """Write an entry to disk; what its header says of its size is not believed."""
+    """Write an entry to disk; the size in its header is not trusted."""
     with entries.open(entry) as source:
         content = source.read(max_bytes + 1)
     if len(content) > max_bytes:
@@ -134,4 +137,4 @@ def _copy(entries: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path, max_byte
 
 
 def _too_large(name: str) -> _RefusedError:
-    return _RefusedError(f"{name} is too large, or the archives are, once unpacked.")
+    return _RefusedError(f"{name} is too large, or all archives together are too large when unpacked.")

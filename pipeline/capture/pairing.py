@@ -1,4 +1,4 @@
-"""Which video, or which folder of keypoints, belongs to which camera."""
+"""Pair cameras with videos, or with folders of keypoints."""
 
 from collections.abc import Sequence
 
@@ -9,32 +9,32 @@ from pipeline.errors import Problem
 def pair_by_name(
     cameras: Sequence[Camera], names: Sequence[str], thing: str
 ) -> tuple[dict[str, str], list[Problem], list[str]]:
-    """Pair cameras and things by exact name, all of them, or in sorted order, all of them; never half by half.
+    """Pair cameras and inputs, either all by exact name or all in sorted order.
 
     Parameters
     ----------
     cameras
-        A thing may bear the name of a camera, or that of its section in the calibration.
+        Cameras. An input may have the name of a camera, or of the camera's section in the calibration.
     names
-        Those of the things, without endings.
+        Names of the inputs without endings.
     thing
-        What they are, such as ``video``; part of the problems' codes.
+        Kind of input, such as ``video``; part of the problem codes.
 
     Returns
     -------
     pairs
-        Name of the thing of each camera, by the camera's name.
+        Name of the input of each camera, by camera name.
     problems
-        Cameras and things that are left over, and things of which two are one camera's.
+        Cameras without input, inputs without camera, and second inputs of a camera.
     warnings
-        The pairs, where they were paired in sorted order.
+        List of the pairs, if they were paired in sorted order.
     """
     known = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
     called = [camera.name for camera in cameras]
     if not known.keys() & set(names) and len(called) == len(names):
         pairs = dict(zip(sorted(called), sorted(names), strict=True))
         shown = ", ".join(f"{camera}: {name}" for camera, name in pairs.items())
-        return pairs, [], [f"No {thing} bears the name of a camera. They were paired in sorted order: {shown}."]
+        return pairs, [], [f"No {thing} has the name of a camera. They were paired in sorted order: {shown}."]
     pairs = {}
     problems: list[Problem] = []
     for name in sorted(set(names)):
@@ -43,7 +43,7 @@ def pair_by_name(
             problems.append(
                 Problem(
                     f"{thing}_without_camera",
-                    f"No camera in the calibration has the name of this {thing}.",
+                    f"The calibration has no camera with the name of this {thing}.",
                     file=name,
                     hint=f"The calibration's cameras are {', '.join(sorted(called))}.",
                 )
@@ -52,7 +52,7 @@ def pair_by_name(
             problems.append(
                 Problem(
                     f"{thing}_doubled",
-                    f"This {thing} and {pairs[camera]} are of one camera.",
+                    f"This {thing} and {pairs[camera]} belong to the same camera.",
                     file=name,
                     camera=camera,
                     hint="Remove one of them.",
@@ -63,7 +63,7 @@ def pair_by_name(
     problems = [
         Problem(
             f"camera_without_{thing}",
-            f"The calibration has this camera, but no {thing} bears its name.",
+            f"The calibration has this camera, but no {thing} has its name.",
             camera=camera,
             hint=f"Add its {thing}, or remove it from the calibration.",
         )

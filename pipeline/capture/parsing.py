@@ -1,4 +1,4 @@
-"""Parse untrusted text and numbers: any content gives a value or ``UnreadableError``."""
+"""Parse untrusted text and numbers: the result is a value or ``UnreadableError``, for any content."""
 
 import json
 import re
@@ -21,9 +21,9 @@ class UnreadableError(ValueError):
 
 
 def parse(parser: Callable[[_Content], _Parsed], content: _Content) -> _Parsed:
-    """Parse with a library; any exception that the content causes becomes ``UnreadableError``.
+    """Call a library's parser; any exception caused by the content becomes ``UnreadableError``.
 
-    Libraries raise more than their documentation says: an XML file with an unknown encoding is a ``LookupError``, a
+    Libraries raise undocumented exceptions: an XML file with an unknown encoding is a ``LookupError``, a
     long integer in TOML a bare ``ValueError``, deep nesting a ``RecursionError``.
     """
     try:
@@ -35,13 +35,13 @@ def parse(parser: Callable[[_Content], _Parsed], content: _Content) -> _Parsed:
 
 
 def read_json(content: bytes) -> Any:
-    """Parse JSON; an integer of more than 300 digits is read as infinity, as ``1e400`` is."""
+    """Parse JSON; an integer of more than 300 digits becomes infinity, like ``1e400``."""
     return parse(_loads, content)
 
 
 def _loads(content: bytes) -> Any:
     text = content.decode(json.detect_encoding(content), "surrogatepass")
-    # A call for each integer takes most of the time of a file of many.
+    # Calling a Python function for each integer would take most of the time of a large file.
     return json.loads(text, parse_int=_integer if _LONG_INTEGER.search(text) else None)
 
 
@@ -50,9 +50,9 @@ def _integer(digits: str) -> int | float:
 
 
 def read_numbers(value: Any) -> np.ndarray:
-    """Convert nested lists of numbers to an array of floats; raises ``UnreadableError`` for anything else.
+    """Convert nested lists of numbers to an array of floats; raises ``UnreadableError`` for other values.
 
-    Text and booleans are refused, though NumPy would convert them. ``None`` becomes NaN.
+    Text and booleans are refused, although NumPy would convert them. ``None`` becomes NaN.
     """
     array = parse(_floats, value)
     kinds = set(map(type, np.array(value, dtype=object).ravel().tolist()))

@@ -1,10 +1,10 @@
-"""Check a session in a process of its own.
+"""Check a session in a child process.
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
-[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: what the session is, or
-``{"problems": [...]}`` with exit code 2. So a caller that must not load the science, or must not be hurt by a
-stranger's file, can still know all about a session. ``--record FILE`` keeps what was found, so that nobody has to look
-through the files again.
+[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: the session's report, or
+``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the numeric libraries, and
+without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the files need not be
+examined again.
 """
 
 import argparse
@@ -20,11 +20,11 @@ from pathlib import Path
 from pipeline.calibration.registry import UNITS_M
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
-from pipeline.stages.records_npz import encode_keypoints, encode_session
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import measured_rate_hz
 
 EXIT_BAD_INPUT = 2
 EXIT_DISK_FULL = 4
@@ -56,16 +56,16 @@ def report(
 
 
 def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
-    """Mean rate of a camera; the session's for keypoints at the session's rate, or with too few frames to tell."""
+    """Measured rate of a camera; for keypoints the session's rate, if it is equal or the camera has too few frames."""
     time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
-    camera_hz = mean_rate_hz(time_s)
+    camera_hz = measured_rate_hz(time_s)
     if isinstance(session, CaptureSession):
         return camera_hz
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
-    recordings = [Recording(**one) for one in json.loads(arguments.recordings)]
+    recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
     return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
         session
@@ -94,12 +94,12 @@ def _write_record(path: Path, record: bytes, content: str) -> None:
         # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
         if error.errno != errno.EFBIG:
             raise
-        message = f"The session's {content} take more room than the service keeps."
-        raise InputError([Problem("session_too_large", message, hint="Cut it into several sessions.")]) from None
+        message = f"The {content} of the session are larger than the service stores."
+        raise InputError([Problem("session_too_large", message, hint="Cut the session into several.")]) from None
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the check, by default as the command line says, and return the exit code."""
+    """Run the check with the command line's arguments, or with ``words``; return the exit code."""
     parser = argparse.ArgumentParser(description="Check a capture session.")
     views = parser.add_mutually_exclusive_group(required=True)
     views.add_argument("--videos", nargs="+", type=Path)
@@ -107,28 +107,30 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--calibration", type=Path, required=True)
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
-    parser.add_argument("--recordings", default="[]", help="JSON: what is known of cameras' videos.")
-    parser.add_argument("--units", choices=UNITS_M, default="m", help="Of the calibration.")
-    parser.add_argument("--max-joints", type=int, default=MAX_JOINTS, help="Of all people in all keypoint files.")
+    parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
+    parser.add_argument("--units", choices=UNITS_M, default="m", help="Unit of lengths in the calibration.")
+    parser.add_argument(
+        "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
+    )
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args(words)
     try:
         preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
         if arguments.record:
             _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
-        found = preflight.to_json()
+        answer = preflight.to_json()
     except InputError as error:
-        found = {"problems": [asdict(problem) for problem in listed(error.problems)]}
+        answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
     except MemoryError:
-        message = "The check of the files takes more memory than the service allows for it."
+        message = "The check of the files needs more memory than the service allows."
         problem = Problem("session_too_large", message, hint="Cut the session into several, or lower its resolution.")
-        found = {"problems": [asdict(problem)]}
+        answer = {"problems": [asdict(problem)]}
     except OSError as error:
         if error.errno not in DISK_FULL:
             raise
         return EXIT_DISK_FULL
-    sys.stdout.write(json.dumps(found, allow_nan=False) + "\n")
-    return EXIT_BAD_INPUT if "problems" in found else 0
+    sys.stdout.write(json.dumps(answer, allow_nan=False) + "\n")
+    return EXIT_BAD_INPUT if "problems" in answer else 0
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
-"""Plausible ranges of the quantities in input files, far beyond anything real.
+"""Allowed ranges of the quantities in input files, far wider than real values.
 
-Within these ranges no product or square of the geometry overflows. A number outside is a mistake in the file; the
-readers refuse it.
+Within these ranges no product or square in the geometry overflows. The readers refuse numbers outside.
 """
 
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A range of values, limits included, with a unit.
+    """Range of values with a unit; the limits are allowed.
 
     >>> str(Quantity(1, 20_000, "pixels"))
     '1 to 20,000 pixels'
@@ -22,12 +21,12 @@ class Quantity:
     unit: str
 
     def holds(self, values: float | np.ndarray, tolerance: float = 0.0) -> bool:
-        """Whether all values are in the range; NaN is not.
+        """Return whether all values are in the range; NaN is not.
 
         Parameters
         ----------
         tolerance
-            Share by which a value may lie beyond a limit; for values that are computed, and so rounded.
+            Share of a limit by which values may exceed it, for computed values, which are rounded.
 
         Examples
         --------
@@ -48,18 +47,18 @@ SIDE_PX = Quantity(1, 20_000, "pixels")
 FOCAL_LENGTH_PX = Quantity(1, 1e6, "pixels")
 PRINCIPAL_POINT_PX = Quantity(-1e5, 1e5, "pixels")
 SKEW_PX = Quantity(-1e5, 1e5, "pixels")
-# Coefficients grow as the lens's angle shrinks: at r = 0.05 from the middle (telephoto) a k3 of 600,000 is real.
+# Coefficients grow as the angle of view shrinks: a telephoto lens, with r = 0.05 at the edge, may have a k3 of 600,000.
 DISTORTION = Quantity(-1e9, 1e9, "")
 ROTATION_VECTOR_RAD = Quantity(-100, 100, "radians")
-# In the file's unit: 10 km, if that is millimetres.
+# In the unit of the file: 10 km for millimetres.
 TRANSLATION = Quantity(-1e7, 1e7, "")
 KEYPOINT_PX = Quantity(-1e6, 1e6, "pixels")
 FRAME_RATE_HZ = Quantity(1, 1000, "Hz")
-# Of rates that are computed from times, which files round.
+# Tolerance of rates that are computed from times, which files round.
 FRAME_RATE_TOLERANCE = 1e-3
-# Of a keypoint frame, in a file of timestamps. A larger number is a date, not a time since the capture started.
+# Time of a keypoint frame in a file of timestamps. A larger number is a date, not a time since the start.
 TIME_S = Quantity(0, 1e6, "s")
-# Of a video's first frame, on the clock that all cameras share.
+# Time of a video's first frame, on the clock that all cameras share.
 OFFSET_S = Quantity(-86_400, 86_400, "s")
-# Of a session, from its first frame to its last.
+# Duration of a session, from its first frame to its last.
 DURATION_S = Quantity(0, 43_200, "s")

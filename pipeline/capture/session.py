@@ -1,4 +1,4 @@
-"""Open a capture session: videos and a calibration that fit each other, or everything that is wrong with them."""
+"""Open a capture session of videos and a calibration; all problems are reported at once."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,8 +13,8 @@ from pipeline.capture.pairing import pair_by_name
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
+from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import mean_rate_hz
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
 
@@ -25,18 +25,18 @@ _VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaptureSession:
-    """Calibrated cameras and their videos, in the calibration's order.
+    """Calibrated cameras and their videos.
 
     Parameters
     ----------
     cameras, videos
-        One a view, in the same order.
+        One of each for a view, in the order of the calibration.
     times
-        When each camera took its frames, on the session's clock; by camera name.
+        Frame times of each camera on the session's clock, by camera name.
     warnings
-        What a person should know, a sentence each.
+        Sentences for the user.
     frames
-        Those of the output frames that are wanted; ``None``: all.
+        Range of the output frames to reconstruct; ``None``: all.
     """
 
     cameras: tuple[Camera, ...]
@@ -47,30 +47,32 @@ class CaptureSession:
 
     @property
     def timebase(self) -> Timebase:
-        """The output frames that are wanted, numbered from 0."""
+        """Output frames to reconstruct, numbered from 0."""
         whole = session_timebase(self.times)
         return whole if self.frames is None else cut_timebase(whole, self.frames)
 
     @property
     def stretches(self) -> tuple[range, ...]:
-        """Stretches of all output frames in which a camera took frames; see ``recorded_stretches``."""
-        return recorded_stretches(session_timebase(self.times), (one.time_s for one in self.times.values()))
+        """Ranges of all output frames without long pauses; see ``recorded_stretches``."""
+        return recorded_stretches(
+            session_timebase(self.times), (camera_times.time_s for camera_times in self.times.values())
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a person knows of a camera's video that neither it nor the calibration says.
+    """Facts about a camera's video that neither the video nor the calibration contains.
 
     Parameters
     ----------
     camera
         Name of the camera, or of its section in the calibration.
     file
-        Name of the video; ``None``: the one that bears the camera's name.
+        Name of the video file; ``None``: the video with the camera's name.
     offset_s
-        When its first frame was taken, on the clock that all cameras share.
+        Time of the first frame, on the clock that all cameras share.
     frame_rate_hz
-        Of its frames, if their own times are wrong; ``None``: as the video says.
+        Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
     """
 
     camera: str
@@ -82,18 +84,18 @@ class Recording:
 def open_session(
     videos: Path | Sequence[Path], calibration: Path, recordings: Sequence[Recording] = (), units: Units = "m"
 ) -> CaptureSession:
-    """Open a folder of videos, or the videos named, with a calibration.
+    """Open a folder of videos, or a list of videos, with a calibration.
 
-    Videos count as synchronised at their first frames unless ``recordings`` says else. A video belongs to the camera of
-    its name, for all videos or for none; else videos and cameras are paired in sorted order, with a warning that shows
-    the pairs.
+    Videos are synchronised at their first frames, unless ``recordings`` gives offsets. A video belongs to the camera of
+    the same name. If no video has the name of a camera, videos and cameras are paired in sorted order, and a warning
+    lists the pairs.
 
     Parameters
     ----------
     recordings
-        What is known of some cameras' videos, at most one a camera.
+        Facts about the videos of some cameras, at most one recording a camera.
     units
-        As of ``read_calibration``.
+        See ``read_calibration``.
 
     Raises
     ------
@@ -108,28 +110,30 @@ def open_session(
         problems.extend(error.problems)
 
     probed = probe_in_children(paths)
-    problems.extend(found for found in probed if isinstance(found, Problem))
+    problems.extend(result for result in probed if isinstance(result, Problem))
     problems += _range_problems(recordings)
-    known, unknown = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
-    problems += unknown
-    called = {one.file: camera for camera, one in known.items() if one.file is not None}
-    names = [called.get(path.name, path.stem) for path in paths]
+    recording_of_camera, recording_problems = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
+    problems += recording_problems
+    camera_of_file = {
+        recording.file: camera for camera, recording in recording_of_camera.items() if recording.file is not None
+    }
+    names = [camera_of_file.get(path.name, path.stem) for path in paths]
     problems += [
         Problem(
             "video_doubled",
-            f"This video bears the name of {name}, whose video is said to be {known[name].file}.",
+            f"This video has the name of the camera {name}, but {recording_of_camera[name].file} is assigned to it.",
             file=path.name,
             camera=name,
-            hint="Say whose video it is, or leave it away.",
+            hint="Assign this video to its camera, or omit it.",
         )
         for path, name in zip(paths, names, strict=True)
-        if not unknown and path.name not in called and name in called.values()
+        if not recording_problems and path.name not in camera_of_file and name in camera_of_file.values()
     ]
-    infos = {name: found for name, found in zip(names, probed, strict=True) if isinstance(found, VideoInfo)}
-    if cameras and not unknown:
-        pairs, unpaired, shown = pair_by_name(cameras, names, "video")
+    infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
+    if cameras and not recording_problems:
+        pairs, unpaired, pairing_warnings = pair_by_name(cameras, names, "video")
         problems += unpaired
-        warnings += shown
+        warnings += pairing_warnings
         for camera in cameras:
             video = infos.get(pairs.get(camera.name, ""))
             if video is not None and video.size_px != camera.size_px:
@@ -137,7 +141,7 @@ def open_session(
     if problems:
         raise InputError(problems)
     paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
-    times = {name: _times(video, known.get(name)) for name, video in paired.items()}
+    times = {name: _times(video, recording_of_camera.get(name)) for name, video in paired.items()}
     if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
         raise InputError(problems)
     warnings += [_repeated_times(video) for video in paired.values() if video.num_repeated]
@@ -145,15 +149,29 @@ def open_session(
 
 
 def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
-    """Offsets and frame rates that no camera has."""
+    """Report stated offsets and frame rates that are out of range."""
     stated = [
-        ("offset_range", "offset_s", OFFSET_S, one.camera, one.offset_s, "Count from the start of the capture.")
-        for one in recordings
+        (
+            "offset_range",
+            "offset_s",
+            OFFSET_S,
+            recording.camera,
+            recording.offset_s,
+            "Count from the start of the capture.",
+        )
+        for recording in recordings
     ]
     stated += [
-        ("frame_rate", "rate", FRAME_RATE_HZ, one.camera, one.frame_rate_hz, "State frames a second.")
-        for one in recordings
-        if one.frame_rate_hz is not None
+        (
+            "frame_rate",
+            "rate",
+            FRAME_RATE_HZ,
+            recording.camera,
+            recording.frame_rate_hz,
+            "State the rate in frames a second.",
+        )
+        for recording in recordings
+        if recording.frame_rate_hz is not None
     ]
     return [
         Problem(code, f"{value:g} is not within {allowed}.", camera=camera, field=field, hint=hint)
@@ -165,27 +183,29 @@ def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
 def _known_recordings(
     recordings: Sequence[Recording], cameras: Sequence[Camera], paths: Sequence[Path]
 ) -> tuple[dict[str, Recording], list[Problem]]:
-    """By cameras' names; and those that are of no camera, of no file, or of one that another is of."""
+    """Sort recordings by camera; report unknown cameras and files, and cameras and files that occur twice."""
     names = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
     files = {path.name for path in paths}
     known: dict[str, Recording] = {}
     problems = []
-    for one in recordings:
-        camera = names.get(one.camera)
+    for recording in recordings:
+        camera = names.get(recording.camera)
         hint = f"The calibration's cameras are {', '.join(sorted(names.values()))}."
         if camera is None:
-            message = "No camera in the calibration has this name."
-            problems.append(Problem("recording_camera_unknown", message, camera=one.camera, hint=hint))
+            message = "The calibration has no camera of this name."
+            problems.append(Problem("recording_camera_unknown", message, camera=recording.camera, hint=hint))
         elif camera in known:
-            problems.append(Problem("recording_doubled", "More than one thing is said of this camera.", camera=camera))
-        elif one.file is not None and one.file not in files:
-            message = "No video has this name."
-            problems.append(Problem("recording_file_unknown", message, file=one.file, camera=camera))
-        elif one.file is not None and one.file in {other.file for other in known.values()}:
-            message = "This video is said to be another camera's, too."
-            problems.append(Problem("recording_file_doubled", message, file=one.file, camera=camera))
+            problems.append(
+                Problem("recording_doubled", "There is more than one recording for this camera.", camera=camera)
+            )
+        elif recording.file is not None and recording.file not in files:
+            message = "There is no video of this name."
+            problems.append(Problem("recording_file_unknown", message, file=recording.file, camera=camera))
+        elif recording.file is not None and recording.file in {other.file for other in known.values()}:
+            message = "The video is already assigned to another camera."
+            problems.append(Problem("recording_file_doubled", message, file=recording.file, camera=camera))
         else:
-            known[camera] = one
+            known[camera] = recording
     return known, problems
 
 
@@ -193,21 +213,21 @@ def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
     if recording is None:
         return FrameTimes(video.time_s)
     rate_hz = recording.frame_rate_hz
-    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / rate_hz
+    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / float(without_rounding(rate_hz))
     return FrameTimes(recording.offset_s + own_s)
 
 
 def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
-    """Cameras whose frames come faster or slower than any camera's."""
-    rates_hz = {name: mean_rate_hz(one.time_s) for name, one in times.items()}
+    """Report cameras with a measured frame rate out of range."""
+    rates_hz = {name: measured_rate_hz(camera_times.time_s) for name, camera_times in times.items()}
     return [
         Problem(
             "frame_rate",
-            f"By its times the video has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are taken.",
+            f"By its timestamps the video has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are allowed.",
             file=videos[name].path.name,
             camera=name,
             field="rate",
-            hint="If the video's times are wrong, say its frame rate; or export it again.",
+            hint="If the timestamps are wrong, state the frame rate of the video, or export it again.",
         )
         for name, rate_hz in rates_hz.items()
         if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE)
@@ -215,34 +235,34 @@ def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoIn
 
 
 def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
-    start_s = min(float(one.time_s[0]) for one in times.values())
-    rate_hz = max(mean_rate_hz(one.time_s) for one in times.values())
+    start_s = min(float(camera_times.time_s[0]) for camera_times in times.values())
+    rate_hz = max(measured_rate_hz(camera_times.time_s) for camera_times in times.values())
     source = TimeSource(
         files={name: video.path.name for name, video in videos.items()},
         start_field="offset_s",
         rate_field="rate",
         start_hint="Check the offsets: seconds at which the first frames were taken.",
-        rate_hint="If the video's times are wrong, state its frame rate; else cut the session into several.",
+        rate_hint="If the timestamps of the video are wrong, state its frame rate. Or cut the session into several.",
     )
     return clock_problems(times, start_s, rate_hz, source)
 
 
 def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], list[Problem]]:
-    """The video files, with warnings of what is ignored and problems of what is missing or doubled."""
+    """List the video files; warn of ignored files, and report missing videos and equal names."""
     warnings: list[str] = []
     problems: list[Problem] = []
     if isinstance(videos, Path) and videos.is_dir():
         files = sorted(path for path in videos.iterdir() if path.is_file() and not path.name.startswith("."))
         paths = [path for path in files if path.suffix.lower() in _VIDEO_ENDINGS]
-        warnings.extend(f"{path.name} is ignored: it is no video." for path in files if path not in paths)
+        warnings.extend(f"{path.name} is ignored: it is not a video." for path in files if path not in paths)
     else:
         paths = [videos] if isinstance(videos, Path) else list(videos)
     if len(paths) < MIN_CAMERAS:
         problems.append(
             Problem(
                 "too_few_videos",
-                f"There {'is one video' if paths else 'are no videos'}; at least {MIN_CAMERAS} are needed.",
-                hint="Give one video of each camera.",
+                f"There {'is one video' if paths else 'are no videos'}; at least {MIN_CAMERAS} are required.",
+                hint="Provide one video of each camera.",
             )
         )
     for stem, count in sorted(Counter(path.stem for path in paths).items()):
@@ -255,7 +275,7 @@ def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], 
 
 def _repeated_times(video: VideoInfo) -> str:
     frames = "1 frame is" if video.num_repeated == 1 else f"{video.num_repeated} frames are"
-    return f"{video.path.name}: {frames} left out, for another frame has the same time."
+    return f"{video.path.name}: {frames} left out, because another frame has the same timestamp."
 
 
 def _size_problem(camera: Camera, video: VideoInfo) -> Problem:

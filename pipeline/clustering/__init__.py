@@ -1,1 +1,1 @@
-"""3D hypothesis clustering (Chen et al., Computational Visual Media 2020): people from joints, bottom up."""
+"""Association method ``clustering``: 3D hypothesis clustering (Chen et al., Computational Visual Media 2020)."""

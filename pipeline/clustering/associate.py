@@ -1,7 +1,7 @@
-"""From what cameras saw to tracks: bone lengths first, then every instant by itself, then links in time.
+"""Hypothesis clustering of a session: bone lengths, then people at every instant, then tracks.
 
-The three steps are those of a service's workers: ``first_lengths`` and ``link_people`` see the whole session,
-``find_people`` any range of frames, whose cut changes nothing.
+The three steps are stages of the service: ``first_lengths`` and ``link_people`` take the whole session; ``find_people``
+takes any range of frames, and its results do not depend on the cut into ranges.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths, unlimited_lengths
-from pipeline.clustering.instant.candidates import Instant, Seen, SeenBodies
+from pipeline.clustering.instant.candidates import BodyEvidence, Instant, ViewEvidence
 from pipeline.clustering.instant.clusters import find_joints
 from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.parsing import Poses, parse
@@ -32,33 +32,33 @@ def find_poses(
     parameters: ClusteringParameters,
     effort: Effort,
 ) -> Poses:
-    """Find everybody at one instant (sections 3.2 to 3.4)."""
-    found = find_joints(image_from_world, *instant, skeleton, lengths, parameters, effort)
-    return parse(found, instant.evidence, skeleton, lengths, parameters)
+    """Find the poses of all people at one instant (sections 3.2 to 3.4)."""
+    joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, effort)
+    return parse(joints, instant.evidence, skeleton, lengths, parameters)
 
 
 def sampled_frames(timebase: Timebase, parameters: ClusteringParameters) -> range:
-    """Output frames from which bone lengths are taken: all over the session, so that who comes later has theirs."""
+    """Output frames from which bone lengths are measured: spread over the session, to include people who come late."""
     return range(0, timebase.num_frames, max(1, round(timebase.frame_rate_hz / parameters.length_rate_hz)))
 
 
 def find_people(
     cameras: Sequence[Camera],
-    seen: Seen,
+    evidence: ViewEvidence,
     frames: Iterable[int],
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Poses3D:
-    """Find everybody in some output frames.
+    """Find the poses of all people in some output frames.
 
     Parameters
     ----------
-    seen
-        What shows these frames.
+    evidence
+        Evidence of the cameras for these frames.
     lengths
-        Of everybody's bones; ``unknown_lengths`` for the first pass.
+        Bone lengths of the people; ``unknown_lengths`` for the first pass.
     on_frame
         Called after each frame.
     """
@@ -70,14 +70,14 @@ def find_people(
     points_px, score = [np.empty((0, *shape, 2))], [np.empty((0, *shape))]
     approximate: list[int] = []
     for frame in frames:
-        instant, effort = seen.at(frame), Effort()
+        instant, effort = evidence.at(frame), Effort()
         if len(instant.candidates.joint):
             poses = find_poses(projections, instant, skeleton, lengths, parameters, effort)
             if not effort.is_exact:
                 approximate.append(frame)
             number.append(np.full(len(poses.xyz_m), frame))
             xyz_m.append(poses.xyz_m)
-            # The entry behind the last candidate stands for no candidate.
+            # NOWHERE is -1: it selects the entry appended for joints without a candidate.
             points_px.append(np.append(instant.candidates.seen_px, [[np.nan, np.nan]], axis=0)[poses.candidate])
             score.append(np.append(instant.candidates.score, 0.0)[poses.candidate])
         on_frame()
@@ -92,25 +92,27 @@ def find_people(
 
 def first_lengths(
     cameras: Sequence[Camera],
-    seen: Iterable[tuple[Seen, Iterable[int]]],
+    chunks: Iterable[tuple[ViewEvidence, Iterable[int]]],
     timebase: Timebase,
     skeleton: Skeleton,
     parameters: ClusteringParameters,
     on_frame: Callable[[], None] = lambda: None,
 ) -> LimbLengths:
-    """Everybody's bone lengths, from a first pass without any (section 3.6).
+    """Measure the people's bone lengths in a first pass without known lengths (section 3.6).
 
     Parameters
     ----------
-    seen
-        Ranges in order of time: what shows them, and the output frames of ``sampled_frames`` in them.
+    chunks
+        Evidence of each range of output frames, and the frames of ``sampled_frames`` in the range; in order of time.
     on_frame
         Called after each frame.
     """
     unknown = unknown_lengths(skeleton)
-    first = [find_people(cameras, one, frames, skeleton, unknown, parameters, on_frame) for one, frames in seen]
-    poses = join_poses(first)
-    return measure_lengths([poses.xyz_m[life] for life in _lives(poses, timebase, skeleton, parameters)], skeleton)
+    poses = join_poses(
+        find_people(cameras, evidence, frames, skeleton, unknown, parameters, on_frame) for evidence, frames in chunks
+    )
+    linked = _linked_rows(poses, timebase, skeleton, parameters)
+    return measure_lengths([poses.xyz_m[rows] for rows in linked], skeleton)
 
 
 def link_people(
@@ -121,28 +123,28 @@ def link_people(
     parameters: ClusteringParameters,
     on_share: OnShare = ignore,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Link everybody's poses in time (section 3.5).
+    """Link poses in time to tracks (section 3.5).
 
     Parameters
     ----------
     poses
-        Of all ranges; see ``join_poses``.
+        Poses of all ranges; see ``join_poses``.
     joints
-        What the joint axis of the tracks shall hold: the detector's.
+        Joints of the tracks: the detector's joint set.
     on_share
-        Called after every instant, and after every track.
+        Called with the completed share after every instant and after every track.
 
     Returns
     -------
         Tracks on the output frames, in order of first appearance, and the observations behind them.
     """
     skeleton = skeleton_of(joints)
-    on_lives, on_people = split(on_share, (1, 1))
-    lives = _lives(poses, timebase, skeleton, parameters, on_lives)
-    parts = split(on_people, [len(life) for life in lives])
+    on_links, on_people = split(on_share, (1, 1))
+    linked = _linked_rows(poses, timebase, skeleton, parameters, on_links)
+    parts = split(on_people, [len(rows) for rows in linked])
     people = []
-    for life, on_person in zip(lives, parts, strict=True):
-        people.append(_person(cameras, timebase, skeleton, joints, poses, life))
+    for rows, on_person in zip(linked, parts, strict=True):
+        people.append(_person(cameras, timebase, skeleton, joints, poses, rows))
         on_person(1.0)
     on_share(1.0)
     return number_people([person for person in people if person is not None])
@@ -156,12 +158,12 @@ def reconstruct_by_clustering(
     joints: JointSet,
     parameters: ClusteringParameters,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Reconstruct everybody from whole bodies that a detector found: all three steps.
+    """Reconstruct tracks from the bodies that a detector found: all three steps.
 
     Parameters
     ----------
     joints
-        What the joint axis of the detections holds.
+        Joints of the detections.
 
     Returns
     -------
@@ -170,30 +172,30 @@ def reconstruct_by_clustering(
     Raises
     ------
     ValueError
-        If the detector lacks a joint of the paper's skeleton, beside the neck.
+        If the detector lacks a joint of the paper's skeleton other than the neck.
     """
-    seen = SeenBodies(cameras, times, detections, timebase, skeleton_of(joints), parameters)
-    return reconstruct_seen(cameras, lambda _: seen, [range(timebase.num_frames)], timebase, joints, parameters)
+    evidence = BodyEvidence(cameras, times, detections, timebase, skeleton_of(joints), parameters)
+    return reconstruct_evidence(cameras, lambda _: evidence, [range(timebase.num_frames)], timebase, joints, parameters)
 
 
-def reconstruct_seen(
+def reconstruct_evidence(
     cameras: Sequence[Camera],
-    seen_in: Callable[[range], Seen],
+    evidence_in: Callable[[range], ViewEvidence],
     ranges: Sequence[range],
     timebase: Timebase,
     joints: JointSet,
     parameters: ClusteringParameters,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Reconstruct everybody, range by range of output frames: all three steps.
+    """Reconstruct tracks, range by range of output frames: all three steps.
 
     Parameters
     ----------
-    seen_in
-        What shows a range; asked twice for each.
+    evidence_in
+        Function that gives the evidence of a range; called twice for each range.
     ranges
-        All output frames, in order.
+        Ranges that cover all output frames, in order.
     joints
-        What the joint axis of the detector holds.
+        The detector's joint set.
 
     Returns
     -------
@@ -201,38 +203,38 @@ def reconstruct_seen(
     """
     skeleton = skeleton_of(joints)
     sampled = sampled_frames(timebase, parameters)
-    seen = ((seen_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
-    lengths = first_lengths(cameras, seen, timebase, skeleton, parameters)
-    poses = [find_people(cameras, seen_in(frames), frames, skeleton, lengths, parameters) for frames in ranges]
+    chunks = ((evidence_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
+    lengths = first_lengths(cameras, chunks, timebase, skeleton, parameters)
+    poses = [find_people(cameras, evidence_in(frames), frames, skeleton, lengths, parameters) for frames in ranges]
     return link_people(cameras, join_poses(poses), timebase, joints, parameters)
 
 
 def join_poses(chunks: Iterable[Poses3D]) -> Poses3D:
-    """Poses of consecutive ranges, one at least, as one record."""
+    """Concatenate the poses of consecutive ranges; at least one range."""
     joined = list(chunks)
     return Poses3D(
-        np.concatenate([one.frame for one in joined]),
-        np.concatenate([one.xyz_m for one in joined]),
-        np.concatenate([one.points_px for one in joined]),
-        np.concatenate([one.score for one in joined]),
-        np.concatenate([one.approximate for one in joined]),
+        np.concatenate([poses.frame for poses in joined]),
+        np.concatenate([poses.xyz_m for poses in joined]),
+        np.concatenate([poses.points_px for poses in joined]),
+        np.concatenate([poses.score for poses in joined]),
+        np.concatenate([poses.approximate for poses in joined]),
     )
 
 
-def _lives(
+def _linked_rows(
     poses: Poses3D,
     timebase: Timebase,
     skeleton: Skeleton,
     parameters: ClusteringParameters,
     on_share: OnShare = ignore,
 ) -> list[np.ndarray]:
-    """Each person's poses, as rows in order of time."""
+    """Rows of each person's poses, in order of time."""
     frames = np.unique(poses.frame)
     rows = np.split(np.arange(len(poses.frame)), np.searchsorted(poses.frame, frames[1:]))
     torso_m = poses.xyz_m[:, skeleton.indices(TORSO)]
     instants_s = timebase.start_time_s + frames / timebase.frame_rate_hz
-    linked = link([torso_m[mine] for mine in rows[: len(frames)]], instants_s, parameters, on_share)
-    return [np.array([rows[instant][number] for instant, number in track.members]) for track in linked]
+    tracks = link([torso_m[of_frame] for of_frame in rows[: len(frames)]], instants_s, parameters, on_share)
+    return [np.array([rows[instant][number] for instant, number in track.members]) for track in tracks]
 
 
 def _person(
@@ -241,17 +243,17 @@ def _person(
     skeleton: Skeleton,
     joints: JointSet,
     poses: Poses3D,
-    life: np.ndarray,
+    linked: np.ndarray,
 ) -> Person | None:
-    """One track's record, in the detector's joints."""
-    start = int(poses.frame[life[0]])
-    rows = poses.frame[life] - start
+    """Make a person's track in the detector's joints from the rows of the linked poses."""
+    start = int(poses.frame[linked[0]])
+    rows = poses.frame[linked] - start
     shape = (int(rows[-1]) + 1, len(cameras), len(joints.names))
     xyz_m = np.full((shape[0], shape[2], 3), np.nan)
     seen_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
     for j, source in enumerate(skeleton.sources):
         if source >= 0:
-            xyz_m[rows, source] = poses.xyz_m[life, j]
-            seen_px[rows, :, source] = poses.points_px[life, j]
-            score[rows, :, source] = poses.score[life, j]
+            xyz_m[rows, source] = poses.xyz_m[linked, j]
+            seen_px[rows, :, source] = poses.points_px[linked, j]
+            score[rows, :, source] = poses.score[linked, j]
     return record_life(cameras, timebase, start, xyz_m, seen_px, score, 0.0)

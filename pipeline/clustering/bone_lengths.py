@@ -1,4 +1,4 @@
-"""Everybody's bone lengths, from poses that were found without them (section 3.6)."""
+"""Bone lengths of all people, measured from poses of a first pass without lengths (section 3.6)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,15 +10,14 @@ from pipeline.clustering.skeleton import Skeleton
 
 
 class LimbLengths(NamedTuple):
-    """What is known of the length of the limb from each joint to its parent.
+    """Lengths of the limbs from each joint to its parent.
 
     Parameters
     ----------
     known_m
-        The length sets L of eq. 3, (joints, people); NaN for a person whose limb was not measured, and for all where a
-        limb's length is not constant.
+        Length sets L of eq. 3, (joints, people); NaN for a limb that was not measured or whose length is not constant.
     longest_m
-        No limb is longer, (joints,).
+        Upper limit of each limb's length, (joints,).
     """
 
     known_m: np.ndarray
@@ -26,27 +25,27 @@ class LimbLengths(NamedTuple):
 
     @property
     def is_measured(self) -> Bool[np.ndarray, " joints"]:
-        """Whether anybody's length is known."""
+        """Whether the length of the joint's limb is known for any person."""
         return ~np.isnan(self.known_m).all(-1)
 
 
 def unknown_lengths(skeleton: Skeleton) -> LimbLengths:
-    """What is known before anybody was seen."""
+    """Make lengths for the first pass: upper limits only."""
     return LimbLengths(np.empty((len(skeleton.names), 0)), np.array(skeleton.longest_m))
 
 
 def unlimited_lengths(skeleton: Skeleton) -> LimbLengths:
-    """What the paper's ablation without bone lengths knows: nothing, not even what a human being is."""
+    """Make lengths for the paper's ablation without bone lengths: no upper limits either."""
     return LimbLengths(np.empty((len(skeleton.names), 0)), np.full(len(skeleton.names), np.inf))
 
 
 def measure_lengths(people_m: Sequence[Float[np.ndarray, "_ joints 3"]], skeleton: Skeleton) -> LimbLengths:
-    """The median length of each person's limbs of constant length.
+    """Measure each person's limbs of constant length by the median over the person's poses.
 
     Parameters
     ----------
     people_m
-        One person's poses each, NaN where a joint was not found.
+        Poses of each person in metres, NaN where a joint was not found.
     """
     known_m = np.full((len(skeleton.names), len(people_m)), np.nan)
     for j in np.flatnonzero(skeleton.is_constant):

@@ -1,14 +1,20 @@
-"""How far apart two poses are."""
+"""Distance of two poses."""
 
 import numpy as np
 from jaxtyping import Float
 
 
 def mean_distance_m(
-    one_m: Float[np.ndarray, "*#batch joints 3"], other_m: Float[np.ndarray, "*#batch joints 3"]
+    first_m: Float[np.ndarray, "*#batch joints 3"], second_m: Float[np.ndarray, "*#batch joints 3"]
 ) -> Float[np.ndarray, "*batch"]:
-    """Mean distance of the joints that both poses have; infinite where there is none."""
-    apart_m = np.linalg.norm(one_m - other_m, axis=-1)
+    """Mean distance in metres of the joints that both poses have; infinite if they share none.
+
+    Parameters
+    ----------
+    first_m, second_m
+        World positions, NaN where a joint is unknown.
+    """
+    apart_m = np.linalg.norm(first_m - second_m, axis=-1)
     shared = np.isfinite(apart_m)
     total_m = np.where(shared, apart_m, 0.0).sum(-1)
     return np.where(shared.any(-1), total_m / np.maximum(shared.sum(-1), 1), np.inf)

@@ -1,4 +1,4 @@
-"""Poses to tracks: bipartite matching from instant to instant (section 3.5)."""
+"""Link of poses to tracks by bipartite matching from instant to instant (section 3.5)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,23 +11,23 @@ from pipeline.clustering.distance import mean_distance_m
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.progress import OnShare, ignore
 
-# A pose's own noise, beside what its body may move.
+# Noise of a pose, added to the distance that a body may move.
 _NOISE_M = 0.15
 _FAR_M = 1e6
 
 
 @dataclass(slots=True)
 class Track:
-    """One person's poses: at which instant which.
+    """Poses of one person.
 
     Parameters
     ----------
     members
-        Instant and position among its poses.
+        Instant, and position among the instant's poses, of each pose.
     last_m
-        The last position of each torso joint, NaN where it was never found.
+        Last position of each torso joint, NaN where it was never found.
     last_s
-        When a pose was last there.
+        Time of the last pose.
     """
 
     members: list[tuple[int, int]] = field(default_factory=list)
@@ -41,14 +41,16 @@ def link(
     parameters: ClusteringParameters,
     on_share: OnShare = ignore,
 ) -> list[Track]:
-    """Link poses by the mean distance of their torso joints, in order of time; what is left starts a track.
+    """Link poses by the mean distance of their torso joints, in order of time; unmatched poses start tracks.
 
     Parameters
     ----------
     torsos_m
-        The torso joints of everybody at each instant, NaN where one was not found.
+        Torso joints of all poses at each instant, NaN where a joint was not found.
+    instants_s
+        Times of the instants, ascending.
     on_share
-        Called after every instant.
+        Called with the completed share after every instant.
     """
     tracks: list[Track] = []
     alive: list[Track] = []
@@ -74,7 +76,7 @@ def _match(
     time_s: float,
     parameters: ClusteringParameters,
 ) -> dict[int, Track]:
-    """The track of each pose that has one."""
+    """Track of each matched pose, by position of the pose."""
     if not alive or not len(torso_m):
         return {}
     mean_m = mean_distance_m(np.array([track.last_m for track in alive])[:, None], torso_m[None])

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.data import Camera
 
-# Of the paper's images (Panoptic is larger; the text gives one threshold for all).
+# Diagonal of the paper's images of Shelf (Panoptic is larger; the text gives one threshold for all data sets).
 _PAPER_DIAGONAL_PX = float(np.hypot(1032, 776))
 _PAPER_TAU1_PX = 8.0
 _LEAST_TAU1_PX = 4.0
@@ -26,31 +26,30 @@ class ClusteringParameters:
     tau3
         Largest relative difference to a bone's length (eq. 3).
     leniency
-        How many times worse connectivity or length may be where the other is as it should, for a parent whom eq. 2 and
-        3 leave no hypothesis, and for limbs in parsing; 1 is the paper's.
+        Factor by which either connectivity or length may miss its threshold while the other meets it. Applies to
+        parents that eq. 2 and 3 leave without a hypothesis, and to limbs in parsing; the paper's value is 1.
     eps_m
-        Hypotheses closer than this are one joint (DBSCAN's eps): the joint's own spread, well below half a shoulder's
-        width. Two views give a single hypothesis, so a cluster may have one.
+        DBSCAN's eps: distance below which hypotheses are neighbours. It covers the spread of a joint and is well below
+        half a shoulder's width. Two views give a single hypothesis, so a cluster may have a single member.
     split_clusters
-        Whether a cluster that several parents claim is split (section 3.2.2).
+        Whether a cluster with several parents is split (section 3.2.2).
     separate_clusters
-        Whether a cluster into which several joints have run together gives each of them, the densest first; the paper's
-        gives one joint.
+        Whether a cluster of several merged joints gives all of them, the densest first; the paper's gives one joint.
     use_connectivity, use_lengths
-        Whether eq. 2 and eq. 3 constrain hypotheses and limbs (the paper's ablation, table 3). Without, limbs are
-        joined by the connectivity score all the same, the best first.
+        Whether eq. 2 and eq. 3 constrain hypotheses and limbs (the paper's ablation, table 3). Limbs are always joined
+        in order of their connectivity scores.
     min_score
-        Joints below are no candidates.
+        Least score of a 2D candidate.
     duplicate_m
-        Two poses whose joints are on average closer than this are one person's, seen by different cameras.
+        Mean joint distance below which two poses are the same person, seen by different cameras.
     min_joints
-        Poses of fewer joints (of the paper's 14) are nobody.
+        Least number of joints of a pose, counted among the paper's 14.
     max_unseen_s
-        A track goes on after so long without a pose.
+        Longest gap without a pose within a track.
     speed_m_s
-        How fast the middle of a body may move.
+        Largest speed of the centre of a body.
     length_rate_hz
-        How often poses are taken for bone lengths.
+        Rate of the poses from which bone lengths are measured.
     """
 
     tau1_px: float
@@ -71,12 +70,12 @@ class ClusteringParameters:
 
 
 def derive_parameters(cameras: Sequence[Camera], tau2: float = 0.3) -> ClusteringParameters:
-    """Defaults for a session: ``tau1`` is the paper's 8 px, scaled by the images' diagonal, no less than 4 px.
+    """Derive the default parameters of a session: ``tau1`` is 8 px scaled by the image diagonal, at least 4 px.
 
     Parameters
     ----------
     tau2
-        The network's, where part affinity fields are the evidence; the paper's otherwise.
+        Least connectivity score; by default the paper's. Networks with part affinity fields have their own value.
     """
     diagonal_px = float(np.median([np.hypot(*camera.size_px) for camera in cameras]))
     return ClusteringParameters(max(_LEAST_TAU1_PX, _PAPER_TAU1_PX * diagonal_px / _PAPER_DIAGONAL_PX), tau2)

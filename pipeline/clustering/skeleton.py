@@ -1,4 +1,4 @@
-"""The joints in the order in which they are found, and the limbs between them (section 3, figure 3 of the paper)."""
+"""Skeleton of hypothesis clustering: joints from the root on, and the limbs between them (section 3, figure 3)."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,18 @@ from pipeline.joints import JointSet
 
 @dataclass(frozen=True, slots=True)
 class Limb:
-    """How a joint hangs on its parent.
+    """Limb from a joint to its parent.
 
     Parameters
     ----------
     parent
-        The joint that is found before.
+        Name of the parent joint, which is found first.
     longest_m
-        No human being's limb is longer, the detector's noise included.
+        Upper limit of the limb's length for any person, the detector's noise included.
     is_constant
-        Whether a person's limb has one length, whatever the pose.
+        Whether the limb's length does not depend on the pose.
     field_share
-        How strong its part affinity field is beside those of other limbs.
+        Strength of the limb's part affinity field relative to other limbs.
     """
 
     parent: str
@@ -29,8 +29,8 @@ class Limb:
 
 ROOT = "neck"
 
-# The paper's 13 limbs; its network's head is the nose here. Limbs of the upper half come first, as in the paper's
-# figure 3. The other joints that detectors know hang on those: the paper has none of them, so that they decide nothing.
+# First the paper's 13 limbs, the upper body first as in figure 3; the nose stands for the head of the paper's network.
+# Further joints of detectors follow as leaves: they do not affect the paper's joints.
 _LIMBS: dict[str, Limb] = {
     "nose": Limb(ROOT, 0.45, field_share=0.5),  # weak in both networks of the registry
     **{f"{side}_shoulder": Limb(ROOT, 0.35) for side in ("left", "right")},
@@ -40,7 +40,7 @@ _LIMBS: dict[str, Limb] = {
     **{f"{side}_knee": Limb(f"{side}_hip", 0.70) for side in ("left", "right")},
     **{f"{side}_ankle": Limb(f"{side}_knee", 0.70) for side in ("left", "right")},
     **{f"{side}_eye": Limb("nose", 0.15, is_constant=False) for side in ("left", "right")},
-    # From behind nobody's nose is seen, but ears are.
+    # Ears are visible from behind, where the nose is not.
     **{f"{side}_ear": Limb(f"{side}_shoulder", 0.35, is_constant=False) for side in ("left", "right")},
     "mid_hip": Limb(ROOT, 0.90, is_constant=False),
     **{f"{side}_{toe}": Limb(f"{side}_ankle", 0.35, is_constant=False)
@@ -50,27 +50,28 @@ _LIMBS: dict[str, Limb] = {
 _CORE = tuple(_LIMBS)[:13]
 
 TORSO = (ROOT, "nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
-"""What people are linked in time by (section 3.5)."""
+"""Torso joints, by which poses are linked in time (section 3.5)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Skeleton:
-    """A detector's joints as a tree.
+    """Joints of a detector as a tree.
 
     Parameters
     ----------
     names
-        Every joint after its parent, the root first. A neck that the detector does not know is its shoulders' middle.
+        Joint names, the root first and every joint after its parent. If the detector has no neck, the neck is the
+        midpoint of the shoulders.
     parents
         Position of each joint's parent in ``names``, -1 for the root.
     longest_m
         See ``Limb``; 0 for the root.
     is_constant
-        Likewise, false for the root.
+        See ``Limb``; false for the root.
     field_share
-        Likewise.
+        See ``Limb``; 1 for the root.
     sources
-        Position of each joint in the detector's order, -1 where it does not know the joint.
+        Position of each joint in the detector's order, -1 for a joint that the detector lacks.
     """
 
     names: tuple[str, ...]
@@ -82,11 +83,11 @@ class Skeleton:
 
     @property
     def levels(self) -> list[list[int]]:
-        """Joints that are as far from the root as each other, which can be found together."""
-        depth = [0]
+        """Joints by depth in the tree, the root first; joints of a level are found together."""
+        depths = [0]
         for parent in self.parents[1:]:
-            depth.append(depth[parent] + 1)
-        return [[j for j, mine in enumerate(depth) if mine == level] for level in range(max(depth) + 1)]
+            depths.append(depths[parent] + 1)
+        return [[j for j, depth in enumerate(depths) if depth == level] for level in range(max(depths) + 1)]
 
     @property
     def core(self) -> list[int]:
@@ -99,17 +100,17 @@ class Skeleton:
         return self.indices(("left_shoulder", "right_shoulder"))
 
     def indices(self, names: tuple[str, ...]) -> list[int]:
-        """Positions of joints."""
+        """Positions of joints in ``names``."""
         return [self.names.index(name) for name in names]
 
 
 def skeleton_of(joints: JointSet) -> Skeleton:
-    """Put a detector's joints in order.
+    """Make the skeleton of a detector's joints.
 
     Raises
     ------
     ValueError
-        If the detector does not know one of the 13 joints beside the neck.
+        If the detector lacks any of the paper's 13 joints other than the neck.
     """
     names = (ROOT, *(name for name in _LIMBS if name in joints.names))
     missing = [name for name in _CORE if name not in names]

@@ -1,1 +1,1 @@
-"""2D joint detection: the registry of networks, ONNX Runtime sessions and decoders of network heads."""
+"""2D joint detection: registry of networks, ONNX Runtime sessions, and decoders of network outputs."""

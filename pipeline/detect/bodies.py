@@ -1,4 +1,4 @@
-"""What a detector finds in one image."""
+"""Bodies that a detector finds in one image."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """Bodies in one image, the surest first.
+    """Bodies in one image, in descending order of confidence.
 
     Parameters
     ----------
     keypoints_px
-        Joints; pixel (0, 0) is the centre of the first pixel. NaN where the detector found none.
+        Joints in pixels; (0, 0) is the centre of the first pixel. NaN where the detector found no joint.
     score
         The detector's confidence in [0, 1], 0 where the joint is NaN.
     box_px
-        x0, y0, x1, y1 around the joints that were found.
+        x0, y0, x1, y1 around the joints of each body.
     center_score
-        The detector's confidence in [0, 1] that there is a body.
+        The detector's confidence in [0, 1] in each body.
     """
 
     keypoints_px: Float[np.ndarray, "n joints 2"]

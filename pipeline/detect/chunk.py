@@ -1,4 +1,4 @@
-"""Decode and detect one range of one camera's frames: the map of a reconstruction."""
+"""Detection in one range of a camera's frames, and concatenation of such ranges."""
 
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
@@ -25,10 +25,12 @@ def detect_chunk(
     detector: Detector,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Detections:
-    """Detect bodies in exactly those frames of a camera whose time is in ``[t0, t1)``.
+    """Decode a camera's frames with times in ``[t0, t1)``, and detect bodies in them.
 
     Parameters
     ----------
+    camera
+        Name of the camera.
     span_s
         t0 and t1 on the session's clock.
     on_frame
@@ -41,13 +43,13 @@ def detect_chunk(
     Raises
     ------
     InputError, ChildError
-        As of ``decode``.
+        See ``decode``.
     """
     damaged: list[int] = []
     with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
         bodies = [(frame, detector.detect(image_rgb)) for frame, image_rgb in frames]
-    found = _as_detections(camera, bodies, len(detector.joints.names))
-    return replace(found, damaged=_frame_numbers(damaged))
+    detections = _as_detections(camera, bodies, len(detector.joints.names))
+    return replace(detections, damaged=_frame_numbers(damaged))
 
 
 def detect_fields_chunk(
@@ -57,17 +59,17 @@ def detect_fields_chunk(
     detector: Detector,
     on_frame: Callable[[], None] = lambda: None,
 ) -> PafFields:
-    """Find peaks and part affinity fields in the same frames as ``detect_chunk`` does; arguments and errors likewise.
+    """Detect peaks and part affinity fields in a range of frames; see ``detect_chunk``.
 
     Parameters
     ----------
     detector
-        Of a network with part affinity fields.
+        Detector whose network has part affinity fields.
     """
     damaged: list[int] = []
     with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
-        found = [(frame, detector.detect_fields(image_rgb)) for frame, image_rgb in frames]
-    return replace(stack_fields(camera, found), damaged=_frame_numbers(damaged))
+        fields = [(frame, detector.detect_fields(image_rgb)) for frame, image_rgb in frames]
+    return replace(stack_fields(camera, fields), damaged=_frame_numbers(damaged))
 
 
 def _images(
@@ -77,9 +79,9 @@ def _images(
     on_frame: Callable[[], None],
     on_damaged: Callable[[int], None],
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
-    """Frames of a range and their numbers; each counts as done when the next one is asked for."""
+    """Decode a range of frames with their numbers; ``on_frame`` is called when the next frame is requested."""
     give_pictures_back()
-    video = session.videos[[one.name for one in session.cameras].index(camera)]
+    video = session.videos[[known.name for known in session.cameras].index(camera)]
     frames = frames_in(session.times[camera], *span_s)
     try:
         with closing(decode(video, frames.start, frames.stop, on_damaged)) as images:
@@ -94,40 +96,48 @@ def _frame_numbers(frames: Sequence[int]) -> Int[np.ndarray, " frames"]:
     return read_only(np.array(frames, np.int64))
 
 
-def stack_fields(camera: str, found: Sequence[tuple[int, ImageFields]]) -> PafFields:
-    """Join what was found in a camera's frames, whose fields lie alike."""
+def stack_fields(camera: str, numbered: Sequence[tuple[int, ImageFields]]) -> PafFields:
+    """Stack the fields of a camera's images.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    numbered
+        Frame number and fields of each image, by frame number; all fields have the same shape and grid.
+    """
     num_limbs = len(LIMBS)
-    images = [one for _, one in found]
+    images = [image for _, image in numbered]
     return PafFields(
         camera=camera,
-        frame=read_only(np.array([frame for frame, _ in found], np.int64)),
-        peak_row=read_only(np.repeat(np.arange(len(images)), [len(one.joint) for one in images])),
-        peak_joint=read_only(np.concatenate([np.empty(0, np.int64), *(one.joint for one in images)])),
-        peak_px=read_only(np.concatenate([np.empty((0, 2)), *(one.points_px for one in images)])),
-        peak_score=read_only(np.concatenate([np.empty(0), *(one.score for one in images)])),
+        frame=read_only(np.array([frame for frame, _ in numbered], np.int64)),
+        peak_row=read_only(np.repeat(np.arange(len(images)), [len(image.joint) for image in images])),
+        peak_joint=read_only(np.concatenate([np.empty(0, np.int64), *(image.joint for image in images)])),
+        peak_px=read_only(np.concatenate([np.empty((0, 2)), *(image.points_px for image in images)])),
+        peak_score=read_only(np.concatenate([np.empty(0), *(image.score for image in images)])),
         fields=read_only(
-            np.stack([one.fields for one in images]) if images else np.empty((0, num_limbs, 2, 1, 1), np.uint8)
+            np.stack([image.fields for image in images]) if images else np.empty((0, num_limbs, 2, 1, 1), np.uint8)
         ),
         limbs=LIMBS,
         grid=images[0].grid if images else MapGrid((0.0, 0.0), (1.0, 1.0)),
     )
 
 
-def _as_detections(camera: str, bodies: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:
-    frame = np.repeat([frame for frame, _ in bodies], [len(one.score) for _, one in bodies]).astype(np.int64)
+def _as_detections(camera: str, numbered: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:
+    frame = np.repeat([frame for frame, _ in numbered], [len(bodies.score) for _, bodies in numbered]).astype(np.int64)
     return Detections(
         camera=camera,
         frame=read_only(frame),
         keypoints_px=read_only(
-            np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for _, one in bodies)])
+            np.concatenate([np.empty((0, num_joints, 2)), *(bodies.keypoints_px for _, bodies in numbered)])
         ),
-        score=read_only(np.concatenate([np.empty((0, num_joints)), *(one.score for _, one in bodies)])),
-        box_px=read_only(np.concatenate([np.empty((0, 4)), *(one.box_px for _, one in bodies)])),
+        score=read_only(np.concatenate([np.empty((0, num_joints)), *(bodies.score for _, bodies in numbered)])),
+        box_px=read_only(np.concatenate([np.empty((0, 4)), *(bodies.box_px for _, bodies in numbered)])),
     )
 
 
 def bodies_in(detections: Detections, frames: range) -> Detections:
-    """Those of some of a camera's frames."""
+    """Select the detections of a range of a camera's frame numbers."""
     rows = slice(*np.searchsorted(detections.frame, [frames.start, frames.stop]))
     return Detections(
         camera=detections.camera,
@@ -140,20 +150,28 @@ def bodies_in(detections: Detections, frames: range) -> Detections:
 
 
 def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints: int) -> dict[str, Detections]:
-    """Join the detections of chunks, camera by camera; each camera's chunks come in the order of time."""
+    """Concatenate the detections of chunks camera by camera.
+
+    Parameters
+    ----------
+    chunks
+        Chunks of all cameras; those of a camera are in order of time.
+    cameras
+        Names of the cameras.
+    """
     of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}
     for chunk in chunks:
         of_camera[chunk.camera].append(chunk)
-    # A camera's chunks are freed before those of the next one are joined.
+    # The chunks of a camera are freed before those of the next camera are joined.
     return {camera: _join(camera, of_camera.pop(camera), num_joints) for camera in cameras}
 
 
 def _join(camera: str, chunks: Sequence[Detections], num_joints: int) -> Detections:
     return Detections(
         camera=camera,
-        frame=np.concatenate([np.empty(0, np.int64), *(one.frame for one in chunks)]),
-        keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(one.keypoints_px for one in chunks)]),
-        score=np.concatenate([np.empty((0, num_joints)), *(one.score for one in chunks)]),
-        box_px=np.concatenate([np.empty((0, 4)), *(one.box_px for one in chunks)]),
-        damaged=np.concatenate([no_frames(), *(one.damaged for one in chunks)]),
+        frame=np.concatenate([np.empty(0, np.int64), *(chunk.frame for chunk in chunks)]),
+        keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(chunk.keypoints_px for chunk in chunks)]),
+        score=np.concatenate([np.empty((0, num_joints)), *(chunk.score for chunk in chunks)]),
+        box_px=np.concatenate([np.empty((0, 4)), *(chunk.box_px for chunk in chunks)]),
+        damaged=np.concatenate([no_frames(), *(chunk.damaged for chunk in chunks)]),
     )

@@ -1,4 +1,4 @@
-"""Damaged frames of a session's videos: how many a reconstruction bears, and what a person should know of them."""
+"""Damaged frames of a session's videos: a summary for users, and the limit of a reconstruction."""
 
 from collections.abc import Iterable
 
@@ -16,25 +16,25 @@ MAX_DAMAGED_SHARE = 0.1
 
 
 DamagedFrames = tuple[str, Int[np.ndarray, " _"]]
-"""Name of a camera, and numbers of its frames whose picture is damaged or missing, ascending."""
+"""Name of a camera, and ascending numbers of its frames with a damaged or missing picture."""
 
 
 def damaged_videos(
     session: CaptureSession | KeypointSession, damaged: Iterable[DamagedFrames]
 ) -> tuple[DamagedVideo, ...]:
-    """Summarise the damage of each video that has damaged frames, in the cameras' order; there are none in keypoints.
+    """Summarise the damaged frames of each video, in the cameras' order; a keypoint session has none.
 
     Parameters
     ----------
     session
-        The session, restricted to the output frames that are wanted.
+        Session, restricted to the output frames of the reconstruction.
     damaged
-        Damaged frames, range by range of a camera in the order of time.
+        Damaged frames of ranges; the ranges of a camera are in order of time.
 
     Raises
     ------
     InputError
-        If the share of damaged frames is above ``MAX_DAMAGED_SHARE`` in a video; lists all such videos.
+        If the share of damaged frames exceeds ``MAX_DAMAGED_SHARE`` in a video; lists all such videos.
     """
     if isinstance(session, KeypointSession):
         return ()
@@ -42,9 +42,9 @@ def damaged_videos(
     output_frames = session.frames or range(whole.num_frames)
     span = span_s(whole, output_frames.start, output_frames.stop)
     of_camera: dict[str, list[int]] = {camera.name: [] for camera in session.cameras}
-    for camera, some in damaged:
-        of_camera[camera] += some.tolist()
-    found = tuple(
+    for camera, frames in damaged:
+        of_camera[camera] += frames.tolist()
+    videos = tuple(
         DamagedVideo(
             camera=camera.name,
             file=video.path.name,
@@ -56,9 +56,9 @@ def damaged_videos(
         for camera, video in zip(session.cameras, session.videos, strict=True)
         if (numbers := of_camera[camera.name])
     )
-    if problems := [_problem(one) for one in found if one.num_damaged > MAX_DAMAGED_SHARE * one.num_frames]:
+    if problems := [_problem(video) for video in videos if video.num_damaged > MAX_DAMAGED_SHARE * video.num_frames]:
         raise InputError(problems)
-    return found
+    return videos
 
 
 def _problem(video: DamagedVideo) -> Problem:

@@ -1,4 +1,4 @@
-"""A detector: an image in, bodies in its pixels out, or what they could be made of."""
+"""Detector of the registry: bodies, or part affinity fields, in the pixels of an image."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,16 +23,16 @@ __all__ = ["Bodies", "Detector", "open_detector"]
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """Finds bodies in images, one at a time.
+    """Detector of bodies in single images.
 
     Parameters
     ----------
     network
-        Runs the network: a session, or a stand-in with a known answer.
+        Function that runs the network.
     input, head, joints
-        What the network takes and gives, as in the registry.
+        Input and output of the network; see ``registry.NetworkEntry``.
     fields
-        How its part affinity fields lie on the image; ``None`` for a network that has none.
+        Grid of the part affinity fields; ``None`` for a network without fields.
     """
 
     network: Network
@@ -42,19 +42,19 @@ class Detector:
     fields: FieldGrid | None = None
 
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
-        """Find all bodies in an image, in its pixels."""
+        """Detect the bodies in an image, in pixels of the image."""
         tensor, letterbox = self.prepare(image_rgb)
         return self.decode(self.run_network(tensor), letterbox)
 
     def detect_fields(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageFields:
-        """Find all peaks and part affinity fields in an image; for a network that has them."""
+        """Detect peaks and part affinity fields in an image; ``ValueError`` for a network without fields."""
         tensor, letterbox = self.prepare(image_rgb)
         return self._decode_fields(self.run_network(tensor), letterbox)
 
     def prepare(
         self, image_rgb: UInt8[np.ndarray, "height width 3"]
     ) -> tuple[Float32[np.ndarray, "1 3 padded_height padded_width"], LetterBox]:
-        """Fit an image into the network's input."""
+        """Fit an image into the network's input, and return how."""
         height, width = image_rgb.shape[:2]
         letterbox = fit_letterbox((width, height), self.input.scale((width, height)), self.input.multiple)
         padded = apply_letterbox(image_rgb, letterbox)
@@ -62,11 +62,11 @@ class Detector:
         return np.ascontiguousarray(channels.transpose(2, 0, 1)[None], np.float32), letterbox
 
     def run_network(self, tensor: Float32[np.ndarray, "1 3 height width"]) -> Mapping[str, np.ndarray]:
-        """Run the network alone."""
+        """Run the network on a prepared tensor; returns its named outputs."""
         return self.network(tensor)
 
     def decode(self, outputs: Mapping[str, np.ndarray], letterbox: LetterBox) -> Bodies:
-        """Turn a network's outputs into bodies in the pixels of the image."""
+        """Decode the network's outputs to bodies in pixels of the image."""
         if self.head is Head.OPENPOSE:
             return group(self._decode_fields(outputs, letterbox), LIMBS, len(self.joints.names))
         bodies = decode_movenet(outputs)
@@ -89,7 +89,7 @@ def open_detector(name: str = "movenet-multipose") -> Detector:
     Raises
     ------
     ModelError
-        If the network is unknown, not installed, or its file was changed.
+        If the network is unknown or not installed, or its file was changed.
     """
     entry = entry_of(name)
     return Detector(open_network(verify(name)), entry.input, entry.head, entry.joints, entry.fields)

@@ -1,29 +1,29 @@
-"""Fields of a whole session on disk, since memory would grow with its length."""
+"""Part affinity fields of a session in files, so that memory does not grow with the session's length."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.data import PafFields
 from pipeline.errors import PipelineError
-from pipeline.stages.records_npz import decode_fields
+from pipeline.stages.outputs_npz import decode_fields
 
 
 class FieldFiles:
-    """Fields of all cameras, range by range.
+    """Files of the fields of all cameras, one a camera and range of output frames.
 
     Parameters
     ----------
     folder
-        An empty one.
+        Empty folder for the files.
     cameras
-        Names.
+        Names of the cameras.
     """
 
     def __init__(self, folder: Path, cameras: Sequence[str]) -> None:
         self._folder, self._cameras = folder, tuple(cameras)
 
     def write(self, camera: str, frames: range, fields: bytes) -> None:
-        """Keep the encoded fields of a camera's range.
+        """Write the encoded fields of a camera's range.
 
         Raises
         ------
@@ -39,7 +39,7 @@ class FieldFiles:
             ) from error
 
     def read(self, frames: range) -> dict[str, PafFields]:
-        """All cameras' fields of a range."""
+        """Read the fields of all cameras for a range, by camera name."""
         return {camera: decode_fields(self._path(camera, frames).read_bytes()) for camera in self._cameras}
 
     def _path(self, camera: str, frames: range) -> Path:

@@ -1,4 +1,4 @@
-"""Fit an image into a network's input: aspect ratio kept, padded at the right and the bottom."""
+"""Letterbox of an image in a network's input: same aspect ratio, padding at the right and the bottom."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,10 @@ from jaxtyping import Float, UInt8
 
 @dataclass(frozen=True, slots=True)
 class LetterBox:
-    """How image pixels and pixels of a network's input map to each other.
+    """Mapping between pixels of an image and pixels of a network's input.
 
-    Both count from the centre of the first pixel. Sizes are whole numbers, so the two axes' scales differ slightly.
+    Pixel (0, 0) is the centre of the first pixel in both. Sizes are whole numbers, so the scales of the two axes differ
+    slightly.
 
     Parameters
     ----------
@@ -25,7 +26,7 @@ class LetterBox:
 
     @property
     def scale(self) -> Float[np.ndarray, " 2"]:
-        """Network pixels an image pixel, in x and y."""
+        """Pixels of the network's input for each image pixel, in x and y."""
         return np.array(self.scaled_size_px) / np.array(self.image_size_px)
 
     def network_from_image(self, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
@@ -38,14 +39,16 @@ class LetterBox:
 
 
 def fit_letterbox(image_size_px: tuple[int, int], scale: float, multiple: int) -> LetterBox:
-    """Scale an image and pad both sides to multiples of ``multiple``.
+    """Make the letterbox of an image that is scaled and padded.
 
     Parameters
     ----------
     image_size_px
-        Width and height.
+        Width and height of the image.
     scale
-        Network pixels an image pixel.
+        Pixels of the network's input for each image pixel.
+    multiple
+        Number of which the padded width and height are multiples.
     """
     width, height = (max(1, round(side * scale)) for side in image_size_px)
     return LetterBox(image_size_px, (width, height), (_ceil(width, multiple), _ceil(height, multiple)))

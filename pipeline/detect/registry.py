@@ -1,8 +1,8 @@
-"""The detector networks: where each comes from, what it must be, what goes in and what comes out.
+"""Registry of detector networks: source, conversion, checksums, input and output of each.
 
-A network is weights inside a pinned package, or files that a user brings, converted to ONNX here; checksums pin the
-package, the weights and the result. Another network is one more entry, and one more conversion if its format is new;
-``pipeline.config`` declares its name, its label, whether it leaves fields, and where users get it.
+The weights of a network come from a pinned package or from the user's files, and are converted to ONNX. Checksums pin
+the package, the weights and the ONNX file. A new network is a new entry, and a new conversion if its format is new;
+``pipeline.config`` declares its name, its label, whether it gives fields, and where users get it.
 """
 
 import enum
@@ -18,7 +18,7 @@ from pipeline.runtime.packages.index import PinnedFile
 
 
 class Head(enum.Enum):
-    """What a network's outputs mean: which decoder reads them."""
+    """Kind of a network's outputs, which selects the decoder."""
 
     MOVENET_MULTIPOSE = "movenet-multipose"
     OPENPOSE = "openpose"
@@ -31,11 +31,11 @@ class PackagedWeights:
     Parameters
     ----------
     package
-        The file of the package.
+        File of the package.
     members
-        Names that lead to the weights, each but the last an archive inside the one before.
+        Path to the weights through nested archives: a member of the package, a member of that archive, and so on.
     sha256, num_bytes
-        What the weights must be.
+        Checksum and size of the weights.
     """
 
     package: PinnedFile
@@ -46,7 +46,7 @@ class PackagedWeights:
 
 @dataclass(frozen=True, slots=True)
 class WeightFile:
-    """A file of a network: the ending of its name, and what it must be."""
+    """File of a network's weights: suffix of its name, checksum and size."""
 
     suffix: str
     sha256: str
@@ -55,12 +55,12 @@ class WeightFile:
 
 @dataclass(frozen=True, slots=True)
 class LooseWeights:
-    """Weights that no package holds: files that lie in one place.
+    """Weights that are in no package, as files of one folder.
 
     Parameters
     ----------
     files
-        In the order in which the conversion takes them.
+        Files in the order of the conversion's arguments.
     """
 
     files: tuple[WeightFile, ...]
@@ -68,17 +68,17 @@ class LooseWeights:
 
 @dataclass(frozen=True, slots=True)
 class NetworkInput:
-    """What a network takes: a float tensor (1, 3, height, width), values 0..255.
+    """Input of a network: a float tensor (1, 3, height, width) with values 0..255.
 
     Parameters
     ----------
     channels
-        Order of the colours.
+        Order of the colour channels.
     multiple
-        Of which height and width must be multiples.
+        Number of which height and width must be multiples.
     scaled_px, scaled_side
-        Size that an image is scaled to, and which of its sides has it then. A network that marks joints of any body at
-        once wants people of a certain size: they stand, and so an image's height bounds theirs.
+        Length to which an image is scaled, and the side that gets this length. Networks with fields need people of a
+        certain size; the image's height bounds the size of standing people.
     """
 
     channels: Literal["rgb", "bgr"]
@@ -87,7 +87,7 @@ class NetworkInput:
     scaled_side: Literal["long", "height"] = "long"
 
     def scale(self, image_size_px: tuple[int, int]) -> float:
-        """Network pixels an image pixel, for an image of this width and height."""
+        """Pixels of the network's input for each image pixel, for an image of this width and height."""
         return self.scaled_px / (max(image_size_px) if self.scaled_side == "long" else image_size_px[1])
 
 
@@ -100,15 +100,15 @@ class NetworkEntry:
     name
         Name in ``pipeline.config.NETWORKS``.
     source, convert
-        Its weights, and the conversion to ONNX.
+        Source of the weights, and their conversion to ONNX.
     sha256, num_bytes
-        What the ONNX file must be.
+        Checksum and size of the ONNX file.
     licence
         SPDX identifier of the weights' licence.
     input, head, joints
-        What goes in, and what comes out.
+        Input, kind of the outputs, and joints that the network detects.
     fields
-        How its part affinity fields lie on the image; ``None`` for a network that has none.
+        Grid of the part affinity fields; ``None`` for a network without fields.
     """
 
     name: Detector
@@ -123,11 +123,11 @@ class NetworkEntry:
     fields: FieldGrid | None = None
 
 
-# onnx takes a quarter of a second to import, and is needed once only: so conversions import it.
+# Conversions import onnx themselves: the import takes a quarter of a second and is needed for an installation only.
 
 
 def _convert_movenet(weights: Sequence[bytes]) -> bytes:
-    """Keep the four heads that ``movenet.py`` decodes; the model's own decoding stops at six people."""
+    """Convert the four heads that ``decoders.movenet`` decodes; the model's own decoding is limited to six people."""
     from pipeline.detect.conversion.tflite_to_onnx import convert  # noqa: PLC0415
 
     return convert(
@@ -203,7 +203,7 @@ REGISTRY: dict[str, NetworkEntry] = {
             input=NetworkInput(channels="bgr", multiple=8, scaled_px=656, scaled_side="height"),
             head=Head.OPENPOSE,
             joints=COCO_18,
-            # Its strided convolutions pad at the end only, which moves what it sees to the right.
+            # The network's strided convolutions pad at the end only, which shifts its maps to the right.
             fields=FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
         ),
         NetworkEntry(
@@ -228,7 +228,7 @@ REGISTRY: dict[str, NetworkEntry] = {
 
 
 def entry_of(name: str) -> NetworkEntry:
-    """The registry's entry of a network; ``ModelError`` with the known names if there is none."""
+    """Return the registry's entry of a network; ``ModelError`` with the known names if it is unknown."""
     if name not in REGISTRY:
         raise ModelError(f"There is no network named {name!r}. Known: {', '.join(REGISTRY)}.")
     return REGISTRY[name]

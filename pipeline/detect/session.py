@@ -1,4 +1,4 @@
-"""ONNX Runtime on one thread of the processor: the same input gives the same output."""
+"""ONNX Runtime sessions on a single CPU thread, with reproducible outputs."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,15 +9,15 @@ from jaxtyping import Float32
 
 from pipeline.errors import ModelError
 
-# An image in, named outputs back.
+# Function from an image tensor to named outputs.
 Network = Callable[[Float32[np.ndarray, "1 3 height width"]], Mapping[str, np.ndarray]]
 
 
 def open_network(path: Path) -> Network:
-    """Open an ONNX file with one input.
+    """Open an ONNX model with one input.
 
-    One thread a process: several processes use a processor better than several threads of one, and results don't depend
-    on how work was split.
+    Each process uses one thread: several processes use the CPU better than several threads of a process, and results
+    do not depend on the split of the work.
 
     Raises
     ------
@@ -33,8 +33,8 @@ def open_network(path: Path) -> Network:
     try:
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
         (network_input,) = session.get_inputs()
-    except Exception as error:  # ONNX Runtime's errors have no base of their own
-        raise ModelError(f"{path.name} is damaged, or is no network that can be run; install it again.") from error
+    except Exception as error:  # ONNX Runtime's errors have no common base
+        raise ModelError(f"{path.name} is damaged or can't be run; install it again.") from error
     output_names = [output.name for output in session.get_outputs()]
 
     def run(tensor: Float32[np.ndarray, "1 3 height width"]) -> dict[str, np.ndarray]:

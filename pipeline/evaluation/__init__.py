@@ -1,1 +1,1 @@
-"""Accuracy against ground truth: metrics, data sets and the papers' comparisons."""
+"""Evaluation against ground truth: metrics, data sets, baselines and ablations of the papers."""

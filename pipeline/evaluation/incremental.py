@@ -1,4 +1,4 @@
-"""The paper's triangulation by itself, and what it is compared with (Chen et al. 2020, section 3.3 and table 3)."""
+"""Incremental triangulation of the paper and its baselines (Chen et al. 2020, section 3.3 and table 3)."""
 
 from collections.abc import Mapping, Sequence
 from enum import Enum
@@ -13,11 +13,11 @@ from pipeline.tracking.parameters import TrackingParameters
 
 
 class Triangulation(Enum):
-    """How the last observations of all cameras make a joint."""
+    """Weights of the cameras' last observations in the triangulation of a joint."""
 
-    CONVENTIONAL = "conventional"  # all alike, as if they were of one time
+    CONVENTIONAL = "conventional"  # equal weights, as if all observations had the same time
     TIME_PENALTY = "incremental_without_norm"  # exp(-lambda_t (t - t_i))
-    INCREMENTAL = "incremental"  # the same, over the norm of the row (eq. 11)
+    INCREMENTAL = "incremental"  # exp(-lambda_t (t - t_i)) over the norm of the row (eq. 11)
 
 
 def triangulate_last(
@@ -26,18 +26,18 @@ def triangulate_last(
     penalty: Float[np.ndarray, " cameras"],
     kind: Triangulation,
 ) -> Float[np.ndarray, "joints 3"]:
-    """Solve ``(w o A) X~ = 0`` by singular values (eq. 10).
+    """Triangulate joints from the cameras' last observations: solve ``(w o A) X~ = 0`` by singular values (eq. 10).
 
     Parameters
     ----------
     points_px
-        Undistorted, the last of each camera; NaN where it has none.
+        Last observation of each camera in undistorted pixels, NaN where it has none.
     penalty
         ``exp(-lambda_t (t - t_i))`` of each camera.
 
     Returns
     -------
-        NaN where fewer than two cameras have seen a joint.
+        World positions in metres, NaN for joints that fewer than two cameras have seen.
     """
     rows = points_px[..., None] * image_from_world[:, None, 2:, :] - image_from_world[:, None, :2, :]
     seen = np.isfinite(rows).all((-1, -2))
@@ -49,7 +49,7 @@ def triangulate_last(
     system = np.where(seen[..., None, None], rows * weights[..., None], 0.0)
     stacked = system.swapaxes(0, 1).reshape(points_px.shape[1], -1, 4)
     homogeneous = np.linalg.svd(stacked)[2][:, -1]
-    # Zero for parallel rays, and where there is no ray at all.
+    # The last coordinate is zero for parallel rays and without any ray.
     scale = np.where((seen.sum(0) >= 2) & (homogeneous[:, 3] != 0), homogeneous[:, 3], np.nan)
     return homogeneous[:, :3] / scale[:, None]
 
@@ -63,20 +63,27 @@ def locate_incrementally(
     parameters: TrackingParameters,
     kind: Triangulation,
 ) -> tuple[tuple[Track3D, ...], float]:
-    """Locate everybody at the output instants from the last observation of each camera, and of none to come.
+    """Locate all people at the output instants from the last observation of each camera before the instant.
+
+    Parameters
+    ----------
+    identities
+        Identity of each detection by camera name, negative for none.
+    kind
+        Weights of the observations.
 
     Returns
     -------
     tracks
-        Positions only: scores, errors and views are empty.
+        Tracks with positions; scores and views are 0, errors are NaN.
     age_s
-        Mean age of the observations used: how far apart in time the views are.
+        Mean age of the observations at the output instants, 0 without observations.
     """
     projections = np.array([image_from_world(camera) for camera in cameras])
     views = []
     for camera in cameras:
-        one = detections[camera.name]
-        views.append((times[camera.name].time_s[one.frame], undistort_px(camera, one.keypoints_px)))
+        of_camera = detections[camera.name]
+        views.append((times[camera.name].time_s[of_camera.frame], undistort_px(camera, of_camera.keypoints_px)))
     num_joints = views[0][1].shape[1]
     tracks: list[Track3D] = []
     ages_s: list[float] = []
@@ -88,13 +95,13 @@ def locate_incrementally(
             now_s = timebase.start_time_s + frame / timebase.frame_rate_hz
             points_px, penalty = np.full((len(cameras), num_joints, 2), np.nan), np.ones(len(cameras))
             for number, (camera, (time_s, seen_px)) in enumerate(zip(cameras, views, strict=True)):
-                mine = np.flatnonzero((identities[camera.name] == person) & (time_s <= now_s + 1e-6))
-                if not len(mine) or now_s - time_s[mine[-1]] >= 2 / timebase.frame_rate_hz:
+                rows = np.flatnonzero((identities[camera.name] == person) & (time_s <= now_s + 1e-6))
+                if not len(rows) or now_s - time_s[rows[-1]] >= 2 / timebase.frame_rate_hz:
                     continue
-                used = detections[camera.name].score[mine[-1]] >= parameters.min_score
-                points_px[number] = np.where(used[:, None], seen_px[mine[-1]], np.nan)
-                penalty[number] = np.exp(-parameters.lambda_t_hz * (now_s - time_s[mine[-1]]))
-                ages_s.append(now_s - time_s[mine[-1]])
+                used = detections[camera.name].score[rows[-1]] >= parameters.min_score
+                points_px[number] = np.where(used[:, None], seen_px[rows[-1]], np.nan)
+                penalty[number] = np.exp(-parameters.lambda_t_hz * (now_s - time_s[rows[-1]]))
+                ages_s.append(now_s - time_s[rows[-1]])
             xyz_m[frame] = triangulate_last(projections, points_px, penalty, kind)
         tracks.append(_track(len(tracks) + 1, xyz_m))
     return tuple(tracks), float(np.mean(ages_s)) if ages_s else 0.0

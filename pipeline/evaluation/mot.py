@@ -1,9 +1,9 @@
-"""Multi-object tracking metrics, counted by the reference implementation (``trackeval``).
+"""Multi-object tracking metrics MOTA and IDF1, computed by the reference implementation (``trackeval``).
 
 - *MOTA* = 1 - (missed + false positives + identity switches) / true person-frames (CLEAR MOT, Bernardin 2008).
-- *IDF1* = how much of all person-frames goes to the one track that fits each person best (Ristani 2016).
+- *IDF1* = F1 score of person-frames, people and tracks matched one to one over the sequence (Ristani 2016).
 
-A pair matches if its similarity is at least 0.5.
+A person and a track match in a frame if their similarity is at least 0.5.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from pipeline.errors import PipelineError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotFrame:
-    """What is true and what was found in one frame.
+    """True people and tracks of one frame.
 
     Parameters
     ----------
     truth_ids, track_ids
-        Who is there, and which tracks are.
+        Numbers of the people and of the tracks in the frame.
     similarity
-        In [0, 1], a row a person and a column a track.
+        Similarity of each person and track, in [0, 1].
     """
 
     truth_ids: Int[np.ndarray, " people"]
@@ -34,7 +34,7 @@ class MotFrame:
 
 @dataclass(frozen=True, slots=True)
 class MotScores:
-    """Scores of one sequence; ``mota`` and ``idf1`` are ``None`` where nobody is there in truth."""
+    """Scores of a sequence; ``mota`` and ``idf1`` are ``None`` for a sequence without true people."""
 
     mota: float | None
     idf1: float | None
@@ -44,7 +44,7 @@ class MotScores:
 
 
 def score_mot(frames: Sequence[MotFrame]) -> MotScores:
-    """Score a sequence.
+    """Compute the scores of a sequence of frames.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def score_mot(frames: Sequence[MotFrame]) -> MotScores:
 
 
 def box_overlap(ours_px: Float[np.ndarray, "n 4"], theirs_px: Float[np.ndarray, "m 4"]) -> Float[np.ndarray, "n m"]:
-    """Intersection over union of boxes x0, y0, x1, y1."""
+    """Intersection over union of all pairs of boxes x0, y0, x1, y1; 0 for empty boxes."""
     low = np.maximum(ours_px[:, None, :2], theirs_px[None, :, :2])
     high = np.minimum(ours_px[:, None, 2:], theirs_px[None, :, 2:])
     shared = np.prod(np.maximum(high - low, 0.0), axis=-1)

@@ -1,17 +1,17 @@
-"""Accuracy of tracks against a known truth: joint errors, missed people, ghosts and identity switches.
+"""Accuracy of tracks against ground truth: joint errors, missed people, ghosts and identity switches.
 
-- *Matching*: in every frame by itself, tracks and people are paired one to one by the Hungarian algorithm on the mean
-  distance over the joints that both have. Pairs beyond the gate (0.5 m) are never made; as many pairs as possible are,
-  and among these the ones with the least sum of distances.
-- *MPJPE*: mean distance over all joints of all matched pairs that both have, in millimetres. Nothing is aligned.
+- *Matching*: in each frame, tracks and people are paired one to one by the Hungarian algorithm on the mean distance of
+  shared joints. Pairs beyond the gate (0.5 m) are excluded. The matching has the largest number of pairs, and among
+  these matchings the least sum of distances.
+- *MPJPE*: mean distance of the shared joints of all matched pairs in millimetres, without alignment.
 - *PCK150*: share of all true joints, matched or not, whose match lies within 150 mm (inclusive).
 - *Recall*: share of true person-frames that are matched.
-- *Switches*: a person's match is another track than at the person's last match. Two people who swap tracks are two
-  switches, at one frame; a person who is lost and found again by the same track is none.
+- *Switches*: number of matches of a person with a different track than at the person's previous match. Two people who
+  swap tracks in a frame count as two switches. A person who is lost and matched again by the same track counts as none.
 - *Ghost rate*: share of predicted person-frames that are unmatched. A track counts in the frames in which it has any
   of the joints.
 
-A figure without any data is ``None``.
+A figure without data is ``None``.
 """
 
 from collections.abc import Sequence
@@ -22,34 +22,22 @@ from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from pipeline.data import Track3D
-from pipeline.joints import JointSet
+from pipeline.joints import COCO_17, JointSet
 
-BODY_JOINTS = (
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-    "left_hip",
-    "right_hip",
-    "left_knee",
-    "right_knee",
-    "left_ankle",
-    "right_ankle",
-)
-"""The twelve joints that are scored: no face."""
+_NUM_FACE_JOINTS = 5
+BODY_JOINTS = COCO_17.names[_NUM_FACE_JOINTS:]
+"""Twelve joints of COCO-17 that are scored, without those of the face: shoulders, arms, hips and legs."""
 GATE_M = 0.5
-"""Pairs whose joints are farther apart on average are no match."""
+"""Largest mean joint distance of a matched pair."""
 UNMATCHED = -1
-"""The match of a person in a frame in which no track is near."""
+"""Number of the track of an unmatched person."""
 
 _PCK_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Accuracy of tracks, as the module defines it; rates are fractions of 1."""
+    """Accuracy of tracks; the module defines the figures. Rates are fractions of 1."""
 
     mpjpe_mm: float | None
     pck150: float | None
@@ -61,14 +49,20 @@ class Accuracy:
 def select_joints(
     tracks: Sequence[Track3D], joints: JointSet, names: Sequence[str], frames: Int[np.ndarray, " frames"]
 ) -> Float[np.ndarray, "tracks frames names 3"]:
-    """Tracks as one array over the frames that are scored.
+    """Gather joints of tracks at some output frames in one array.
 
     Parameters
     ----------
     joints
-        Those of the tracks; a name that it lacks is NaN throughout.
+        Joints of the tracks.
+    names
+        Names of the joints to take.
     frames
-        Output frames to take; one that a track does not reach, such as -1, is NaN.
+        Numbers of the output frames to take; -1 for none.
+
+    Returns
+    -------
+        World positions, NaN for names that ``joints`` lacks and for frames outside of a track.
     """
     taken = np.full((len(tracks), len(frames), len(names), 3), np.nan)
     shared = [k for k, name in enumerate(names) if name in joints.names]
@@ -85,24 +79,24 @@ def match_frames(
     truth_m: Float[np.ndarray, "people frames joints 3"],
     gate_m: float = GATE_M,
 ) -> Int[np.ndarray, "people frames"]:
-    """Match tracks to people in every frame by itself.
+    """Match tracks to people frame by frame.
 
     Parameters
     ----------
     predicted_m, truth_m
-        World positions, NaN where a joint is unknown or somebody absent.
+        World positions, NaN where a joint is unknown or a person is absent.
     gate_m
         Largest mean joint distance of a match.
 
     Returns
     -------
-        For every person and frame the index of the matched track, ``UNMATCHED`` where there is none.
+        Index of the matched track for each person and frame, ``UNMATCHED`` for no track.
     """
     matched = np.full(truth_m.shape[:2], UNMATCHED)
     for frame in range(truth_m.shape[1]):
         distance_m = mean_distance_m(predicted_m[:, frame], truth_m[:, frame])
         near = distance_m <= gate_m
-        # Worth more than any sum of distances within the gate: first many pairs, then close ones.
+        # An excluded pair costs more than any sum of distances within the gate, so that the number of pairs decides.
         cost = np.where(near, distance_m, 1.0 + gate_m * (1 + min(near.shape)))
         people, tracks = linear_sum_assignment(cost)
         paired = near[people, tracks]
@@ -113,7 +107,7 @@ def match_frames(
 def mean_distance_m(
     predicted_m: Float[np.ndarray, "tracks joints 3"], truth_m: Float[np.ndarray, "people joints 3"]
 ) -> Float[np.ndarray, "people tracks"]:
-    """Mean distance over the joints that both have; infinite where they share none."""
+    """Mean distance of the joints that a person and a track share; infinite if they share none."""
     distance_m = np.linalg.norm(truth_m[:, None] - predicted_m, axis=-1)
     shared = np.isfinite(distance_m)
     count = shared.sum(-1)
@@ -122,7 +116,7 @@ def mean_distance_m(
 
 
 def count_switches(matched: Int[np.ndarray, "people frames"]) -> int:
-    """How often a person's match is another track than at the person's last match."""
+    """Count matches of a person with a different track than at the person's previous match."""
     histories = (row[row != UNMATCHED] for row in matched)
     return sum(int(np.count_nonzero(np.diff(history))) for history in histories)
 
@@ -132,12 +126,12 @@ def accuracy(
     truth_m: Float[np.ndarray, "people frames joints 3"],
     gate_m: float = GATE_M,
 ) -> Accuracy:
-    """Score tracks against the truth, frame by frame.
+    """Score tracks against the truth.
 
     Parameters
     ----------
     predicted_m, truth_m
-        World positions of the same joints, NaN where a joint is unknown or somebody absent.
+        World positions of the same joints, NaN where a joint is unknown or a person is absent.
     gate_m
         Largest mean joint distance of a match.
     """

@@ -1,4 +1,4 @@
-"""The baseline that the paper compares with: detections of one instant matched in pairs of views (its algorithm 2)."""
+"""Association baseline: detections of an instant matched in pairs of views (Chen et al. 2020, algorithm 2)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,13 +18,13 @@ def associate_pairwise(
     detections: Mapping[str, Detections],
     parameters: TrackingParameters,
 ) -> dict[str, Int[np.ndarray, " _"]]:
-    """Group the detections of every frame number across views by epipolar affinity and graph partitioning.
+    """Group the detections of each frame number across views by epipolar affinity and graph partitioning.
 
-    Nothing is known of the frame before: a group is a person of one frame only.
+    Frames are independent: a group is a person of a single frame.
 
     Returns
     -------
-        As of ``associate.associate``, with a new identity for every group.
+        Identity of each detection by camera name, see ``associate.associate``; each group has a new identity.
     """
     bodies = gather(cameras, times, detections)
     ideal_px = undistorted(cameras, bodies)
@@ -44,6 +44,6 @@ def associate_pairwise(
             for row in np.flatnonzero(bodies.frame == frame).tolist()
         ]
         for group in group_unmatched(pool, fundamental, parameters.alpha_epipolar_px).people:
-            identity[[one.row for one in group]] = num_groups
+            identity[[body.row for body in group]] = num_groups
             num_groups += 1
     return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}

@@ -1,8 +1,8 @@
-"""Percentage of correct parts (PCP) as the Campus and Shelf benchmarks count it (Belagiannis et al., CVPR 2014).
+"""Percentage of correct parts (PCP) of the Campus and Shelf benchmarks (Belagiannis et al., CVPR 2014).
 
-A part is right when the mean of its two end points' errors is at most half its true length. Every annotated actor takes
-the prediction of the least mean joint distance. The benchmarks' two head points are in no detector's set: published
-methods derive them from nose, ears and shoulders by rules of their own, which move the score by up to a point.
+A part is correct if the mean error of its two ends is at most half of its true length. Each annotated actor is compared
+with the prediction of the least mean joint distance. Detectors lack the benchmarks' two head points: published methods
+derive them from nose, ears and shoulders by different rules, which change the score by up to one point.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.joints import COCO_17
 
-# The benchmarks' order; the last two are the bottom and the top of the head.
+# Joints in the benchmarks' order; the bottom and the top of the head follow them.
 LIMB_JOINTS = (
     "right_ankle",
     "right_knee",
@@ -37,7 +37,7 @@ PARTS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "upper_legs": ((1, 2), (3, 4)),
     "lower_legs": ((0, 1), (4, 5)),
 }
-"""Parts by their end points in the benchmarks' order. The tenth, ``torso``, runs from mid-hip to the head's bottom."""
+"""Ends of the parts, in the benchmarks' order. The tenth part, ``torso``, is from mid-hip to the head's bottom."""
 
 _TORSO = "torso"
 _HIPS = [2, 3]
@@ -72,13 +72,19 @@ HEAD_RULES: Mapping[str, Callable[[np.ndarray, np.ndarray, np.ndarray], Head]] =
     "voxelpose": _voxelpose,
     "ears": _ears,
 }
-"""How published methods derive the head's bottom and top from the neck, the nose and the centre of the ears."""
+"""Rules of published methods for the head's bottom and top, from the neck, the nose and the centre of the ears."""
 
 
 def benchmark_joints(
     xyz_m: Float[np.ndarray, "*batch 17 3"], head_rule: str = "crossview"
 ) -> Float[np.ndarray, "*batch 14 3"]:
-    """Turn COCO-17 joints into the benchmarks' 14; NaN stays NaN, ``KeyError`` for an unknown rule."""
+    """Convert COCO-17 joints to the benchmarks' 14 joints; NaN stays NaN.
+
+    Parameters
+    ----------
+    head_rule
+        Name in ``HEAD_RULES``; ``KeyError`` if unknown.
+    """
 
     def centre(*names: str) -> np.ndarray:
         return xyz_m[..., COCO_17.indices(names), :].mean(-2)
@@ -91,18 +97,18 @@ def benchmark_joints(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PcpScores:
-    """PCP in percent, actors in the truth's order.
+    """PCP of each actor, in the truth's order.
 
     Parameters
     ----------
     actors
-        Over all ten parts; NaN for an actor who is never annotated.
+        Percentage over all ten parts, NaN for an actor without annotation.
     parts
-        The same by kind of part.
+        Percentage by kind of part.
     mpjpe_mm
-        Mean distance over the joints that prediction and annotation share; NaN where there is none.
+        Mean distance of the joints that prediction and annotation share, NaN without any.
     chosen
-        Which prediction each actor took in each frame, -1 for none.
+        Index of the prediction compared with each actor in each frame, -1 for none.
     """
 
     actors: Float[np.ndarray, " actors"]
@@ -114,28 +120,28 @@ class PcpScores:
 def _is_right(
     predicted_m: Float[np.ndarray, "14 3"], truth_m: Float[np.ndarray, "14 3"]
 ) -> dict[str, Bool[np.ndarray, " _"]]:
-    """Whether each part is right; a part with an unknown end is not."""
+    """Whether each part is correct; a part with an unknown end is not."""
 
     def right(predicted_ends: np.ndarray, true_ends: np.ndarray) -> np.ndarray:
         error_m = np.linalg.norm(predicted_ends - true_ends, axis=-1).mean(-1)
         return error_m <= _ALPHA * np.linalg.norm(true_ends[:, 0] - true_ends[:, 1], axis=-1)
 
-    found = {name: right(predicted_m[list(ends)], truth_m[list(ends)]) for name, ends in PARTS.items()}
+    limbs = {name: right(predicted_m[list(ends)], truth_m[list(ends)]) for name, ends in PARTS.items()}
     torso = [np.stack([pose[_HIPS].mean(0), pose[_HEAD_BOTTOM]])[None] for pose in (predicted_m, truth_m)]
-    return found | {_TORSO: right(*torso)}
+    return limbs | {_TORSO: right(*torso)}
 
 
 def score_pcp(
     predicted_m: Sequence[Float[np.ndarray, "_ 14 3"]], truth_m: Float[np.ndarray, "actors frames 14 3"]
 ) -> PcpScores:
-    """Score the predictions of every frame against the annotated actors.
+    """Score the predictions of each frame against the annotated actors.
 
     Parameters
     ----------
     predicted_m
-        All predicted people of each frame, in the benchmarks' joints.
+        Predicted people of each frame in the benchmarks' joints, NaN where a joint is unknown.
     truth_m
-        NaN where an actor is not annotated.
+        Annotated actors, NaN where an actor is not annotated.
     """
     num_actors, num_frames = truth_m.shape[:2]
     annotated = np.isfinite(truth_m).all((-2, -1))

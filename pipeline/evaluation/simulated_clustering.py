@@ -1,10 +1,9 @@
-"""Clustering of simulated people from heatmaps and part affinity fields, and what its parts are worth.
+"""Hypothesis clustering of simulated people from heatmaps and part affinity fields, and its ablation.
 
-The rows of the ablation are those of the paper's table 3 (Chen et al. 2020): hypotheses are constrained by reprojection
-error alone (``RE``), by connectivity (``+PAF``), by bone lengths (``+BL``), or by both (``All``). They are of the
-method as the paper has it: a cluster gives one joint, and nobody gets a second chance. Beside them stand what the
-method does by default (``default``), and that without the split of clusters by parents (``unsplit``). All are of joints
-as they were located, not smoothed.
+The ablation has the variants of the paper's table 3 (Chen et al. 2020): hypotheses are constrained by reprojection
+error alone (``RE``), by connectivity (``+PAF``), by bone lengths (``+BL``), or by both (``All``). In these variants a
+cluster gives one joint and ``leniency`` is 1, as in the paper. Further variants are the default parameters
+(``default``) and the default without the split of clusters by parents (``unsplit``). Joints are not smoothed.
 """
 
 import os
@@ -17,8 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pipeline.clustering.associate import reconstruct_seen
-from pipeline.clustering.instant.candidates import SeenFields
+from pipeline.clustering.associate import reconstruct_evidence
+from pipeline.clustering.instant.candidates import FieldEvidence
 from pipeline.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Observations, Timebase, Track3D
@@ -28,8 +27,8 @@ from pipeline.joints import COCO_18
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.simulation.scenes import Simulation
 from pipeline.simulation.views.fields import GRID, render
+from pipeline.stages.outputs_npz import encode_fields
 from pipeline.stages.plan import FrameCut
-from pipeline.stages.records_npz import encode_fields
 from pipeline.video.timeline import span_s
 
 _CHUNK_FRAMES = 25
@@ -46,7 +45,7 @@ _VARIANTS: Mapping[str, Mapping[str, Any]] = {
 
 @contextmanager
 def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
-    """All cameras' fields in a temporary folder."""
+    """Draw the fields of all cameras to files in a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         files = FieldFiles(Path(folder), [camera.name for camera in simulation.cameras])
         for frames in _ranges(simulation.timebase):
@@ -59,25 +58,27 @@ def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
 def cluster_fields(
     simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Reconstruct everybody, in joints of ``COCO_18``; tracks and the observations behind them.
+    """Reconstruct tracks of ``COCO_18`` joints, and the observations behind them.
 
     Parameters
     ----------
+    files
+        Fields of the simulation; see ``drawn_fields``.
     changes
-        Parameters that shall not be the default.
+        Changes to the default parameters, by name.
     """
     parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
     skeleton, timebase = skeleton_of(COCO_18), simulation.timebase
 
-    def seen_in(frames: range) -> SeenFields:
+    def evidence_in(frames: range) -> FieldEvidence:
         fields = files.read(frames)
-        return SeenFields(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
+        return FieldEvidence(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
 
-    return reconstruct_seen(simulation.cameras, seen_in, _ranges(timebase), timebase, COCO_18, parameters)
+    return reconstruct_evidence(simulation.cameras, evidence_in, _ranges(timebase), timebase, COCO_18, parameters)
 
 
 def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
-    """Scores of each variant as of ``score_simulated``, the variants at once on all cores."""
+    """Score each variant by ``score_simulated``, in parallel on all cores; returns scores by variant."""
     score = partial(_score_variant, simulation, files)
     with ProcessPool(min(len(_VARIANTS), os.cpu_count() or 1)) as pool:
         return dict(zip(_VARIANTS, pool.map(score, _VARIANTS.values()), strict=True))

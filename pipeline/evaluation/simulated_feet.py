@@ -1,4 +1,4 @@
-"""Feet of simulated people: whether they stand still when they should, and when only then."""
+"""Accuracy of foot contacts on simulated scenes: foot slide, ankle error and contact frames."""
 
 from collections.abc import Sequence
 
@@ -10,46 +10,52 @@ from pipeline.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation
 from pipeline.skeleton.feet import SIDES
-from pipeline.skeleton.model import placed
+from pipeline.skeleton.model import joint_pose
 
-# A true foot stands while its ankle moves slower than this and is this close to the lowest that it ever is: its heel
-# may lift.
+# A true foot stands while its ankle is slower than this speed and closer than this distance to its lowest height; the
+# distance allows for a lifted heel.
 _STILL_M_S, _LOW_M = 0.05, 0.04
 _SHORTEST_S = 0.1
-# A contact may begin and end so much too early and too late.
+# Tolerance of the start and of the end of a contact.
 _TOLERANCE_S = 0.08
 
 
 def score_feet(
     tracks: Sequence[Track3D], motions: Sequence[SkeletonMotion], simulation: Simulation, joints: JointSet
 ) -> dict[str, float | None]:
-    """Compare motions' feet with the true ones.
+    """Compare the feet of motions with those of the truth.
 
     Returns
     -------
-        ``foot_slide_cm``: over all true stances of at least 0.1 s, the ankle's mean horizontal distance from its median
-        place in that stance. ``ankle_mm``: the ankles' mean error in all frames. ``contacts_found``: share of the true
-        stances' frames in which a contact was found; ``contacts_invented``: share of the found contacts' frames in
-        which the true foot does not stand, nor within 0.08 s. ``None`` without any.
+    foot_slide_cm
+        Mean horizontal distance of the ankle from its median position in a true stance, over stances of at least 0.1 s.
+    ankle_mm
+        Mean error of the ankles over all frames.
+    contacts_found
+        Share of the frames of true stances that have a contact.
+    contacts_invented
+        Share of the frames of contacts in which the true foot does not stand, nor within 0.08 s.
+
+    Each figure is ``None`` without data.
     """
     num_frames, rate_hz = simulation.timebase.num_frames, simulation.timebase.frame_rate_hz
     ankles = simulation.joints.indices(tuple(f"{side}_ankle" for side in SIDES))
     truth_m = simulation.truth_m[:, :, ankles]
     stands = _stands(truth_m, rate_hz)
     near = _widened(stands, round(_TOLERANCE_S * rate_hz))
-    found_m, contact = _laid_out(motions, num_frames)
+    ankles_m, contact = _laid_out(motions, num_frames)
     matched = match_frames(
         select_joints(tracks, joints, BODY_JOINTS, np.arange(num_frames)),
         simulation.truth_m[:, :, simulation.joints.indices(BODY_JOINTS)],
     )
     frames = np.arange(num_frames)
-    there = matched >= 0
-    mine_m = np.where(there[..., None, None], found_m[matched, frames], np.nan)
-    touches = contact[matched, frames] & there[..., None]
+    is_matched = matched >= 0
+    matched_m = np.where(is_matched[..., None, None], ankles_m[matched, frames], np.nan)
+    touches = contact[matched, frames] & is_matched[..., None]
     return {
-        "foot_slide_cm": _slide_cm(mine_m, stands, max(2, round(_SHORTEST_S * rate_hz))),
-        "ankle_mm": _mean(1000 * np.linalg.norm(mine_m - truth_m, axis=-1)),
-        "contacts_found": _mean(touches[stands & there[..., None]]),
+        "foot_slide_cm": _slide_cm(matched_m, stands, max(2, round(_SHORTEST_S * rate_hz))),
+        "ankle_mm": _mean(1000 * np.linalg.norm(matched_m - truth_m, axis=-1)),
+        "contacts_found": _mean(touches[stands & is_matched[..., None]]),
         "contacts_invented": _mean(~near[touches]),
     }
 
@@ -77,17 +83,17 @@ def _widened(mask: Bool[np.ndarray, "people frames 2"], by: int) -> Bool[np.ndar
 def _laid_out(
     motions: Sequence[SkeletonMotion], num_frames: int
 ) -> tuple[Float[np.ndarray, "tracks frames 2 3"], Bool[np.ndarray, "tracks frames 2"]]:
-    """Ankles and contacts of all motions on the session's frames; one more, of nobody, for who has no match."""
+    """Ankles and contacts of all motions on the session's frames, and an empty entry for unmatched people."""
     ankles_m = np.full((len(motions) + 1, num_frames, 2, 3), np.nan)
     contact = np.zeros((len(motions) + 1, num_frames, 2), dtype=bool)
     for number, motion in enumerate(motions):
         start = motion.start_frame
         for foot, side in enumerate(SIDES):
-            ankle_m, _ = placed(motion, f"{side.capitalize()}Foot")
+            ankle_m, _ = joint_pose(motion, f"{side.capitalize()}Foot")
             ankles_m[number, start : start + len(ankle_m), foot] = ankle_m
-            for one in motion.contacts:
-                if one.side == side:
-                    contact[number, start + one.rows.start : start + one.rows.stop, foot] = True
+            for stance in motion.contacts:
+                if stance.side == side:
+                    contact[number, start + stance.rows.start : start + stance.rows.stop, foot] = True
     return ankles_m, contact
 
 

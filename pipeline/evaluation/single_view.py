@@ -1,7 +1,7 @@
-"""A tracker of one camera's boxes, the simple kind that cross-view tracking is compared with.
+"""Single-view tracker of boxes by overlap: baseline of cross-view tracking.
 
-Bochinski, Eiselein and Sikora, "High-speed tracking-by-detection without using image information" (AVSS 2017): a
-detection continues the track whose last box it overlaps most, and a track without one ends.
+After Bochinski, Eiselein and Sikora, "High-speed tracking-by-detection without using image information" (AVSS 2017): a
+detection continues the track whose last box it overlaps most, and a track without a detection ends.
 """
 
 import numpy as np
@@ -19,13 +19,13 @@ def track_boxes(frame: Int[np.ndarray, " n"], box_px: Float[np.ndarray, "n 4"]) 
     Parameters
     ----------
     frame
-        Ascending.
+        Frame number of each detection, ascending.
     box_px
         x0, y0, x1, y1 around each body.
 
     Returns
     -------
-        A track a detection; every detection has one.
+        Number of the track of each detection, from 0.
     """
     identity = np.empty(len(frame), int)
     num_tracks, before = 0, np.empty(0, int)

@@ -1,4 +1,4 @@
-"""People's colours, the same in pictures and in models."""
+"""Colours of people, equal in pictures and in models."""
 
 import colorsys
 
@@ -9,6 +9,6 @@ _HUE_STEP = 0.618034
 
 
 def color_rgb(track_id: int) -> Rgb:
-    """A bright colour of a person, far from those of the next numbers."""
+    """Bright colour of a person, different from the colours of the next numbers."""
     red, green, blue = colorsys.hsv_to_rgb(track_id * _HUE_STEP % 1.0, 0.85, 1.0)
     return round(255 * red), round(255 * green), round(255 * blue)

@@ -1,6 +1,6 @@
-"""Formats of people's files: how each is written and read back.
+"""Writers and readers of the formats of people's files.
 
-``pipeline.config`` declares their names, labels, media types and limits, which the web API needs too.
+``pipeline.config`` declares names, labels, media types and limits of the formats; the web API needs these too.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -31,9 +31,9 @@ class Person:
     joints, timebase
         Joints of the track, and clock of its frames.
     file_name
-        Name that the file will have.
+        Name of the file.
     preset
-        How BVH files name, turn and scale the skeleton.
+        Convention of BVH files.
     """
 
     track: Track3D
@@ -53,8 +53,8 @@ class Format:
     encode
         Yields the bytes of a person's file, piece by piece.
     read_xyz_m
-        Yields world positions (frames, joints, 3) in metres of a file that ``encode`` wrote, some frames at a time; of
-        joints that are unknown NaN.
+        Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3); NaN for
+        unknown joints.
     """
 
     encode: Callable[[Person], Iterator[bytes]]

@@ -1,4 +1,4 @@
-"""Pictures of skeletons drawn over a camera's frame."""
+"""Draw skeletons over a camera's frame."""
 
 from collections.abc import Mapping
 
@@ -17,9 +17,9 @@ _SHIFT = 4
 
 
 def _drawable(points_px: Float[np.ndarray, "joints 2"], size_px: tuple[int, int]) -> dict[int, tuple[int, int]]:
-    """Points in the image or within one image's size of it, in cv2's fixed-point numbers, by joint.
+    """Points in the image, or outside of it by up to one image size, as fixed-point numbers of cv2, by joint.
 
-    Farther away lens models fold over, and fixed-point numbers overflow.
+    Farther points are dropped: there lens models fold over, and fixed-point numbers overflow.
     """
     size = np.array(size_px)
     with np.errstate(invalid="ignore"):
@@ -36,14 +36,14 @@ def draw_skeletons(
     people_m: Mapping[int, Float[np.ndarray, "joints 3"]],
     joints: JointSet,
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Draw the people of an instant over a camera's picture, each in a colour with the number above.
+    """Draw the people of an instant over a camera's picture, each in their own colour with their number above.
 
     Parameters
     ----------
     image_rgb
-        The camera's picture of that instant, of ``camera.size_px``; it is not changed.
+        Picture of the instant, of size ``camera.size_px``; not changed.
     people_m
-        Joint positions in the world by the person's number; NaN joints are left out.
+        Joint positions in world coordinates (metres) by person's number; NaN joints are left out.
     """
     image = np.ascontiguousarray(image_rgb).copy()
     thickness = max(2, round(np.hypot(*camera.size_px) / 600))
@@ -52,7 +52,7 @@ def draw_skeletons(
         color = color_rgb(number)
         for start, end in ((joints.index(a), joints.index(b)) for a, b in joints.bones):
             if start in points and end in points:
-                # A dark rim keeps the line visible on any background.
+                # The dark outline keeps the line visible on any background.
                 cv2.line(image, points[start], points[end], _BLACK, thickness + 2, cv2.LINE_AA, _SHIFT)
                 cv2.line(image, points[start], points[end], color, thickness, cv2.LINE_AA, _SHIFT)
         for point in points.values():

@@ -1,6 +1,6 @@
-"""How files name, turn and scale the skeleton for the software that is to open them.
+"""Conventions of target software: names, axes, unit and rest pose of the skeleton in a file.
 
-A preset changes the mapping and never the motion: in every one of them each joint is where the skeleton has it.
+A preset never changes the motion: the positions of joints are the same in every preset.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
 
 _PARENTS = [INDEX[joint.parent] if joint.parent else 0 for joint in SKELETON]
 _BACKWARD = np.array([0.0, 1.0, 0.0])
-# Joints that a lowered arm carries, and about which direction of ``_BACKWARD`` it is lowered.
+# Joints of the arms, and the sign of the rotation about ``_BACKWARD`` that lowers them.
 _ARMS = {
     f"{side}{part}": sign
     for side, sign in (("Left", 1), ("Right", -1))
@@ -32,15 +32,15 @@ class Convention:
     Parameters
     ----------
     names
-        Of joints that are called other than in ``pipeline.skeleton.model``.
+        Names of joints that differ from ``pipeline.skeleton.model``.
     file_from_world
-        Rotation to the file's axes, right-handed as the world's.
+        Rotation from world axes to the file's axes; both are right-handed.
     units_per_m
-        How many of the file's units a metre is.
+        Length of a metre in the file's unit.
     rotation_order
-        Axes of the intrinsic rotations that Euler angles stand for.
+        Axes of the intrinsic rotations of the Euler angles.
     arms_lowered_deg
-        How far the rest pose's arms are below those of a T-pose.
+        Angle by which the arms of the rest pose are lowered from a T-pose.
     """
 
     names: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -50,26 +50,29 @@ class Convention:
     arms_lowered_deg: float = 0.0
 
     def name(self, joint: str) -> str:
-        """What the file calls a joint."""
+        """Name of a joint in the file."""
         return self.names.get(joint, joint)
 
     def file_from_xyz_m(self, xyz_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-        """Places in the world, in metres, on the file's axes and in its unit."""
+        """Convert world positions in metres to the file's axes and unit."""
         return xyz_m @ self.file_from_world.T * self.units_per_m
 
     def xyz_m_from_file(self, xyz: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-        """Undo ``file_from_xyz_m``."""
+        """Convert positions in the file to world positions in metres; inverse of ``file_from_xyz_m``."""
         return xyz / self.units_per_m @ self.file_from_world
 
     def rest_offsets(self, bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "joints 3"]:
-        """Offsets of all joints from their parents in the file's rest pose."""
+        """Offsets of all joints from their parents in the file's rest pose, axes and unit."""
         turned_m = self._lowered()[_PARENTS].apply(rest_offsets_m(bone_length_m))
         return self.file_from_xyz_m(turned_m)
 
     def parent_from_joint(
         self, quat_xyzw: Float[np.ndarray, "frames joints 4"]
     ) -> Float[np.ndarray, "frames joints 4"]:
-        """Rotations of a ``SkeletonMotion`` as they are from the file's rest pose, on its axes; as continuous."""
+        """Convert rotations (x, y, z, w) of a ``SkeletonMotion`` to the file's rest pose and axes.
+
+        Continuous quaternions stay continuous.
+        """
         turned = quat_xyzw.copy()
         lowered = self._lowered()
         for index, parent in enumerate(_PARENTS):
@@ -80,14 +83,14 @@ class Convention:
         return turned
 
     def _lowered(self) -> Rotation:
-        """Rotation of every joint's bones from the T-pose to the rest pose, world axes."""
+        """Rotation of each joint's bones from the T-pose to the rest pose, in world axes."""
         angle_rad = np.radians(self.arms_lowered_deg)
         signs = np.array([_ARMS.get(joint.name, 0) for joint in SKELETON])
         return Rotation.from_rotvec(angle_rad * signs[:, None] * _BACKWARD)
 
 
 def _sided(names: Mapping[str, str]) -> dict[str, str]:
-    """Names of both sides from patterns, ``{Side}`` and ``{s}`` in the places of left or right."""
+    """Expand patterns to the names of both sides: ``{Side}`` is Left or Right, ``{s}`` is l or r, ``{S}`` is L or R."""
     return {
         joint.format(Side=side): name.format(Side=side, s=side[0].lower(), S=side[0])
         for joint, name in names.items()
@@ -96,12 +99,12 @@ def _sided(names: Mapping[str, str]) -> dict[str, str]:
 
 
 GLTF = Convention(units_per_m=1.0)
-"""What glTF prescribes: Y up, facing +Z, metres."""
+"""Convention of glTF: Y up, facing +Z, metres."""
 
 PRESETS: Mapping[Preset, Convention] = MappingProxyType(
     {
         "default": Convention(),
-        # The importer takes a unit for a metre; sides as suffixes are what its symmetry tools go by. Rigify's names.
+        # Rigify's names. Blender's importer reads a unit as a metre, and its symmetry tools need sides as suffixes.
         "blender": Convention(
             names=_sided(
                 {
@@ -121,7 +124,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
             ),
             units_per_m=1.0,
         ),
-        # Names of HumanBodyBones.
+        # Names of Unity's HumanBodyBones.
         "unity-humanoid": Convention(
             names=_sided(
                 {
@@ -133,7 +136,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
             ),
             units_per_m=1.0,
         ),
-        # The mannequin's names; collar bones hang on its third bone of the spine.
+        # Names of the Unreal mannequin, whose collar bones are children of the third bone of the spine.
         "unreal": Convention(
             names=_sided(
                 {
@@ -152,11 +155,11 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                 }
             ),
             file_from_world=WORLD,
-            # About the same axes of the body as Z X Y where Y is up.
+            # Rotates about the same axes of the body as Z X Y where Y is up.
             rotation_order="YXZ",
             arms_lowered_deg=45.0,
         ),
-        # Collar bones hang on the third bone of the spine here too.
+        # The collar bones are children of the third bone of the spine.
         "mixamo": Convention(
             names={joint.name: f"mixamorig:{'Spine2' if joint.name == 'Chest' else joint.name}" for joint in SKELETON},
         ),

@@ -1,30 +1,31 @@
-"""Motion at another frame rate than the session's, for software that wants its own."""
+"""Resample motion to another frame rate."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation, Slerp
 
 from pipeline.data import Animation, FootContact, Reconstruction, SkeletonMotion, Source, Timebase, Track3D, read_only
 
-# Where two frames meet but for rounding.
+# Frames whose numbers differ by less, but for rounding, are the same.
 _SAME = 1e-9
 
 
 def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruction:
-    """Everybody's final positions and skeletons at another rate, from the same first frame on.
+    """Resample the final positions and skeletons of all people; the first output frame stays.
 
-    Positions are interpolated between two frames in which a joint is known, rotations along the shortest arc between
-    two frames (slerp). What was located and observed stays at the session's rate. Who lives between two of the new
-    frames is left out.
+    Positions are interpolated linearly between two frames in which a joint is known, rotations along the shortest arc
+    between two frames (slerp). Located joints and observations stay at the session's rate. People who appear only
+    between two new frames are left out.
 
     Parameters
     ----------
     frame_rate_hz
-        Of the new frames.
+        Rate of the new frames.
     """
-    ratio = reconstruction.timebase.frame_rate_hz / frame_rate_hz  # old frames a new one
+    ratio = reconstruction.timebase.frame_rate_hz / frame_rate_hz  # old frames per new frame
     tracks, motions = [], []
     for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
         frames = _new_frames(track.start_frame, track.num_frames, ratio)
@@ -38,20 +39,20 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
 
 
 def resampled_timebase(old: Timebase, frame_rate_hz: float) -> Timebase:
-    """Frames at another rate, from the same first one to the last one that is not after the old last one."""
+    """Timebase at another rate with the same first frame; its last frame is not after the old last frame."""
     ratio = old.frame_rate_hz / frame_rate_hz
     return Timebase(old.start_time_s, frame_rate_hz, math.floor((old.num_frames - 1) / ratio + _SAME) + 1)
 
 
 def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:
-    """New frames that lie within some old ones."""
+    """Numbers of the new frames within a range of old frames."""
     return range(math.ceil(start_frame / ratio - _SAME), math.floor((start_frame + num_frames - 1) / ratio + _SAME) + 1)
 
 
 def _between(
     frames: range, start_frame: int, num_frames: int, ratio: float
 ) -> tuple[Int[np.ndarray, " new"], Int[np.ndarray, " new"], Float[np.ndarray, " new"]]:
-    """Rows before and behind each new frame, and how far it is from the one to the other."""
+    """Old rows before and after each new frame, and the weight of the row after it, from 0 to 1."""
     place = np.arange(frames.start, frames.stop) * ratio - start_frame
     place = np.where(np.abs(place - np.round(place)) < _SAME * num_frames, np.round(place), place)
     before = np.clip(np.floor(place).astype(np.int64), 0, num_frames - 1)
@@ -85,29 +86,23 @@ def _motion_at(motion: SkeletonMotion, frames: range, ratio: float, frame_rate_h
         frame_rate_hz=frame_rate_hz,
         root_m=read_only((1 - along) * motion.root_m[before] + along * motion.root_m[behind]),
         parent_from_joint=read_only(
-            _slerp(motion.parent_from_joint[before], motion.parent_from_joint[behind], weight[:, None, None])
+            _rotations_at(motion.parent_from_joint, np.minimum(before + weight, len(motion.root_m) - 1))
         ),
-        contacts=tuple(_contact_at(one, motion.start_frame, frames, ratio) for one in motion.contacts),
+        contacts=tuple(_contact_at(contact, motion.start_frame, frames, ratio) for contact in motion.contacts),
     )
 
 
 def _contact_at(contact: FootContact, start_frame: int, frames: range, ratio: float) -> FootContact:
-    held = _new_frames(start_frame + contact.start_frame, contact.num_frames, ratio)
-    return replace(contact, start_frame=held.start - frames.start, num_frames=len(held))
+    standing = _new_frames(start_frame + contact.start_frame, contact.num_frames, ratio)
+    return replace(contact, start_frame=standing.start - frames.start, num_frames=len(standing))
 
 
-def _slerp(
-    one: Float[np.ndarray, "*rotations 4"], other: Float[np.ndarray, "*rotations 4"], weight: Float[np.ndarray, "*_ 1"]
-) -> Float[np.ndarray, "*rotations 4"]:
-    """Between two unit quaternions, along the shorter arc (Shoemake, SIGGRAPH 1985)."""
-    cosine = np.sum(one * other, axis=-1, keepdims=True)
-    other, cosine = np.where(cosine < 0, -other, other), np.clip(np.abs(cosine), 0.0, 1.0)
-    angle = np.arccos(cosine)
-    sine = np.sin(angle)
-    # Where both are nearly one the arc is a line.
-    is_arc = sine > 1e-6
-    divisor = np.where(is_arc, sine, 1.0)
-    first = np.where(is_arc, np.sin((1 - weight) * angle) / divisor, 1 - weight)
-    second = np.where(is_arc, np.sin(weight * angle) / divisor, weight)
-    mixed = first * one + second * other
-    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+def _rotations_at(
+    quat_xyzw: Float[np.ndarray, "frames joints 4"], place: Float[np.ndarray, " new"]
+) -> Float[np.ndarray, "new joints 4"]:
+    """Interpolate the rotations (x, y, z, w) of all joints at fractional frame numbers."""
+    if len(quat_xyzw) == 1:  # Slerp needs two rotations.
+        return np.repeat(quat_xyzw, len(place), axis=0)
+    frames = np.arange(len(quat_xyzw))
+    joints = (Slerp(frames, Rotation.from_quat(joint))(place).as_quat() for joint in quat_xyzw.swapaxes(0, 1))
+    return np.stack(list(joints), axis=1)

@@ -1,4 +1,4 @@
-"""The files that a reconstruction leaves, by name; the service's results bear the same names."""
+"""Write the result files of a reconstruction; the service's results have the same names."""
 
 import contextlib
 import errno
@@ -35,28 +35,28 @@ _DECIMALS_MM = 4
 
 
 def check_exports(timebase: Timebase, exports: Collection[Export], frame_rate_hz: float | None = None) -> None:
-    """Check that files can hold a session.
+    """Check that the number of frames is within the limits of result files.
 
     Parameters
     ----------
     frame_rate_hz
-        Of the motion in the files; ``None``: the session's.
+        Rate of the motion in the files; ``None``: the session's rate.
 
     Raises
     ------
     InputError
-        If there are more frames than files hold, or than a format does.
+        If there are more frames than any result, or one of the formats, may have.
     """
     num_frames = (timebase if frame_rate_hz is None else resampled_timebase(timebase, frame_rate_hz)).num_frames
     problems = []
     if num_frames > MAX_OUTPUT_FRAMES:
-        message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
-        hint = "Ask for a lower rate, or for fewer frames."
+        message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are allowed."
+        hint = "Choose a lower rate or fewer frames."
         problems.append(Problem("too_many_frames", message, field="output_rate_hz", hint=hint))
     for export, limit in too_long_for(exports, num_frames):
         message = f"A {export.upper()} file holds {limit} frames at most; the session has {num_frames}."
         others = " and ".join(unlimited_alternatives(export))
-        hint = f"Leave {export} away: {others} have the same {FILE_FORMATS[export].holds} and no such limit."
+        hint = f"Omit {export}: {others} have the same {FILE_FORMATS[export].holds} and no such limit."
         problems.append(Problem(f"too_long_for_{export}", message, field="exports", hint=hint))
     if problems:
         raise InputError(problems)
@@ -70,28 +70,30 @@ def write_results(
     frame_rate_hz: float | None = None,
     on_share: OnShare = ignore,
 ) -> Iterator[Path]:
-    """Write all result files into a folder, which is made if it is missing; yields each as soon as it is there.
+    """Write all result files into a folder, which is created if missing; yield each path when its file is complete.
 
-    Each is written and read back under a temporary name first, so that no file bears its name that is not whole:
-    ``metrics.json``, the last one, says how far joints then are from where they should be, at most.
+    Each file is written and read back under a temporary name, so that no incomplete file has its final name.
+    ``metrics.json`` is the last file. It contains the largest distance, for each format, between joints read back and
+    their true positions.
 
     Parameters
     ----------
     exports
-        Formats of which everybody gets a file, beside the two files of all.
+        Formats of the files of each person. ``skeletons.json`` and ``metrics.json`` are always written.
     preset
-        How BVH files name, turn and scale the skeleton.
+        Convention of BVH files.
     frame_rate_hz
-        Of the motion in all files; ``None``: the session's. What ``metrics.json`` measures is at the session's.
+        Rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json`` are always at the
+        session's rate.
     on_share
-        Called while files are read back, and after each file.
+        Called with the progress while files are read back, and after each file.
 
     Raises
     ------
     InputError
-        As ``check_exports``.
+        See ``check_exports``.
     OSError
-        If the folder can't be written to, the disk is full, or a file does not hold what was written.
+        If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
     """
     check_exports(reconstruction.timebase, exports, frame_rate_hz)
     shown = reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
@@ -126,13 +128,13 @@ def write_results(
 
 
 def _of_reading(on_share: OnShare) -> OnShare:
-    """Report how far a file is read back: writing it takes about as long."""
+    """Progress of reading a file back: the second half, because writing takes about as long."""
     return part_of(on_share, 0.5, 1.0)
 
 
 @contextlib.contextmanager
 def _replacing(path: Path, pieces: Iterable[bytes]) -> Iterator[Path]:
-    """Write a file beside ``path``, to be looked at in the block; it gets its name after that, unless that fails."""
+    """Write a file under a temporary name for the block; rename it to ``path`` if the block succeeds."""
     part = path.with_name(f".{path.name}.part")
     try:
         with part.open("wb") as file:
@@ -149,11 +151,16 @@ def _furthest_mm(
     read_m: Iterable[Float[np.ndarray, "_ joints 3"]],
     on_share: OnShare,
 ) -> float | None:
-    """Largest distance of what was read of a person's file, some frames at a time, from what should be there.
+    """Largest distance in mm between positions read from a person's file, block by block, and the expected positions.
 
     Returns
     -------
         ``None`` if no joint is known in any frame.
+
+    Raises
+    ------
+    OSError
+        If shapes or unknown joints differ.
     """
     spoilt = OSError(errno.EIO, f"{path.name} does not hold what was written to it")
     num_read, far_m = 0, []
@@ -162,8 +169,8 @@ def _furthest_mm(
         num_read += len(block_m)
         if block_m.shape != expected_block_m.shape:
             raise spoilt
-        known, found = np.isfinite(expected_block_m).all(-1), np.isfinite(block_m).all(-1)
-        if (known != found).any():
+        known, known_in_file = np.isfinite(expected_block_m).all(-1), np.isfinite(block_m).all(-1)
+        if (known != known_in_file).any():
             raise spoilt
         if known.any():
             far_m.append(np.linalg.norm((block_m - expected_block_m)[known], axis=-1).max())

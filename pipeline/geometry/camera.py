@@ -1,7 +1,7 @@
 """Distortion, projection and rays of one camera (OpenCV's pinhole model).
 
-The distortion model is that of OpenCV's ``calib3d`` documentation: radial k1..k6 (rational), tangential p1, p2 and thin
-prism s1..s4.
+The distortion model is documented in OpenCV's ``calib3d``: radial k1..k6 (rational), tangential p1, p2 and thin prism
+s1..s4.
 """
 
 import numpy as np
@@ -11,17 +11,17 @@ from pipeline.data import Camera
 
 
 def image_from_world(camera: Camera) -> Float[np.ndarray, "3 4"]:
-    """Projection matrix ``K [R | t]``, to undistorted pixels."""
+    """Projection matrix ``K [R | t]`` from world coordinates in metres to undistorted pixels."""
     return camera.matrix @ camera.cam_from_world.matrix
 
 
 def center_in_world(camera: Camera) -> Float[np.ndarray, " 3"]:
-    """Camera centre in metres."""
+    """Camera centre in world coordinates, metres."""
     return camera.cam_from_world.inverse().translation_m
 
 
 def twelve_coefficients(distortion: Float[np.ndarray, " coefficients"]) -> Float[np.ndarray, " 12"]:
-    """All twelve of OpenCV's coefficients, 0 where a camera has fewer."""
+    """Pad distortion coefficients to OpenCV's twelve with zeros."""
     padded = np.zeros(12)
     padded[: len(distortion)] = distortion
     return padded
@@ -30,7 +30,7 @@ def twelve_coefficients(distortion: Float[np.ndarray, " coefficients"]) -> Float
 def distort(
     points: Float[np.ndarray, "*batch 2"], distortion: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "*batch 2"]:
-    """Distort points on the normalised image plane (z = 1)."""
+    """Distort points on the normalised image plane (z = 1); NaN stays NaN."""
     if not np.any(distortion):
         return points
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = twelve_coefficients(distortion)
@@ -47,11 +47,11 @@ def distort(
 
 
 def project(camera: Camera, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
-    """Project world points to pixels as seen, distortion included.
+    """Project world points (metres) to distorted pixels.
 
     Returns
     -------
-        NaN for points behind the camera, and for NaN.
+        Pixels of the full image; NaN for points behind the camera, and for NaN.
     """
     in_cam = camera.cam_from_world.apply(points_m)
     depth_m = np.where(in_cam[..., 2:] > 1e-6, in_cam[..., 2:], np.nan)

@@ -1,4 +1,4 @@
-"""Reprojection of whole tracks, and undistortion, as compiled loops; ``camera.py`` is the same in plain numpy."""
+"""Compiled reprojection of whole tracks, and undistortion; ``camera.py`` is the same in plain NumPy."""
 
 from functools import cache
 from typing import no_type_check
@@ -10,14 +10,14 @@ from pipeline.runtime.jit import kernel, record_dtype
 
 @cache
 def block_dtype(size: int) -> np.dtype:
-    """Points to undistort together."""
+    """Record of a block of points for undistortion."""
     return record_dtype(*((name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")))
 
 
 @kernel
 @no_type_check
 def _add_errors(here, view, p, m, d):
-    """Project the joints into a camera, distortion included, and add what they are off by."""
+    """Project the joints into a camera with distortion, and add their reprojection errors."""
     p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
     p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
@@ -58,7 +58,7 @@ def reprojection_errors(
     mean_weight,
     views,
 ):
-    """Mean reprojection error over the cameras that saw a joint, and how many those are.
+    """Compute the mean reprojection error over the cameras that saw a joint, and the number of these cameras.
 
     Parameters
     ----------
@@ -67,20 +67,20 @@ def reprojection_errors(
     matrices
         Camera matrices, (cameras, 3, 3).
     distortions
-        Twelve coefficients a camera, as ``camera.distort`` takes them.
+        Twelve coefficients a camera, in the order of ``camera.distort``.
     xyz_m
-        World coordinates, (frames, joints, 3).
+        World coordinates in metres, (frames, joints, 3).
     points_px
-        Pixels as seen, (frames, cameras, joints, 2).
+        Distorted pixels, (frames, cameras, joints, 2).
     weights, min_weight
-        Above 0 and no less than ``min_weight`` where an observation was used, (frames, cameras, joints).
+        Weights of observations, (frames, cameras, joints). An observation is used if its weight is above 0 and at least
+        ``min_weight``.
     points, views_room
-        Room to work in, zeros (1,) of ``point_dtype`` and of ``view_dtype``.
+        Workspace, zeros (1,) of ``point_dtype`` and of ``view_dtype``.
     error_px
-        Gets the error, (frames, joints), NaN where no camera saw the joint or it is not known.
+        Output: error in pixels, (frames, joints), NaN where no camera saw the joint or the joint is unknown.
     mean_weight, views
-        Get the mean weight of the cameras that saw the joint, and how many they are, (frames, joints); 0 where there
-        is no error.
+        Output: mean weight and number of the cameras that saw the joint, (frames, joints); 0 where there is no error.
     """
     here, view = points[0], views_room[0]
     for frame in range(len(weights)):
@@ -109,7 +109,7 @@ def reprojection_errors(
 def undistort(points, d, num_steps, tolerance, blocks):
     """Invert ``camera.distort`` in place by Newton's method with the exact Jacobian; (points, 2), NaN stays NaN.
 
-    Points go in blocks that end together; ``blocks`` is room for one, (1,) of ``block_dtype``.
+    Points are processed in blocks; ``blocks`` is the workspace for a block, (1,) of ``block_dtype``.
     """
     block = blocks[0]
     size = block.x.shape[0]
@@ -138,8 +138,8 @@ def undistort(points, d, num_steps, tolerance, blocks):
                 vv = radial + v * v * slope + 6 * p1 * v + 2 * p2 * u + prism_v * v
                 determinant = uu * vv - uv * vu
                 over = 1.0 / determinant
-                # Where the model folds over, beyond the image, the Jacobian loses its sign: stay there rather than
-                # diverge.
+                # Beyond the image, where the distortion model folds over, the determinant is not positive: keep the
+                # point there, for the iteration would diverge.
                 over = over if determinant > 1e-3 else 0.0
                 block.x[i] = u - (vv * off_u - uv * off_v) * over
                 block.y[i] = v - (uu * off_v - vu * off_u) * over

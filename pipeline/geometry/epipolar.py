@@ -11,8 +11,8 @@ from pipeline.data import Camera
 def fundamental_matrices(cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras cameras 3 3"]:
     """Fundamental matrices F of undistorted pixels, ``x_left^T F x_right = 0`` with ``F = result[left, right]``.
 
-    ``F x_right`` is the epipolar line in the left image, ``F^T x_left`` the one in the right. Those of a camera with
-    itself are zero.
+    ``F x_right`` is the epipolar line in the left image, ``F^T x_left`` the epipolar line in the right image. Matrices
+    of a camera with itself are zero.
     """
     rotations = np.array([camera.cam_from_world.rotation for camera in cameras])
     translations_m = np.array([camera.cam_from_world.translation_m for camera in cameras])
@@ -29,7 +29,7 @@ def fundamental_matrices(cameras: Sequence[Camera]) -> Float[np.ndarray, "camera
 def distance_to_line_px(
     points_px: Float[np.ndarray, "*batch 2"], lines: Float[np.ndarray, "*batch 3"]
 ) -> Float[np.ndarray, "*batch"]:
-    """Distance of points to homogeneous lines ``a x + b y + c = 0`` in pixels."""
+    """Distance of points to homogeneous lines ``a x + b y + c = 0``, in pixels; NaN for NaN."""
     return np.abs((points_px * lines[..., :2]).sum(-1) + lines[..., 2]) / np.linalg.norm(lines[..., :2], axis=-1)
 
 
@@ -38,9 +38,14 @@ def epipolar_distance_px(
     left_px: Float[np.ndarray, "*batch 2"],
     right_px: Float[np.ndarray, "*batch 2"],
 ) -> Float[np.ndarray, "*batch"]:
-    """Mean of the two point-to-epipolar-line distances (Chen et al. 2020, eq. 13), undistorted pixels.
+    """Mean distance in pixels of two points to each other's epipolar line (Chen et al. 2020, eq. 13).
 
-    NaN where a point is NaN.
+    Parameters
+    ----------
+    fundamental
+        Matrix of ``fundamental_matrices`` for the two cameras.
+    left_px, right_px
+        Undistorted pixels; the distance is NaN where a point is NaN.
     """
     ones = np.ones_like(left_px[..., :1])
     line_in_left = np.concatenate([right_px, ones], axis=-1) @ fundamental.T

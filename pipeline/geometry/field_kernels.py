@@ -1,4 +1,4 @@
-"""Part affinity fields along segments, compiled."""
+"""Compiled integration of part affinity fields along segments."""
 
 from typing import no_type_check
 
@@ -15,7 +15,7 @@ _ZERO, _ONE = 128.0, 127.0
 def integrate(fields, limb, begin, end, agreeing, mean, share):
     """Mean dot product of a field with the unit vector along each segment, and the share of samples that agree.
 
-    See ``geometry.fields.connectivity``, which says what the arguments are; ``mean`` and ``share`` are the results.
+    ``geometry.fields.connectivity`` documents the arguments; ``mean`` and ``share`` are outputs.
     """
     height, width = fields.shape[2], fields.shape[3]
     for k in range(len(limb)):

@@ -1,6 +1,6 @@
-"""Part affinity fields: how they are kept, and what they say of two points.
+"""Part affinity fields: storage as bytes, and connectivity of two points.
 
-After Cao et al., "Realtime multi-person 2D pose estimation using part affinity fields" (CVPR 2017), section 2.3.
+Source: Cao et al., "Realtime multi-person 2D pose estimation using part affinity fields" (CVPR 2017), section 2.3.
 """
 
 import numpy as np
@@ -8,12 +8,12 @@ from jaxtyping import Float, Int, UInt8
 
 from pipeline.geometry.field_kernels import integrate
 
-# A sample of a field agrees with a segment if its dot product is above this (OpenPose's own threshold).
+# A sample of a field agrees with a segment if their dot product is above this threshold of OpenPose.
 _AGREEING = 0.05
 
 
 def quantise(pafs: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
-    """Fields as bytes: 128 for 0, a step of 1 / 127, from -1 to 1."""
+    """Quantise fields to bytes: 128 for 0, steps of 1 / 127, from -1 to 1."""
     return (np.clip(pafs, -1.0, 1.0) * 127.0 + 128.5).astype(np.uint8)
 
 
@@ -23,22 +23,22 @@ def connectivity(
     begin: Float[np.ndarray, "n 2"],
     end: Float[np.ndarray, "n 2"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Connectivity score s of two points of an image (their eq. 10), and the share of the segment that agrees.
+    """Connectivity score s of two image points (eq. 10), and the share of samples that agree with the segment.
 
     Parameters
     ----------
     fields
-        Bytes, as of ``quantise``.
+        Fields as bytes of ``quantise``.
     limb
-        Which field.
+        Index of the field of each pair.
     begin, end
-        Where the limb would begin and end, x and y in cells.
+        Assumed start and end of the limb, x and y in cells.
 
     Returns
     -------
-        Both NaN where an end is not on the map, or NaN.
+        Score and share; both NaN where an end is NaN or outside of the map.
     """
-    # Whether an array may be written to is part of its type, and one type is compiled.
+    # Writeability is part of an array's type for numba; the kernel is compiled for read-only arrays.
     fields = fields.view()
     fields.flags.writeable = False
     mean, share = np.empty(len(limb)), np.empty(len(limb))

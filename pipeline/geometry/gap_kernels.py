@@ -1,4 +1,4 @@
-"""Gaps in whole tracks as compiled loops."""
+"""Compiled loops that fill gaps in whole tracks."""
 
 from typing import no_type_check
 
@@ -16,11 +16,11 @@ def fill_gaps(xyz_m, max_gap, last_known, source):
     Parameters
     ----------
     xyz_m
-        World coordinates, (frames, joints, 3), NaN where a joint is not known; changed.
+        World coordinates in metres, (frames, joints, 3), NaN where a joint is unknown; changed in place.
     last_known
-        Room to work in, (joints,) of -1.
+        Workspace, (joints,) of -1.
     source
-        Gets how each joint is known, (frames, joints) of ``data.Source``.
+        Output: source of each joint, (frames, joints) of ``data.Source``.
     """
     for frame in range(xyz_m.shape[0]):
         for k in range(xyz_m.shape[1]):

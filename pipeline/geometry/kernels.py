@@ -1,8 +1,8 @@
 """Triangulation of whole tracks as compiled loops.
 
-``triangulation.py`` is the same in plain numpy, to read first: tests hold these loops to them. What
-is on the way stands in records whose arrays have the joints last and a length known when a loop is compiled, so that a
-loop over the joints works on several at a time.
+``triangulation.py`` is the same in plain NumPy; read it first. Tests compare both. Intermediate values are stored in
+records whose arrays have the joints last, with a length that is known at compile time, so that loops over joints are
+vectorised.
 """
 
 from functools import cache
@@ -18,21 +18,21 @@ _MIN_DETERMINANT = 1e-5
 
 @cache
 def view_dtype(lanes: int) -> np.dtype:
-    """What a camera says of the joints."""
+    """Record of a camera: rows, weights and distances of all joints."""
     return record_dtype(
-        ("rows", np.float64, (8, lanes)),  # two planes through the ray (Chen et al. 2020, eq. 7-9)
-        ("over2", np.float64, (2, lanes)),  # one over their squared norms (eq. 11)
-        ("normal", np.float64, (_NUM_NORMAL, lanes)),  # what they add to the normal equations at weight 1
+        ("rows", np.float64, (8, lanes)),  # planes through the ray (Chen et al. 2020, eq. 7-9)
+        ("over2", np.float64, (2, lanes)),  # inverse squared norms of the rows (eq. 11)
+        ("normal", np.float64, (_NUM_NORMAL, lanes)),  # contribution to the normal equations at weight 1
         ("base2", np.float64, (lanes,)),  # squared weight
-        ("weight", np.float64, (lanes,)),  # the same times what the robust loss leaves of it
-        ("off2", np.float64, (lanes,)),  # squared distance to the point, 0 where that or the view does not count
+        ("weight", np.float64, (lanes,)),  # squared weight times the robust weight
+        ("off2", np.float64, (lanes,)),  # squared distance to the point, 0 where the point or the view is unused
         ("px", np.float64, (2, lanes)),
     )
 
 
 @cache
 def point_dtype(lanes: int) -> np.dtype:
-    """What all cameras say together."""
+    """Record of the triangulation of all joints from all cameras."""
     return record_dtype(
         # The six entries of a symmetric 3x3 matrix and the right-hand side of the normal equations.
         ("normal", np.float64, (_NUM_NORMAL, lanes)),
@@ -47,20 +47,20 @@ def point_dtype(lanes: int) -> np.dtype:
     )
 
 
-class Room(NamedTuple):
-    """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
+class Workspace(NamedTuple):
+    """Workspace of the kernels, which allocate no memory and so need no reference counting."""
 
     views: np.ndarray  # (cameras,) of view_dtype
     points: np.ndarray  # (1,) of point_dtype
     guess_m: np.ndarray  # (joints, 3)
-    before_m: np.ndarray  # (reach + 1, joints, 3): the last frames as they were, in turn
+    before_m: np.ndarray  # (reach + 1, joints, 3): ring buffer of the last unchanged frames
     window: np.ndarray  # (2 * reach + 1,)
 
 
-def make_room(num_cameras: int, num_joints: int, reach: int) -> Room:
-    """Room for ``triangulate_alone`` and ``settle_disputes``."""
+def make_workspace(num_cameras: int, num_joints: int, reach: int) -> Workspace:
+    """Allocate the workspace of ``triangulate_alone`` and ``settle_disputes``."""
     lanes = round_up(num_joints)
-    return Room(
+    return Workspace(
         zero_records(num_cameras, view_dtype(lanes)),
         zero_records(1, point_dtype(lanes)),
         np.zeros((num_joints, 3)),
@@ -72,7 +72,7 @@ def make_room(num_cameras: int, num_joints: int, reach: int) -> Room:
 @kernel
 @no_type_check
 def _fill_rows(image_from_world, points_px, weights, min_weight, views):
-    """Rows of each view and their norms (Chen et al. 2020, eq. 7-9 and 11)."""
+    """Compute rows of each view and their norms (Chen et al. 2020, eq. 7-9 and 11)."""
     for c in range(len(views)):
         view, p = views[c], image_from_world[c]
         p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
@@ -119,9 +119,9 @@ def _fill_rows(image_from_world, points_px, weights, min_weight, views):
 def _reweigh(views, point, scale_m, far_m):
     """Weight views by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``.
 
-    The d is the distance of the point as it is to both planes of a view: to first order that to its ray. Its square
-    stays in ``off2``, and in ``num_far`` how many views are farther than ``far_m``: a largest would take masked stores,
-    which are slow.
+    The distance d is that of the current point to both planes of a view, to first order the distance to its ray. Its
+    square is stored in ``off2``, the number of views farther than ``far_m`` in ``num_far``. Computing the largest
+    distance instead would need masked stores, which are slow.
     """
     scale2, far2 = scale_m * scale_m, far_m * far_m
     point.num_far[:] = 0.0
@@ -143,7 +143,7 @@ def _reweigh(views, point, scale_m, far_m):
 @kernel
 @no_type_check
 def _solve(views, point):
-    """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN where two views are wanting or all rays parallel."""
+    """Minimise ``|| (w o A) X~ ||`` (eq. 10) by Cramer's rule; NaN for fewer than two views or parallel rays."""
     point.normal[:] = 0.0
     point.views[:] = 0.0
     for c in range(len(views)):
@@ -179,7 +179,7 @@ def _solve(views, point):
 @kernel
 @no_type_check
 def _measure_cost(views, point, scale_m):
-    """Geman-McClure cost of the point, infinite where it is not known."""
+    """Compute the Geman-McClure cost of the point; infinite where the point is unknown."""
     scale2 = scale_m * scale_m
     point.cost[:] = 0.0
     for c in range(len(views)):
@@ -195,30 +195,30 @@ def _measure_cost(views, point, scale_m):
 
 @kernel
 @no_type_check
-def _median_around(xyz_m, frame, joint, axis, reach, room):
-    """Median over a frame and its neighbours on each side, NaN where none of them has the joint."""
+def _median_around(xyz_m, frame, joint, axis, reach, workspace):
+    """Median of a coordinate over a frame and its neighbours, NaN where the joint is unknown in all of them."""
     count = 0
     for other in range(max(frame - reach, 0), min(frame + reach + 1, xyz_m.shape[0])):
         is_past = other < frame
-        value = room.before_m[other % (reach + 1), joint, axis] if is_past else xyz_m[other, joint, axis]
+        value = workspace.before_m[other % (reach + 1), joint, axis] if is_past else xyz_m[other, joint, axis]
         if value == value:
             place = count
-            while place > 0 and room.window[place - 1] > value:
-                room.window[place] = room.window[place - 1]
+            while place > 0 and workspace.window[place - 1] > value:
+                workspace.window[place] = workspace.window[place - 1]
                 place -= 1
-            room.window[place] = value
+            workspace.window[place] = value
             count += 1
     if count == 0:
         return np.nan
-    return 0.5 * (room.window[(count - 1) // 2] + room.window[count // 2])
+    return 0.5 * (workspace.window[(count - 1) // 2] + workspace.window[count // 2])
 
 
 @kernel
 @no_type_check
 def _triangulate_alone(views, point, scales_m, disputed_m):
-    """``triangulation.triangulate_robust`` without a guess.
+    """Triangulate a frame by ``triangulation.triangulate_robust`` without a guess.
 
-    Leaves in ``num_far`` how many views were farther than ``disputed_m`` before the last step.
+    ``num_far`` is set to the number of views that were farther than ``disputed_m`` before the last step.
     """
     _solve(views, point)
     _reweigh(views, point, scales_m[-1], scales_m[-2])
@@ -236,7 +236,7 @@ def _triangulate_alone(views, point, scales_m, disputed_m):
 @kernel
 @no_type_check
 def _anneal(views, point, scales_m):
-    """Go from scale to scale; a joint begins where the scale is below its worst."""
+    """Decrease the scale step by step; a joint begins with the first scale below its largest distance."""
     worst2 = 0.0
     point.worst2[:] = 0.0
     for k in range(point.worst2.shape[0]):
@@ -260,8 +260,10 @@ def _anneal(views, point, scales_m):
 
 @kernel
 @no_type_check
-def triangulate_alone(image_from_world, points_px, weights, min_weight, scales_m, disputed_m, room, xyz_m, disputed):
-    """Triangulate every frame robustly: ``triangulation.triangulate_robust`` without a guess.
+def triangulate_alone(
+    image_from_world, points_px, weights, min_weight, scales_m, disputed_m, workspace, xyz_m, disputed
+):
+    """Triangulate all frames by ``triangulation.triangulate_robust`` without a guess.
 
     Parameters
     ----------
@@ -273,14 +275,14 @@ def triangulate_alone(image_from_world, points_px, weights, min_weight, scales_m
         Factors of a view's rows, (frames, cameras, joints); 0, or less than ``min_weight``, leaves the view out.
     scales_m, disputed_m
         ``triangulation.SCALES_M`` and ``triangulation.DISPUTED_M``.
-    room
-        See ``make_room``.
+    workspace
+        See ``make_workspace``.
     xyz_m
-        Gets the world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the point.
+        Output: world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the point.
     disputed
-        Gets whether the views of a joint disagree, (frames, joints).
+        Output: whether the views of a joint disagree, (frames, joints).
     """
-    views, here = room.views, room.points[0]
+    views, here = workspace.views, workspace.points[0]
     for frame in range(len(points_px)):
         _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, views)
         _triangulate_alone(views, here, scales_m, disputed_m)
@@ -292,15 +294,15 @@ def triangulate_alone(image_from_world, points_px, weights, min_weight, scales_m
 
 @kernel
 @no_type_check
-def _neighbours_object(xyz_m, frame, disputed, disputed_m, reach, room):
-    """Keep a dispute only where the neighbouring frames see the joint elsewhere, in ``room.guess_m``."""
+def _neighbours_object(xyz_m, frame, disputed, disputed_m, reach, workspace):
+    """Keep a dispute only if the median of neighbouring frames, ``workspace.guess_m``, is far from the joint."""
     any_disputed = False
     for k in range(xyz_m.shape[1]):
         if disputed[k]:
             apart2 = 0.0
             for axis in range(3):
-                room.guess_m[k, axis] = _median_around(xyz_m, frame, k, axis, reach, room)
-                apart2 += (room.guess_m[k, axis] - xyz_m[frame, k, axis]) ** 2
+                workspace.guess_m[k, axis] = _median_around(xyz_m, frame, k, axis, reach, workspace)
+                apart2 += (workspace.guess_m[k, axis] - xyz_m[frame, k, axis]) ** 2
             disputed[k] = apart2 > disputed_m * disputed_m
             any_disputed |= disputed[k]
     return any_disputed
@@ -309,7 +311,7 @@ def _neighbours_object(xyz_m, frame, disputed, disputed_m, reach, room):
 @kernel
 @no_type_check
 def _from_guess(views, here, scales_m, disputed, guess_m, xyz_m):
-    """Start disputed joints from their guess, and keep what costs less."""
+    """Triangulate disputed joints from their guess; keep the position with the lower robust cost."""
     num_joints = len(xyz_m)
     for k in range(num_joints):
         for axis in range(3):
@@ -332,21 +334,23 @@ def _from_guess(views, here, scales_m, disputed, guess_m, xyz_m):
 @kernel
 @no_type_check
 def settle_disputes(
-    image_from_world, points_px, weights, min_weight, scales_m, disputed_m, reach, room, xyz_m, disputed
+    image_from_world, points_px, weights, min_weight, scales_m, disputed_m, reach, workspace, xyz_m, disputed
 ):
-    """Where views disagree, let the neighbouring frames propose a start; the lower robust cost wins.
+    """Triangulate disputed joints again from the median of neighbouring frames; the lower robust cost wins.
 
-    ``triangulation.triangulate_robust`` with a guess, the running median over ``reach`` frames on each side.
+    This is ``triangulation.triangulate_robust`` with the running median over ``reach`` frames on each side as guess.
 
     Parameters
     ----------
     xyz_m, disputed
-        As ``triangulate_alone`` left them; changed, positions where a proposal wins.
+        Outputs of ``triangulate_alone``, changed in place: positions where the guess wins, and remaining disputes.
     """
     for frame in range(len(points_px)):
         for k in range(xyz_m.shape[1]):
             for axis in range(3):
-                room.before_m[frame % (reach + 1), k, axis] = xyz_m[frame, k, axis]
-        if _neighbours_object(xyz_m, frame, disputed[frame], disputed_m, reach, room):
-            _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, room.views)
-            _from_guess(room.views, room.points[0], scales_m, disputed[frame], room.guess_m, xyz_m[frame])
+                workspace.before_m[frame % (reach + 1), k, axis] = xyz_m[frame, k, axis]
+        if _neighbours_object(xyz_m, frame, disputed[frame], disputed_m, reach, workspace):
+            _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, workspace.views)
+            _from_guess(
+                workspace.views, workspace.points[0], scales_m, disputed[frame], workspace.guess_m, xyz_m[frame]
+            )

@@ -1,4 +1,4 @@
-"""Rigid transforms, named after what they map: ``x_in_b = b_from_a.apply(x_in_a)``."""
+"""Rigid transforms, named after their frames: ``x_in_b = b_from_a.apply(x_in_a)``."""
 
 from dataclasses import dataclass
 
@@ -14,18 +14,18 @@ class Rigid3:
     translation_m: Float[np.ndarray, " 3"]
 
     def apply(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-        """Map points in a to b; NaN stays NaN."""
+        """Map points (metres) from frame a to frame b; NaN stays NaN."""
         return points_m @ self.rotation.T + self.translation_m
 
     @property
     def matrix(self) -> Float[np.ndarray, "3 4"]:
-        """``[R | t]``."""
+        """Matrix ``[R | t]``, 3 x 4."""
         return np.column_stack([self.rotation, self.translation_m])
 
     def inverse(self) -> "Rigid3":
-        """``a_from_b``."""
+        """Inverse transform ``a_from_b``."""
         return Rigid3(self.rotation.T.copy(), -self.rotation.T @ self.translation_m)
 
     def __matmul__(self, other: "Rigid3") -> "Rigid3":
-        """``c_from_b @ b_from_a`` is ``c_from_a``."""
+        """Compose transforms: ``c_from_a = c_from_b @ b_from_a``."""
         return Rigid3(self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m)

@@ -1,4 +1,4 @@
-"""Positions of a person over time to the records that pass on."""
+"""Build tracks and observations from the positions of people over time."""
 
 from collections.abc import Sequence
 
@@ -9,9 +9,9 @@ from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
 from pipeline.geometry.gap_kernels import fill_gaps
 from pipeline.geometry.tracks import reproject
 
-# A joint that is away for no longer than this is interpolated.
+# Longest gap of a joint that is interpolated.
 _MAX_GAP_S = 0.2
-# A person must have been seen by two cameras for as long, or for half of a shorter session.
+# Shortest time for which two cameras must see a person; half of the session if that is shorter.
 _MIN_LIFE_S = 0.15
 
 Person = tuple[Track3D, Observations]
@@ -26,21 +26,23 @@ def record_life(
     score: Float[np.ndarray, "frames cameras joints"],
     min_score: float,
 ) -> Person | None:
-    """Fill short gaps and measure the reprojection error.
+    """Build track and observations of a person: fill short gaps and measure the reprojection error.
 
     Parameters
     ----------
     start_frame
         Output frame of the first row.
     xyz_m
-        World positions, NaN where a joint was not located; changed.
+        World positions in metres, NaN where a joint was not located; changed in place.
     seen_px, score
-        The observations behind them, as seen; those with a score below ``min_score`` were not used.
+        Observations of the person in distorted pixels, and their scores.
+    min_score
+        Observations with a lower score were not used.
 
     Returns
     -------
-        Track and observations, cut to the frames in which a joint could be located and with number 0; ``None`` where
-        that is too short a life to be a person.
+        Track and observations with number 0, from the first to the last frame with a located joint; ``None`` if these
+        frames are too few for a person.
     """
     alive = np.flatnonzero(np.isfinite(xyz_m[..., 0]).any(-1))
     if len(alive) < max(2, min(_MIN_LIFE_S * timebase.frame_rate_hz, timebase.num_frames / 2)):
@@ -65,7 +67,7 @@ def record_life(
 def keep_most_seen(
     tracks: Sequence[Track3D], observations: Sequence[Observations], most: int | None
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Keep at most so many people, those with the most observations, and number them anew; ``None``: everybody."""
+    """Keep the ``most`` people with the most observations, and number them from 1; ``None``: keep everybody."""
     people = list(zip(tracks, observations, strict=True))
     if most is not None:
         people = sorted(people, key=lambda pair: int(pair[0].views.sum()), reverse=True)[:most]
@@ -73,12 +75,12 @@ def keep_most_seen(
 
 
 def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Put people in order of first appearance and number them from 1."""
+    """Sort people by their first frame and number them from 1."""
     ordered = sorted(people, key=lambda pair: pair[0].start_frame)
     return (
         tuple(
-            Track3D(k, one.start_frame, one.xyz_m, one.score, one.source, one.error_px, one.views)
-            for k, (one, _) in enumerate(ordered, start=1)
+            Track3D(k, track.start_frame, track.xyz_m, track.score, track.source, track.error_px, track.views)
+            for k, (track, _) in enumerate(ordered, start=1)
         ),
-        tuple(Observations(k, one.points_px, one.score) for k, (_, one) in enumerate(ordered, start=1)),
+        tuple(Observations(k, seen.points_px, seen.score) for k, (_, seen) in enumerate(ordered, start=1)),
     )

@@ -1,4 +1,4 @@
-"""Triangulation and reprojection of many frames at a time; ``triangulation`` and ``camera`` say what is computed."""
+"""Triangulation and reprojection of many frames at once; ``triangulation`` and ``camera`` define the computation."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import reprojection_errors
 from pipeline.geometry.kernels import (
-    make_room,
+    make_workspace,
     point_dtype,
     settle_disputes,
     triangulate_alone,
@@ -18,7 +18,7 @@ from pipeline.geometry.kernels import (
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 from pipeline.runtime.jit import round_up, zero_records
 
-# Frames on each side whose median says where a joint should be.
+# The guess for a joint is its median over so many frames on each side.
 _REACH = 2
 
 
@@ -28,29 +28,32 @@ def triangulate_frames(
     weights: Float[np.ndarray, "frames cameras joints"],
     min_weight: float = 0.0,
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Triangulate consecutive frames so that a wrong observation in one view does not pull the point.
+    """Triangulate consecutive frames robustly: a wrong observation in one view does not pull the point.
 
-    ``triangulation.triangulate_robust``, frame by frame; the guess is the running median of two frames on each side.
+    Each frame is computed by ``triangulation.triangulate_robust``; the guess is the running median over two frames on
+    each side.
 
     Parameters
     ----------
+    image_from_world
+        Projection matrices to undistorted pixels.
     points_px
         Undistorted pixels, NaN where a camera does not see the point.
     weights
         Factor of a view's rows.
     min_weight
-        Less than this, or 0, leaves a view out.
+        A view with a smaller weight, or with weight 0, is left out.
 
     Returns
     -------
         World coordinates in metres, NaN where fewer than two cameras see the point.
     """
     num_frames, num_cameras, num_joints = weights.shape
-    room = make_room(num_cameras, num_joints, _REACH)
+    workspace = make_workspace(num_cameras, num_joints, _REACH)
     seen, scales_m = (image_from_world, points_px, weights, min_weight), np.array(SCALES_M)
     xyz_m, disputed = np.empty((num_frames, num_joints, 3)), np.empty((num_frames, num_joints), bool)
-    triangulate_alone(*seen, scales_m, DISPUTED_M, room, xyz_m, disputed)
-    settle_disputes(*seen, scales_m, DISPUTED_M, _REACH, room, xyz_m, disputed)
+    triangulate_alone(*seen, scales_m, DISPUTED_M, workspace, xyz_m, disputed)
+    settle_disputes(*seen, scales_m, DISPUTED_M, _REACH, workspace, xyz_m, disputed)
     return xyz_m
 
 
@@ -61,23 +64,26 @@ def reproject(
     weights: Float[np.ndarray, "frames cameras joints"],
     min_weight: float = 0.0,
 ) -> tuple[Float[np.ndarray, "frames joints"], Float[np.ndarray, "frames joints"], Int[np.ndarray, "frames joints"]]:
-    """Compare points with the observations behind them.
+    """Compare joint positions with the observations that they were computed from.
 
     Parameters
     ----------
+    xyz_m
+        World coordinates in metres, NaN where unknown.
     points_px
-        Pixels as seen.
+        Distorted pixels of the full image, NaN where unseen.
     weights
-        How much an observation counted.
+        Weight of an observation.
     min_weight
-        One that counted less, or 0, was not used.
+        Observations with a smaller weight, or with weight 0, were not used.
 
     Returns
     -------
     error_px
-        Mean reprojection error over the cameras that saw a joint, NaN where none did or it is not known.
+        Mean reprojection error in pixels over the cameras that saw a joint; NaN where no camera did, or where the joint
+        is unknown.
     mean_weight, views
-        Mean weight of those cameras, and how many they are; 0 where there is no error.
+        Mean weight and number of these cameras; 0 where there is no error.
     """
     shape, lanes = xyz_m.shape[:2], round_up(xyz_m.shape[1])
     error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)

@@ -1,9 +1,9 @@
 """Triangulation by weighted linear least squares, and its robust form.
 
-The rows of a view are those of the direct linear transform, ``x p3 - p1`` and ``y p3 - p2`` (Chen et al. 2020, eq.
-7-9). Divided by its norm (eq. 11) a row measures the distance to a plane through the viewing ray in metres: every view
-counts alike, however far its camera stands. The norm is taken over the three spatial entries, so that the result does
-not depend on where the world's origin lies; the homogeneous system becomes normal equations in three unknowns.
+A view contributes two rows of the direct linear transform, ``x p3 - p1`` and ``y p3 - p2`` (Chen et al. 2020, eq. 7-9).
+Divided by its norm (eq. 11), a row measures the distance in metres to a plane through the viewing ray. So all views
+have equal influence at any distance of their cameras. The norm includes only the three spatial entries, so that the
+result does not depend on the world's origin. The homogeneous system becomes normal equations in three unknowns.
 """
 
 import numpy as np
@@ -11,18 +11,17 @@ from jaxtyping import Bool, Float
 
 # Scales (metres) of the Geman-McClure weights, from forgiving to strict: graduated non-convexity.
 SCALES_M = (0.40, 0.20, 0.10, 0.06)
-# Views disagree where one of them ends up farther than this from the point that the others agree on, and a guess
-# disagrees with the point where it is farther from it.
+# Distance to the point above which a view, or a guess, disagrees with the point.
 DISPUTED_M = SCALES_M[-1]
-# Rays closer to parallel than this leave the depth open: determinant of the normal matrix over its trace cubed. Two
-# rays at the angle phi have some phi^2 / 32: this is 1 degree.
+# Determinant of the normal matrix over its cubed trace, below which rays count as parallel and the depth is unknown.
+# Two rays at the angle phi have about phi^2 / 32: the limit is 1 degree.
 _MIN_DETERMINANT = 1e-5
 
 
 def plane_rows(
     image_from_world: Float[np.ndarray, "cameras 3 4"], points_px: Float[np.ndarray, "*batch cameras joints 2"]
 ) -> Float[np.ndarray, "*batch cameras joints 2 4"]:
-    """Rows ``a_i`` of the linear system, normalised (eq. 7-9 and the norm of eq. 11); NaN where a point is NaN.
+    """Normalised rows ``a_i`` of the linear system (eq. 7-9, norm of eq. 11); NaN where a point is NaN.
 
     Parameters
     ----------
@@ -38,7 +37,7 @@ def plane_rows(
 def _by_joint(
     rows: Float[np.ndarray, "*batch cameras joints 2 4"], used: Bool[np.ndarray, "*batch cameras joints"]
 ) -> Float[np.ndarray, "*batch joints rows 4"]:
-    """All views' rows below each other, a joint at a time; zeros for a view that is not used."""
+    """Stack the rows of all views for each joint; zeros for unused views."""
     stacked = np.where(used[..., None, None], rows, 0.0).swapaxes(-4, -3)
     return stacked.reshape(*stacked.shape[:-3], -1, 4)
 
@@ -48,18 +47,19 @@ def _solve(
 ) -> Float[np.ndarray, "*batch joints 3"]:
     """Minimise ``|| (w o A) X~ ||`` (eq. 10); NaN where fewer than two views have weight or all rays are parallel.
 
-    The normal equations of three unknowns by Cramer's rule: a general solver costs more in calls than in arithmetic.
+    The normal equations of three unknowns are solved by Cramer's rule: the calls of a general solver would cost more
+    than the arithmetic.
     """
     weighted = rows * np.repeat(weights, 2, axis=-1)[..., None]
     return np.where(((weights > 0).sum(-1) >= 2)[..., None], solve_normal(weighted.swapaxes(-1, -2) @ weighted), np.nan)
 
 
 def solve_normal(normal: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 3"]:
-    """Minimise ``X~^T normal X~`` over points, ``normal`` being the sum of ``a a^T`` over the rows of eq. 10.
+    """Minimise ``X~^T normal X~`` over points; ``normal`` is the sum of ``a a^T`` over the rows of eq. 10.
 
     Returns
     -------
-        NaN where all rays are parallel.
+        World coordinates in metres, NaN where all rays are parallel.
     """
     a, b, c, d, e, f = (normal[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)))
     right = -normal[..., :3, 3]
@@ -85,7 +85,7 @@ def triangulate(
     points_px
         Undistorted pixels, NaN where a camera does not see the point.
     weights
-        Factor of a view's normalised rows, such as eq. 11's ``exp(-lambda_t (t - t_i))``; 0 leaves the view out.
+        Factor of a view's normalised rows, such as ``exp(-lambda_t (t - t_i))`` of eq. 11; 0 leaves the view out.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def _system(
     points_px: Float[np.ndarray, "*batch cameras joints 2"],
     weights: Float[np.ndarray, "*batch cameras joints"],
 ) -> tuple[Float[np.ndarray, "*batch joints rows 4"], Float[np.ndarray, "*batch joints cameras"]]:
-    """Rows and weights of what is seen, a joint at a time."""
+    """Rows and weights of the observations for each joint."""
     used = np.isfinite(points_px).all(-1) & (weights > 0)
     rows = plane_rows(image_from_world, points_px)
     return _by_joint(rows, used), np.where(used, weights, 0.0).swapaxes(-1, -2)
@@ -109,7 +109,7 @@ def _system(
 def _ray_distance2_m2(
     rows: Float[np.ndarray, "*batch joints rows 4"], points_m: Float[np.ndarray, "*batch joints 3"]
 ) -> Float[np.ndarray, "*batch joints cameras"]:
-    """Squared distance of points to both planes of a view: to first order that to its ray. 0 for views not used."""
+    """Squared distance to both planes of a view, to first order that to its ray; 0 for unused views."""
     residuals = (rows[..., :3] @ points_m[..., None])[..., 0] + rows[..., 3]
     squared = residuals * residuals
     return squared[..., 0::2] + squared[..., 1::2]
@@ -121,19 +121,19 @@ def triangulate_robust(
     weights: Float[np.ndarray, "*batch cameras joints"],
     guess_m: Float[np.ndarray, "*batch joints 3"] | None = None,
 ) -> Float[np.ndarray, "*batch joints 3"]:
-    """Triangulate so that a wrong observation in one view does not pull the point.
+    """Triangulate robustly: a wrong observation in one view does not pull the point.
 
-    Iteratively reweighted eq. 10 with Geman-McClure weights ``(c^2 / (c^2 + d^2))^2`` on the distance d to a view's
-    ray, c falling step by step from the first that is shorter than the largest d; linear in the number of cameras.
-    Where views disagree in the end, a second start competes if a guess is given, such as a prediction from the past:
-    the lower robust cost wins.
+    Eq. 10 is reweighted iteratively with Geman-McClure weights ``(c^2 / (c^2 + d^2))^2``, where d is the distance to a
+    view's ray. The scale c decreases step by step, beginning with the first scale below the largest d. The cost is
+    linear in the number of cameras. If views still disagree and a guess is given, such as a prediction from the past,
+    a second run starts from the guess, and the lower robust cost wins.
 
     Parameters
     ----------
     image_from_world, points_px, weights
         As in ``triangulate``.
     guess_m
-        A point to start from, NaN where there is none.
+        World coordinates of a second start, NaN where there is none.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def _reweighted(
 ) -> Float[np.ndarray, "*batch joints 3"]:
     distance2_m2 = _ray_distance2_m2(rows, points_m)
     distance2_m2[np.isnan(distance2_m2)] = np.inf
-    # The normal equations square the factor: the root of Geman-McClure's weight belongs on the rows.
+    # The normal equations square the factors, so the rows get the root of the Geman-McClure weight.
     return _solve(rows, base * (scale_m**2 / (scale_m**2 + distance2_m2)))
 
 
@@ -175,7 +175,7 @@ def _worst_distance_m(
     base: Float[np.ndarray, "*batch joints cameras"],
     points_m: Float[np.ndarray, "*batch joints 3"],
 ) -> Float[np.ndarray, "*batch joints"]:
-    """Largest distance over the views in use, 0 where the point is not known."""
+    """Largest distance over the used views; 0 where the point is unknown."""
     used = (base > 0) & np.isfinite(points_m[..., :1])
     return np.sqrt(np.where(used, _ray_distance2_m2(rows, points_m), 0.0).max(-1, initial=0.0))
 
@@ -185,7 +185,7 @@ def _robust_cost(
     base: Float[np.ndarray, "*batch joints cameras"],
     points_m: Float[np.ndarray, "*batch joints 3"],
 ) -> Float[np.ndarray, "*batch joints"]:
-    """Geman-McClure cost at the strictest scale; infinite for NaN."""
+    """Geman-McClure cost at the smallest scale; infinite for NaN."""
     distance2_m2 = _ray_distance2_m2(rows, points_m)
     cost = (base**2 * distance2_m2 / (distance2_m2 + SCALES_M[-1] ** 2)).sum(-1)
     return np.where(np.isfinite(points_m[..., 0]), cost, np.inf)

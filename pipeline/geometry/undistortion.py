@@ -1,4 +1,4 @@
-"""From pixels as seen to the pixels of an ideal pinhole camera."""
+"""Undistortion: from image pixels to the pixels of an ideal pinhole camera."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,23 +10,23 @@ from pipeline.runtime.jit import zero_records
 
 # Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
 _MAX_STEPS = 20
-# On the normalised image plane.
+# Tolerance on the normalised image plane.
 _TOLERANCE = 1e-13
 _BLOCK = 64
 
 
 def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Map pixels as seen to the pixels of an ideal pinhole camera with the same camera matrix.
+    """Map distorted pixels to the pixels of an ideal pinhole camera with the same camera matrix.
 
     Parameters
     ----------
     points_px
-        Pixels of the full image; NaN stays NaN.
+        Distorted pixels of the full image; NaN stays NaN.
     """
     if not np.any(camera.distortion):
         return points_px
     inverse = np.linalg.inv(camera.matrix)
-    # One large product: numpy takes a stack of small ones one by one.
+    # One large product: NumPy computes a stack of small products one by one.
     normalised = points_px.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]
     blocks = zero_records(1, block_dtype(_BLOCK))
     undistort(normalised, twelve_coefficients(camera.distortion), _MAX_STEPS, _TOLERANCE, blocks)

@@ -1,7 +1,7 @@
-"""Whether a capture gave enough to reconstruct people from: somebody was found, by enough cameras.
+"""Checks of the capture: people were found, and enough cameras saw them.
 
-What fails here is mostly the capture itself: too few cameras, cameras that point elsewhere, or a calibration that
-belongs to another set-up, so that no two cameras agree on a person.
+Usual causes of a failed check are too few cameras, cameras with other fields of view, and a calibration of another
+set-up, with which no two cameras agree on a person.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,19 +12,19 @@ from jaxtyping import Bool
 from pipeline.data import DamagedVideo, Reconstruction
 from pipeline.quality.names import first_names
 
-# With fewer views than this a mistake in one of them can't be told from the truth.
+# With fewer views, a wrong observation can't be detected.
 _MIN_VIEWS = 3
 
 
 def capture_checks(
     reconstruction: Reconstruction, seen: Mapping[int, Bool[np.ndarray, "frames cameras"]]
 ) -> list[dict[str, str]]:
-    """Everything that makes a result poor or empty, as ``code`` and ``message``, one a code; empty if nothing does.
+    """List the failed checks of the capture, each with ``code`` and ``message``.
 
     Parameters
     ----------
     seen
-        By track, whether a camera saw anything of the person in a frame.
+        Whether a camera saw any joint of the person in a frame, by track.
     """
     names = [camera.name for camera in reconstruction.cameras]
     checks = (
@@ -42,7 +42,7 @@ def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
     if len(names) < _MIN_VIEWS:
         yield (
             "too_few_cameras",
-            f"The session has {len(names)} cameras: with fewer than {_MIN_VIEWS}, mistakes of a camera stay unnoticed.",
+            f"The session has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
         )
 
 
@@ -50,8 +50,9 @@ def _check_videos(damaged: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     if not damaged:
         return
     described = [
-        f"{one.file} ({one.num_damaged} of {one.num_frames} frames, from {one.first_s:.1f} to {one.last_s:.1f} s)"
-        for one in damaged
+        f"{video.file} ({video.num_damaged} of {video.num_frames} frames, "
+        f"from {video.first_s:.1f} to {video.last_s:.1f} s)"
+        for video in damaged
     ]
     videos = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
     yield (
@@ -65,8 +66,8 @@ def _check_people(seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:
     if not seen:
         yield (
             "nobody_found",
-            "Nobody was found. See that the calibration is of these videos, that they show the same moment, and that "
-            "two cameras or more see the same person.",
+            "Nobody was found. Check that the calibration belongs to these videos, that the videos are synchronised, "
+            "and that at least two cameras see the same person.",
         )
 
 
@@ -78,13 +79,13 @@ def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator
     if len(unused) == 1:
         yield (
             "camera_without_people",
-            f"{unused[0]} was matched with nobody: its video, its calibration or its timing may be of something else.",
+            f"Nobody was matched in {unused[0]}: its video, calibration or timing may be wrong.",
         )
     elif unused:
         yield (
             "camera_without_people",
-            f"{len(unused)} cameras were matched with nobody: {first_names(unused)}. Their videos, their calibrations "
-            "or their timing may be of something else.",
+            f"Nobody was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
+            "timing may be wrong.",
         )
 
 
@@ -105,8 +106,8 @@ def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, st
     if reconstruction.num_approximate_frames:
         yield (
             "approximate_association",
-            f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames the cameras "
-            "saw more people than can be told apart exactly: they were matched by a simpler rule there.",
+            f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames there were too "
+            "many people for an exact matching: a simpler rule matched them.",
         )
 
 

@@ -1,4 +1,4 @@
-"""Lists of names in the sentences of checks."""
+"""Lists of names in messages of checks."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ _MAX_NAMES = 10
 
 
 def first_names(names: Sequence[str]) -> str:
-    """List the first ten names, and say how many more there are.
+    """List the first ten names and the number of the others.
 
     >>> first_names([f"person-{k}" for k in range(1, 4)])
     'person-1, person-2, person-3'

@@ -1,23 +1,22 @@
 """Quality of a reconstruction without ground truth: the contents of ``metrics.json``.
 
-- *Reprojection error*: distance between every matched 2D observation with a score of at least 0.2, inlier or not, and
-  the projection of the joint's final position, in pixels of the full image, distortion included.
-- *Coverage*: share of a track's joints and frames, from its first frame to its last, that were measured.
-- *Views a joint*: matched observations behind each joint that has a position; *joints a frame*: joints with a position.
-  They stand beside the error because dropping views or joints would lower it.
+- *Reprojection error*: distance between each matched 2D observation with a score of at least 0.2, inlier or not, and
+  the projection of the joint's final position, in distorted pixels of the full image.
+- *Coverage*: share of a track's joints that were measured, over all frames from the first to the last.
+- *Views a joint*: matched observations of each joint with a position. *Joints a frame*: joints with a position. Both
+  are reported because dropping views or joints would lower the reprojection error.
 - *Bone length deviation*: standard deviation over time of a limb's length in one track, mean over limbs and tracks,
   weighted by frames.
 - *Jitter*: mean length of the second difference of a joint's position times the squared frame rate.
-- *Before*: the same of joints as association located them, before they were smoothed or fit.
-- *Sources*: shares of all joints and frames that were measured, interpolated, predicted, and that are absent.
-- *Cameras used*: share of all people's frames in which a camera saw anything of them.
-- *Track fragments*: tracks that begin within two seconds after another one ended within 1.5 m: probably somebody who
-  was lost.
-- *Slide*: mean horizontal distance of a standing foot's ankle from its median place, over all contacts, as the
-  skeleton was without holding feet and as it is.
-- *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of it (Drillis and Contini 1966).
+- *Before*: the same figure for the joints located by association, before smoothing or the skeleton fit.
+- *Sources*: shares of joints that were measured, interpolated or predicted, or that are absent, over all frames.
+- *Cameras used*: share of all people's frames in which a camera saw any of their joints.
+- *Track fragments*: tracks that begin within 2 s and 1.5 m of the end of another track. The person was probably lost.
+- *Slide*: mean horizontal distance of a standing foot's ankle from its median position over all contacts, before and
+  after feet were held in place.
+- *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of the stature (Drillis and Contini 1966).
 
-A figure without any data is null (``None``).
+A figure without data is null (``None``).
 """
 
 import json
@@ -37,21 +36,21 @@ from pipeline.skeleton.fitting.windows import windows
 
 SCHEMA_VERSION = 1
 MIN_SCORE = 0.2
-"""Observations below this score don't count."""
+"""Lowest score of the observations that the figures include."""
 
 _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 
 class _Views(NamedTuple):
-    """Figures of a track's observations; the observations, most of a long session's memory, are not kept.
+    """Figures of a track's observations. The observations are not kept, because they take most of the memory.
 
     Parameters
     ----------
     error_px
         See ``reprojection_error_px``.
     sees
-        Whether a camera saw anything of the person in a frame, (frames, cameras).
+        Whether a camera saw any joint of the person in a frame, (frames, cameras).
     views_per_joint
         See ``views_per_joint``.
     """
@@ -62,18 +61,17 @@ class _Views(NamedTuple):
 
 
 def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
-    """Compute ``metrics.json`` as a dictionary of plain Python values, rounded.
+    """Compute the content of ``metrics.json`` as plain Python values, rounded.
 
-    ``capture_checks`` and ``world_checks`` list only what looks wrong, each with ``code`` and ``message``, one a code:
-    empty when all is well.
+    ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``.
     """
     tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
     views = [_compare(track, reconstruction.observations[number], cameras) for number, track in enumerate(tracks)]
-    errors_px = [one.error_px for one in views]
+    errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
-    seen = {track.track_id: one.sees for track, one in zip(tracks, views, strict=True)}
+    seen = {track.track_id: figures.sees for track, figures in zip(tracks, views, strict=True)}
     return {
         "schema_version": SCHEMA_VERSION,
         "num_frames": reconstruction.timebase.num_frames,
@@ -100,8 +98,8 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                 "num_frames": track.num_frames,
                 "coverage": _rounded(np.mean(track.source == Source.MEASURED), 4),
                 "stature_m": _rounded(statures_m[track.track_id], 3),
-                "reprojection_error_px": _rounded(np.median(_known([one.error_px])), 3),
-                "views_per_joint": _rounded(one.views_per_joint, 2),
+                "reprojection_error_px": _rounded(np.median(_known([figures.error_px])), 3),
+                "views_per_joint": _rounded(figures.views_per_joint, 2),
                 "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
                 "feet": {
                     "toes": "measured" if _sees_toes(track, joints) else "predicted",
@@ -109,7 +107,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                     "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
                 },
             }
-            for track, one in zip(tracks, views, strict=True)
+            for track, figures in zip(tracks, views, strict=True)
         ],
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
@@ -117,17 +115,17 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
 
 
 def all_checks(report: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Everything that a report warns of, each with ``code`` and ``message``."""
+    """List all failed checks of a report, each with ``code`` and ``message``."""
     return [*report["capture_checks"], *report["world_checks"]]
 
 
 def encode(report: dict[str, Any]) -> bytes:
-    """Write a report as ``metrics.json``: strict JSON, the same bytes for the same report."""
+    """Encode a report as strict JSON; equal reports give equal bytes."""
     return (json.dumps(report, allow_nan=False, indent=2) + "\n").encode("ascii")
 
 
 def _known(arrays: Iterable[np.ndarray]) -> np.ndarray:
-    """All values that are not NaN, flat; one NaN if there are none, so that a mean or a median of them is NaN."""
+    """Concatenate all values that are not NaN; a single NaN if there are none, so that mean and median are NaN."""
     flat = np.concatenate([np.zeros(0, np.float32), *(array[np.isfinite(array)] for array in arrays)])
     return flat if len(flat) else np.array([np.nan])
 
@@ -172,13 +170,13 @@ def _sees(observations: Observations) -> Bool[np.ndarray, "frames cameras"]:
 
 def _cameras_used(cameras: Sequence[Camera], seen: Collection[np.ndarray]) -> dict[str, float | None]:
     return {
-        camera.name: _rounded(float(np.mean(_known(mine[:, index] for mine in seen))), 4)
+        camera.name: _rounded(float(np.mean(_known(sees[:, index] for sees in seen))), 4)
         for index, camera in enumerate(cameras)
     }
 
 
 def count_fragments(tracks: Sequence[Track3D], frame_rate_hz: float) -> int:
-    """Tracks that begin soon after another one ended, close by."""
+    """Count tracks that begin soon after the end of another track, and close to it."""
     return sum(
         any(_continues(earlier, later, frame_rate_hz) for earlier in tracks if earlier is not later) for later in tracks
     )
@@ -193,7 +191,7 @@ def _continues(earlier: Track3D, later: Track3D, frame_rate_hz: float) -> bool:
 
 
 def _known_joints_m(xyz_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, " 3"]:
-    """Centre of the joints of the first frame that has any; NaN if none has."""
+    """Centre of the joints in the first frame with a known joint; NaN if there is no such frame."""
     known = np.isfinite(xyz_m).all(-1)
     frames = np.flatnonzero(known.any(1))
     return xyz_m[frames[0]][known[frames[0]]].mean(0) if len(frames) else np.full(3, np.nan)
@@ -243,7 +241,7 @@ def _counts(observations: Observations) -> Bool[np.ndarray, "frames cameras join
 
 
 def mean_jitter_m_s2(tracks: Sequence[Track3D], frame_rate_hz: float) -> float:
-    """Mean length of the joints' second differences times the squared frame rate; NaN where nothing is known."""
+    """Mean length of the joints' second differences times the squared frame rate; NaN without any."""
     return float(np.mean(_known(acceleration_m_s2(track, frame_rate_hz) for track in tracks)))
 
 
@@ -252,9 +250,10 @@ def reprojection_error_px(
 ) -> Float[np.ndarray, "frames cameras joints"]:
     """Distance of each observation to the projection of the final position, in pixels of the full image.
 
-    Of single precision: there are as many as observations.
-
-    NaN where a camera has no observation with enough score, and where the joint has no position or lies behind it.
+    Returns
+    -------
+        Distances in single precision, to save memory. NaN where a camera has no observation with a sufficient score,
+        and where the joint has no position or is behind the camera.
     """
     error_px = np.empty(observations.score.shape, np.float32)
     for rows in windows(track.num_frames, overlap=0):
@@ -266,7 +265,7 @@ def reprojection_error_px(
 
 
 def views_per_joint(track: Track3D, observations: Observations) -> float:
-    """Mean number of observations with enough score behind a joint that has a position; NaN without any."""
+    """Mean number of observations with a sufficient score for a joint with a position; NaN without any."""
     positions = _has_position(track)
     return float(np.mean(_known([_counts(observations).sum(1)[positions].astype(float)])))
 
@@ -274,7 +273,7 @@ def views_per_joint(track: Track3D, observations: Observations) -> float:
 def bone_length_std_cm(tracks: Sequence[Track3D], joints: JointSet) -> float:
     """Standard deviation of a limb's length in a track, mean over limbs and tracks weighted by frames, in cm.
 
-    NaN if no limb was ever seen in two frames of a track.
+    NaN if no limb is known in two frames of a track.
     """
     num_frames, weighted_cm = 0, 0.0
     for track in tracks:
@@ -292,13 +291,13 @@ def bone_length_std_cm(tracks: Sequence[Track3D], joints: JointSet) -> float:
 def acceleration_m_s2(track: Track3D, frame_rate_hz: float) -> Float[np.ndarray, "triples joints"]:
     """Length of each joint's second difference over time; NaN where one of the three frames has no position.
 
-    Empty for tracks of fewer than three frames.
+    The array is empty for tracks of fewer than three frames.
     """
     return np.linalg.norm(np.diff(track.xyz_m, n=2, axis=0), axis=-1) * frame_rate_hz**2
 
 
 def estimate_stature_m(track: Track3D, joints: JointSet) -> float:
-    """Estimate a person's height in metres; NaN if shin, thigh or trunk was never seen whole."""
+    """Estimate a person's stature in metres; NaN if shin, thigh or trunk is known in no frame."""
     kinds = ("shoulder", "hip", "knee", "ankle")
     if not {f"{side}_{kind}" for side in ("left", "right") for kind in kinds} <= set(joints.names):
         return np.nan

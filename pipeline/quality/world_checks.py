@@ -1,6 +1,6 @@
-"""Whether a reconstruction's world looks like one: people upright, on the floor, of human size, cameras above it.
+"""Checks of the world: people are upright, on the floor and of human size, and cameras are above the floor.
 
-What fails here is nearly always the calibration: another axis up, another unit, or an origin off the floor.
+The usual cause of a failed check is the calibration: another up axis, another unit, or an origin off the floor.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,10 +14,10 @@ from pipeline.joints import JointSet
 from pipeline.quality.names import first_names
 from pipeline.skeleton.feet import ANKLE_HEIGHT_M
 
-# People stand, walk and sit most of the time: more than half of all frames at less than this angle from upright.
+# Limit on the median angle from upright: people stand, walk or sit most of the time.
 _MAX_LEAN_DEG = 45.0
 _STATURE_RANGE_M = (1.0, 2.3)
-# How far the floor, as the feet find it, may be from z = 0.
+# Limits on height and tilt of the floor that was estimated from the feet.
 _MAX_FLOOR_M = 0.15
 _MAX_TILT_DEG = 3.0
 
@@ -30,7 +30,7 @@ def _points_m(track: Track3D, joints: JointSet, names: Sequence[str]) -> Float[n
 
 
 def _mean_m(points_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Mean of the known joints of each frame; NaN where none is."""
+    """Mean of the known joints of each frame; NaN for frames without a known joint."""
     known = np.isfinite(points_m)
     count = known.sum(1)
     return np.where(known, points_m, 0.0).sum(1) / np.where(count > 0, count, np.nan)
@@ -41,19 +41,19 @@ def _feet_to_head_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "fram
 
 
 def _floor_m(tracks: Sequence[Track3D], joints: JointSet) -> float:
-    """Height of the floor: a low percentile of the ankles' heights, less what an ankle is above it; NaN if unknown."""
+    """Height of the floor: a low percentile of the ankles' heights, minus the height of an ankle; NaN if unknown."""
     heights_m = np.concatenate([np.zeros(0), *(_points_m(track, joints, _ANKLES)[..., 2].ravel() for track in tracks)])
     heights_m = heights_m[np.isfinite(heights_m)]
     return float(np.percentile(heights_m, 10)) - ANKLE_HEIGHT_M if len(heights_m) else np.nan
 
 
 def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, str]]:
-    """Everything that looks wrong with the world, as ``code`` and ``message``, one a code; empty if nothing does.
+    """List the failed checks of the world, each with ``code`` and ``message``.
 
     Parameters
     ----------
     statures_m
-        Stature by track; NaN where unknown.
+        Stature in metres by track; NaN where unknown.
     """
     tracks, joints = reconstruction.tracks, reconstruction.joints
     checks = (
@@ -99,13 +99,13 @@ def _check_statures(statures_m: Mapping[int, float]) -> Iterator[tuple[str, str]
         ((person, stature_m),) = odd_m.items()
         yield (
             "stature_out_of_range",
-            f"{person} would be {stature_m:.2f} m tall: the calibration's unit may not be the metre.",
+            f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre.",
         )
     elif odd_m:
         people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
         yield (
             "stature_out_of_range",
-            f"{len(odd_m)} people would not be {lowest_m:g} to {highest_m:g} m tall: {people}. The calibration's unit "
+            f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
             "may not be the metre.",
         )
 
@@ -117,4 +117,4 @@ def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[tuple[
         if center_in_world(camera)[2] < (floor_m if np.isfinite(floor_m) else 0.0) - _MAX_FLOOR_M
     ]
     if below:
-        yield "camera_below_floor", f"Below the floor: {first_names(below)}."
+        yield "camera_below_floor", f"Cameras are below the floor: {first_names(below)}."

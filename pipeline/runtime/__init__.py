@@ -1,1 +1,1 @@
-"""What the science runs on: compilation of kernels, memory, child processes, files of packages."""
+"""Runtime support of the pipeline: compiled kernels, memory limits, child processes and files of packages."""

@@ -1,7 +1,7 @@
-"""Child processes that run Multicap's own code; standard library only, so that every package may import it.
+"""Child processes that run Multicap's own code: commands and a process pool. Imports the standard library only.
 
-Python puts the current directory in front of its search path for ``python -m`` and ``python -c``; a ``numpy.py`` there
-would be imported instead of NumPy. Multicap starts its children without the current directory on their search path.
+``python -m`` and ``python -c`` put the current directory first on the search path of modules, where a ``numpy.py``
+would replace NumPy. Multicap starts its child processes without the current directory on their search path.
 """
 
 import multiprocessing
@@ -18,36 +18,36 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-# The wheel holds the packages inside of `multicap`; empty in a checkout. See `hatch_build.py`.
+# Prefix of module names: `multicap.` in the wheel, empty in a checkout. See `hatch_build.py`.
 _PARENT = __name__.removesuffix("pipeline.runtime.child_processes")
 
 
 def python_command(*arguments: str) -> list[str]:
-    """Command that runs this interpreter without the current directory on its search path."""
+    """Build the command that runs this interpreter without the current directory on its search path."""
     return [sys.executable, "-P", *arguments]
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """Command that runs a module of Multicap as a program, ``python -m``.
+    """Build the command that runs a module of Multicap as a program, ``python -m``.
 
     Parameters
     ----------
     module
-        Its name in a checkout, such as ``pipeline.capture.preflight``.
+        Name of the module in a checkout, such as ``pipeline.capture.preflight``.
     """
     return python_command("-m", _PARENT + module, *arguments)
 
 
 class ProcessPool(ProcessPoolExecutor):
-    """Pool of fresh processes, to be used in a ``with`` block.
+    """Pool of spawned processes, to be used in a ``with`` block.
 
-    At an error in the block, or an interruption of it, the processes are killed at once. A terminal's Ctrl-C reaches
-    the parent only. Processes whose parent was killed end by themselves.
+    If the block raises an error or is interrupted, the processes are killed at once. Ctrl-C in a terminal reaches the
+    parent process only. Processes end by themselves if their parent is killed.
 
     Parameters
     ----------
     num_processes
-        How many processes at most.
+        Largest number of processes.
     initializer, initargs
         Function that each process calls first, and its arguments.
     """
@@ -55,10 +55,11 @@ class ProcessPool(ProcessPoolExecutor):
     def __init__(
         self, num_processes: int, initializer: Callable[..., object] | None = None, initargs: Sequence[Any] = ()
     ) -> None:
-        # multiprocessing starts children by ``python -c``, and takes no options for them. For this process itself the
-        # variable comes too late to mean anything.
+        # multiprocessing starts children by ``python -c`` without options. The variable has no effect on this process,
+        # which has started already.
         os.environ["PYTHONSAFEPATH"] = "1"
-        # By a file: a pipe takes 64 KiB, and the parent, deaf to Ctrl-C, would wait for each child to load its modules.
+        # In a file: a pipe takes 64 KiB, and the parent would wait with Ctrl-C blocked until each child has loaded its
+        # modules.
         self._first = tempfile.NamedTemporaryFile(prefix="multicap-")  # noqa: SIM115 - closed with the pool
         pickle.dump((initializer, initargs), self._first)
         self._first.flush()
@@ -66,7 +67,7 @@ class ProcessPool(ProcessPoolExecutor):
         super().__init__(num_processes, mp_context=context, initializer=_start, initargs=(self._first.name,))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Schedule a call; starts a process if none is idle."""
+        """Schedule a call; start a process if none is idle."""
         with uninterrupted():
             return super().submit(fn, *args, **kwargs)
 
@@ -74,7 +75,7 @@ class ProcessPool(ProcessPoolExecutor):
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if kind is not None:
-            # As ``kill_workers`` of Python 3.14; without it everybody waits for the work at hand.
+            # As ``kill_workers`` of Python 3.14; otherwise the shutdown would wait for running calls.
             for process in list((self._processes or {}).values()):
                 process.kill()
         self.shutdown(wait=True, cancel_futures=True)
@@ -83,12 +84,12 @@ class ProcessPool(ProcessPoolExecutor):
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold SIGINT and SIGTERM back while processes or threads are started, lest one be left that nobody knows.
+    """Delay SIGINT and SIGTERM while processes or threads are started, so that none of them is left without an owner.
 
-    Processes that are started meanwhile never get SIGINT, not even while Python loads: they inherit that it is blocked.
+    Processes that are started in the block never get SIGINT, because they inherit the blocked signal.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    # Another thread may get the signal all the same; its handler would run in the main thread.
+    # The signal may reach another thread; its handler would run in the main thread.
     came: list[int] = []
     is_main = threading.current_thread() is threading.main_thread()
     numbers = (signal.SIGINT, signal.SIGTERM) if is_main else ()
@@ -106,7 +107,7 @@ def uninterrupted() -> Iterator[None]:
 def _start(first: str) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with Path(first).open("rb") as file:
-        initializer, initargs = pickle.load(file)  # noqa: S301 - the parent's, which nobody else may write
+        initializer, initargs = pickle.load(file)  # noqa: S301 - written by the parent, readable by the user only
     if initializer is not None:
         initializer(*initargs)
 

@@ -1,8 +1,8 @@
-"""Digest of the code that a function's result depends on; standard library only, the code is read, not imported.
+"""Digest of the code that a function's result depends on. Imports the standard library only, and parses the code.
 
-The digest covers the function, the statements of its own module that it uses, and all modules of a package that these
+The digest covers the function, the statements of its module that it uses, and all modules of a package that these
 import, directly or indirectly, also inside functions. Comments, docstrings, blank lines and the order of files do not
-change the digest, nor does it matter whether the code is a checkout's or an installed wheel's.
+change the digest; a checkout and an installed wheel have the same digest.
 """
 
 import ast
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = "pipeline"
-# The wheel holds the packages inside of `multicap`; empty in a checkout. See `hatch_build.py`.
+# Prefix of module names: `multicap.` in the wheel, empty in a checkout. See `hatch_build.py`.
 _PARENT = __name__.removesuffix("pipeline.runtime.code_digest")
 
 
@@ -28,7 +28,7 @@ def function_digest(root: Path, module: str, function: str, package: str = PACKA
     module, function
         Names of a module, inside or outside of ``package``, and of a function at its top level.
     package
-        Imports of this package's modules are followed, others are not.
+        Package whose imports are followed.
 
     Returns
     -------
@@ -37,13 +37,14 @@ def function_digest(root: Path, module: str, function: str, package: str = PACKA
     Raises
     ------
     KeyError
-        If there is no such function.
+        If the module has no such function.
     """
     statements = _parse(_path(root, module)).body
     used, names = _used(statements, function)
-    origins = sorted(origin for one in used for origin in _origins(one, names))
+    origins = sorted(origin for statement in used for origin in _origins(statement, names))
     direct = _modules(root, (origin for _, origin in origins), package)
-    parts = [origins, [_canonical(one) for one in used if not isinstance(one, ast.Import | ast.ImportFrom)]]
+    code = [_canonical(statement) for statement in used if not isinstance(statement, ast.Import | ast.ImportFrom)]
+    parts = [origins, code]
     parts += [
         [name, _source_digest(_path(root, name).read_bytes())] for name in reachable_modules(root, direct, package)
     ]
@@ -51,7 +52,7 @@ def function_digest(root: Path, module: str, function: str, package: str = PACKA
 
 
 def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE) -> list[str]:
-    """List modules and the package's modules that they import, directly or indirectly, sorted by name."""
+    """List modules and those of the package that they import, directly or indirectly, sorted by name."""
     found: set[str] = set()
     waiting = set(modules)
     while waiting:
@@ -62,9 +63,9 @@ def reachable_modules(root: Path, modules: Iterable[str], package: str = PACKAGE
 
 
 def forget_sources() -> None:
-    """Free the syntax trees that are kept between calls."""
-    for kept in (_parsed, _imports, _source_digest):
-        kept.cache_clear()
+    """Clear the caches of syntax trees and digests."""
+    for cached in (_parsed, _imports, _source_digest):
+        cached.cache_clear()
 
 
 def _path(root: Path, module: str) -> Path:
@@ -77,7 +78,7 @@ def _parse(path: Path) -> ast.Module:
     return _parsed(path.read_bytes())
 
 
-# Stages have most modules in common.
+# Cached, because stages share most modules.
 @functools.lru_cache(maxsize=1024)
 def _parsed(source: bytes) -> ast.Module:
     tree = ast.parse(source)
@@ -102,7 +103,7 @@ def _sha256(value: object) -> str:
 
 
 def _used(statements: Sequence[ast.stmt], function: str) -> tuple[list[ast.stmt], set[str]]:
-    """The top-level statements of a module that make a function what it is, in their order, and the names in them."""
+    """Top-level statements of a module that a function depends on, in order, and all names that they read."""
     makers: dict[str, set[int]] = {}
     for number, statement in enumerate(statements):
         for name in _bound_names(statement):
@@ -120,7 +121,7 @@ def _used(statements: Sequence[ast.stmt], function: str) -> tuple[list[ast.stmt]
 
 
 def _bound_names(statement: ast.AST) -> Iterator[str]:
-    """Names that a statement gives a meaning, those in its blocks included, not those inside functions and classes."""
+    """Names that a statement binds, including those in its blocks, excluding those inside functions and classes."""
     if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         yield statement.name
         return
@@ -132,7 +133,7 @@ def _bound_names(statement: ast.AST) -> Iterator[str]:
 
 
 def _read_names(node: ast.AST) -> set[str]:
-    """Names that some code reads. Annotations are for people: they change no result."""
+    """Names that a syntax tree reads, annotations left out: they do not affect results."""
     found = {node.id} if isinstance(node, ast.Name) else set()
     for field, value in ast.iter_fields(node):
         if field not in {"annotation", "returns"}:
@@ -142,7 +143,7 @@ def _read_names(node: ast.AST) -> set[str]:
 
 
 def _origins(node: ast.AST, wanted: Container[str] | None = None) -> Iterator[tuple[str, str]]:
-    """Names that an import gives a meaning, with what they stand for: ``module`` or ``module.name``."""
+    """Names that an import binds, each with its origin, ``module`` or ``module.name``."""
     if isinstance(node, ast.Import):
         pairs = [(alias.asname or alias.name.partition(".")[0], alias.name) for alias in node.names]
     elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -153,7 +154,7 @@ def _origins(node: ast.AST, wanted: Container[str] | None = None) -> Iterator[tu
 
 
 def _modules(root: Path, origins: Iterable[str], package: str) -> set[str]:
-    """Modules of a package among the imported, with the packages that they are in."""
+    """Modules of a package among import origins, and the packages that contain them."""
     inside = (origin.split(".") for origin in origins if origin.partition(".")[0] == package)
     prefixes = {".".join(split[:length]) for split in inside for length in range(1, len(split) + 1)}
     # The last part of ``module.name`` may be a module, a function or a class.
@@ -161,7 +162,7 @@ def _modules(root: Path, origins: Iterable[str], package: str) -> set[str]:
 
 
 def _canonical(value: object) -> Any:
-    """A syntax tree as lists of strings, without what means nothing and what versions of Python say differently."""
+    """Convert a syntax tree to lists of strings, without docstrings and without fields that depend on the version."""
     if isinstance(value, ast.AST):
         fields = (
             [name, _canonical(field)]
@@ -170,10 +171,10 @@ def _canonical(value: object) -> Any:
         )
         return [type(value).__name__, *fields]
     if isinstance(value, list):
-        return [_canonical(one) for one in value if not _is_docstring(one)]
+        return [_canonical(item) for item in value if not _is_docstring(item)]
     return repr(value)
 
 
 def _is_docstring(node: object) -> bool:
-    """Return whether a statement is a bare string, which does nothing."""
+    """Return whether a statement is a bare string."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

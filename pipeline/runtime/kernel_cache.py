@@ -1,6 +1,6 @@
-"""Cache folder of the compiled kernels, and whether the cache is complete.
+"""Cache folder of the compiled kernels, and a check of its completeness.
 
-The module imports neither numba nor numpy, so that programs that must not load them can use it; a check takes
+The module imports neither numba nor NumPy, so that programs that must not load them can use it; the check takes
 milliseconds.
 """
 
@@ -15,19 +15,19 @@ from pathlib import Path
 from pipeline.runtime.packages.storage import home
 
 _PIPELINE = Path(__file__).parents[1]
-# With all modules beside kernels: their constants are compiled into the kernels.
+# All modules beside kernels are included: their constants are compiled into the kernels.
 _FOLDERS = sorted({path.parent for path in _PIPELINE.rglob("*kernels.py")})
 _SOURCES = [
     Path(__file__).with_name("jit.py"),
     _PIPELINE / "data.py",
-    *(path for one in _FOLDERS for path in sorted(one.glob("*.py"))),
+    *(path for folder in _FOLDERS for path in sorted(folder.glob("*.py"))),
 ]
 _CPU_INFO = Path("/proc/cpuinfo")
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Folder of compiled code; ``None`` if it can't be written, so that each process compiles for itself."""
+    """Folder of compiled code; ``None`` if the folder can't be written, so that each process compiles by itself."""
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdigest()[:16]
     folder = home() / "kernels" / digest
     try:
@@ -50,10 +50,10 @@ def note_complete() -> None:
 
 
 def _stamp(folder: Path) -> Path:
-    """File that stands for all that compiled code depends on besides the sources, which the folder's name stands for.
+    """File that marks a complete cache; its name is a digest of everything but the sources that code depends on.
 
-    Numba keeps code apart by the folder of its source, by Python's version and by the processor, and throws away code
-    of another version of its own.
+    Numba separates cached code by the folder of its source, by Python's version and by the processor, and discards code
+    of another version of numba.
     """
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite")]
     warm_up = hashlib.sha256(Path(__file__).with_name("warm_up.py").read_bytes()).hexdigest()
@@ -62,7 +62,7 @@ def _stamp(folder: Path) -> Path:
 
 
 def _processor() -> str:
-    """Model and features of the processor, as far as the system says."""
+    """Model and features of the processor, as reported by the system."""
     try:
         lines = _CPU_INFO.read_text().partition("\n\n")[0].splitlines()
     except OSError:

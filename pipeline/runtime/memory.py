@@ -1,40 +1,40 @@
-"""How this process asks the system for memory, and how much it may have; without glibc only the limit has an effect."""
+"""Memory of the process: settings of glibc's allocator, and a limit. Without glibc only the limit has an effect."""
 
 import ctypes
 import resource
 import sys
 
-# Of glibc's malloc.h.
+# Constants of glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _KEPT_BYTES = 2**28
-_LARGEST_KEPT_BYTES = 2**25  # glibc's own limit
-_PICTURE_BYTES = 2**21  # of a full HD picture a third; a network's input is smaller
+_LARGEST_KEPT_BYTES = 2**25  # glibc's limit of the threshold
+_PICTURE_BYTES = 2**21  # a third of a full HD picture; inputs of networks are smaller
 
 
 def keep_freed_memory() -> None:
-    """Keep what is freed for what comes next, up to a quarter of a GiB; for programs, at their start.
+    """Keep freed memory for later allocations, up to a quarter of a GiB; to be called at the start of a program.
 
-    Else every large array takes fresh pages from the system, one fault a page: a quarter of the time of tracking.
+    Otherwise every large array takes new pages, whose page faults are a quarter of the time of tracking.
     """
     _mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT_BYTES)
     _mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 def give_pictures_back() -> None:
-    """Return the memory of every picture to the system as soon as it is freed; before any is decoded.
+    """Return the memory of each picture to the system when it is freed; to be called before pictures are decoded.
 
-    The allocator would put buffers of a picture's size into the heap; what stays between them keeps the heap from
-    shrinking, and the peak grew by a third from one run to the next. It holds for the process from then on.
+    The setting holds for the rest of the process. By default the allocator puts buffers of a picture's size into the
+    heap, where smaller blocks between them keep the heap from shrinking: the peak grew by a third from run to run.
     """
     _mallopt(_M_MMAP_THRESHOLD, _PICTURE_BYTES)
 
 
 def limit_memory(max_bytes: int) -> None:
-    """Limit the memory of this process and of children that it starts: beyond it allocations fail (``MemoryError``).
+    """Limit the memory of this process and of its later children; beyond it allocations raise ``MemoryError``.
 
-    Counted is what is private and may be written to (``RLIMIT_DATA``): what libraries reserve without using, such as
-    heaps of threads, and code are not. A limit that the process was started with stays if it is lower.
+    The limit counts private writable memory (``RLIMIT_DATA``), but neither code nor memory that libraries reserve
+    without use, such as heaps of threads. A lower limit from the start of the process stays in force.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limits = (max_bytes, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY))

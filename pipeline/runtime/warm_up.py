@@ -1,7 +1,7 @@
-"""``python -m pipeline.runtime.warm_up``: compile every kernel, so that no request has to.
+"""Program ``python -m pipeline.runtime.warm_up``: compile all kernels, so that no request waits for it.
 
-It does nothing if all are compiled. With ``--progress`` it says how far it is, a JSON object a line on stdout: ``done``
-and ``total``.
+The program does nothing if all kernels are compiled. With ``--progress`` it writes a JSON object with ``done`` and
+``total`` to stdout after each compiled function.
 """
 
 import argparse
@@ -29,19 +29,22 @@ from pipeline.tracking.parameters import derive_parameters
 _NUM_FRAMES = 10
 _RATE_HZ = 25.0
 
-# Functions of ours that the warm-up compiles, each for every size of joint set that it is called with.
+# Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
 NUM_COMPILED = 75
+# Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
+_OWN_MODULES = f"{__package__}".removesuffix("runtime")
 
 
 def warm_up() -> None:
-    """Track and fit somebody who stands before three cameras, with every joint set of a size; ask a field."""
+    """Compile all kernels: track and fit a person, with a joint set of each padded size, and read a field."""
     for joints in (COCO_17, BODY_25):
-        _reconstruct_somebody(joints)
+        _reconstruct_person(joints)
     ends = np.array([[0.0, 0.0], [1.0, 1.0]])
     connectivity(read_only(np.full((1, 2, 2, 2), 255, np.uint8)), np.zeros(1, int), ends[:1], ends[1:])
 
 
-def _reconstruct_somebody(joints: JointSet) -> None:
+def _reconstruct_person(joints: JointSet) -> None:
+    """Track and fit a person who stands in front of three cameras."""
     num_joints = len(joints.names)
     body_m = np.random.default_rng(0).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
     cameras = [_camera(number) for number in range(3)]
@@ -58,12 +61,12 @@ def _reconstruct_somebody(joints: JointSet) -> None:
     }
     times = {camera.name: FrameTimes(np.arange(_NUM_FRAMES) / _RATE_HZ) for camera in cameras}
     timebase = Timebase(0.0, _RATE_HZ, _NUM_FRAMES)
-    found = reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
-    animate(*found, cameras, timebase, joints, ReconstructionConfig())
+    people = reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
+    animate(*people, cameras, timebase, joints, ReconstructionConfig())
 
 
 def _camera(number: int) -> Camera:
-    """A camera 4 m from the origin, a metre above the floor."""
+    """Make a camera 4 m from the origin and 1 m above the floor."""
     cos, sin = np.cos(number), np.sin(number)
     rotation = np.array([[-sin, cos, 0.0], [0.0, 0.0, -1.0], [-cos, -sin, 0.0]])
     matrix = np.array([[800.0, 0.0, 639.5], [0.0, 800.0, 359.5], [0.0, 0.0, 1.0]])
@@ -73,7 +76,7 @@ def _camera(number: int) -> Camera:
 
 @contextlib.contextmanager
 def _counted(on_compiled: Callable[[int], None]) -> Iterator[None]:
-    """Call ``on_compiled`` with how many functions of ours have been compiled, as each of them has been."""
+    """Call ``on_compiled`` with the number of compiled functions of Multicap after each of them is compiled."""
     listener = _Counter(on_compiled)
     event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
     try:
@@ -87,21 +90,21 @@ class _Counter(event.Listener):
         self._on_compiled, self._done = on_compiled, 0
 
     def on_start(self, event: event.Event) -> None:
-        """Nothing has been compiled yet."""
+        """Ignore the start of a compilation."""
 
     def on_end(self, event: event.Event) -> None:
-        """Count what was compiled, unless it is of numba's own."""
-        if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
+        """Count a compiled function of Multicap; functions of numba are not counted."""
+        if event.data["dispatcher"].py_func.__module__.startswith(_OWN_MODULES):
             self._done += 1
             self._on_compiled(self._done)
 
 
 def main() -> None:
-    """Compile, unless all is compiled or another process is at it: then wait for that one."""
+    """Compile all kernels that are not compiled; wait if another process compiles them."""
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.runtime.warm_up", description="Compile the numeric kernels."
     )
-    parser.add_argument("--progress", action="store_true", help="Say how far it is, a JSON object a line.")
+    parser.add_argument("--progress", action="store_true", help="Write the progress as a JSON object a line.")
     tell = _tell if parser.parse_args().progress else lambda _: None
     folder = cache_folder()
     if folder is None:

@@ -1,1 +1,1 @@
-"""People, rigs and detector noise with exact truth."""
+"""Simulation of people, camera rigs and detector noise with exact ground truth."""

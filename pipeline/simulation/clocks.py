@@ -1,4 +1,4 @@
-"""When cameras take their frames."""
+"""Frame times of simulated cameras: rates, phases and dropped frames."""
 
 from dataclasses import dataclass
 
@@ -9,18 +9,18 @@ from pipeline.data import FrameTimes, read_only
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The cameras' common clock, and how far each strays from it.
+    """Frame rates and phases of the cameras.
 
     Parameters
     ----------
     frame_rate_hz
-        Rate of the output, and of cameras that are synchronised.
+        Rate of the output frames, and of synchronised cameras.
     camera_rates_hz
-        Rates that cameras take in turn instead; empty if all have the common one.
+        Rates of the cameras, repeated in turn; empty if all cameras have the common rate.
     random_phase
-        Whether each camera begins anywhere within its first period.
+        Whether each camera starts at a random time within its first period.
     dropped
-        Share of frames that never arrive.
+        Share of frames that are dropped.
     """
 
     frame_rate_hz: float = 25.0
@@ -30,7 +30,13 @@ class Clock:
 
 
 def frame_times(clock: Clock, number: int, duration_s: float, rng: np.random.Generator) -> FrameTimes:
-    """Times of one camera's frames in [0, duration); the number of the camera decides its rate."""
+    """Draw the times of a camera's frames in [0, duration).
+
+    Parameters
+    ----------
+    number
+        Number of the camera, which selects its rate.
+    """
     rate_hz = (
         clock.camera_rates_hz[number % len(clock.camera_rates_hz)] if clock.camera_rates_hz else clock.frame_rate_hz
     )

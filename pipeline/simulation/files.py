@@ -1,4 +1,4 @@
-"""A simulation as files: what ``pipeline.capture.keypoints`` opens, and the truth beside it.
+"""Files of a simulation: the input of ``pipeline.capture.keypoints``, and the ground truth.
 
 ::
 
@@ -22,7 +22,7 @@ from pipeline.simulation.scenes import Simulation
 
 
 def simulation_files(simulation: Simulation) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of all files, one at a time; equal simulations give equal bytes."""
+    """Yield the name and the contents of each file; equal simulations give equal bytes."""
     yield "calibration.json", encode(simulation.cameras)
     yield "timestamps.csv", _timestamps(simulation)
     for camera in simulation.cameras:
@@ -46,8 +46,8 @@ def _frames(detections: Detections, num_frames: int) -> Iterator[bytes]:
     people = np.nan_to_num(np.concatenate([detections.keypoints_px, detections.score[..., None]], axis=-1))
     borders = np.searchsorted(detections.frame, np.arange(num_frames + 1)).tolist()
     for first, last in itertools.pairwise(borders):
-        found = [{"pose_keypoints_2d": one.ravel().tolist()} for one in people[first:last]]
-        yield json.dumps({"version": 1.3, "people": found}, separators=(",", ":")).encode()
+        listed = [{"pose_keypoints_2d": person.ravel().tolist()} for person in people[first:last]]
+        yield json.dumps({"version": 1.3, "people": listed}, separators=(",", ":")).encode()
 
 
 def _truth(simulation: Simulation) -> bytes:

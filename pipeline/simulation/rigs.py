@@ -1,4 +1,4 @@
-"""Camera rigs: rings, ceilings and domes."""
+"""Simulated camera rigs: rings, ceilings and domes."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -11,7 +11,7 @@ from pipeline.geometry.rigid import Rigid3
 
 
 class Layout(Enum):
-    """How cameras are placed."""
+    """Arrangement of the cameras of a rig."""
 
     RING = "ring"
     CEILING = "ceiling"
@@ -20,25 +20,25 @@ class Layout(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Cameras around the origin.
+    """Rig of cameras around the origin.
 
     Parameters
     ----------
     layout
-        ``RING``: on an ellipse at one height. ``CEILING``: in rows under a ceiling, looking down the aisles and
-        across. ``DOME``: spread over a hemisphere.
+        ``RING``: on an ellipse at one height. ``CEILING``: half of the cameras along the walls, half inside. ``DOME``:
+        spread over a hemisphere.
     num_cameras
-        How many.
+        Number of cameras.
     extent_m
-        Half axes of the ellipse or of the ceiling along X and Y; of a dome the first is the radius.
+        Half axes of the ellipse or of the ceiling along X and Y; the first is the radius of a dome.
     height_m
-        Of the ring or the ceiling; of the dome's lowest cameras.
+        Height of the ring, of the ceiling, or of the dome's lowest cameras.
+    size_px, focal_px
+        Width and height of the image, and mean focal length.
     target_height_m
         Height of the point at which cameras look.
-    size_px, focal_px
-        Of the image.
     distortion
-        OpenCV's k1, k2, p1, p2, k3; each camera's differs from it by up to a tenth.
+        OpenCV's k1, k2, p1, p2, k3; each camera's coefficients differ from these by up to a tenth.
     """
 
     layout: Layout
@@ -52,9 +52,9 @@ class Rig:
 
 
 def build_cameras(rig: Rig, rng: np.random.Generator) -> tuple[Camera, ...]:
-    """Cameras of a rig, named ``cam_00``, ``cam_01`` and so on around the scene.
+    """Build the cameras of a rig, named ``cam_00``, ``cam_01`` and so on around the scene.
 
-    Lenses differ by a few percent, places by some centimetres; the records are exact.
+    Focal lengths vary by a few percent, positions by some centimetres; the records are exact.
     """
     centers_m, targets_m = _PLACES[rig.layout](rig)
     around = np.argsort(np.arctan2(centers_m[:, 1], centers_m[:, 0]) % (2 * np.pi))
@@ -68,7 +68,7 @@ def build_cameras(rig: Rig, rng: np.random.Generator) -> tuple[Camera, ...]:
 
 
 def look_at(center_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Rigid3:
-    """``cam_from_world`` of an upright camera that looks at a point; not straight up or down."""
+    """Compute ``cam_from_world`` of an upright camera that looks at a point, which must not be straight up or down."""
     forward = (target_m - center_m) / np.linalg.norm(target_m - center_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -86,7 +86,7 @@ def _camera(name: str, center_m: np.ndarray, target_m: np.ndarray, rig: Rig, rng
 
 
 def choose_views(num_cameras: int, num_views: int) -> list[int]:
-    """Which cameras of a rig to keep: evenly spread, and two at a right angle rather than face to face."""
+    """Choose cameras of a rig, as numbers: evenly spread, and two cameras at a right angle, not face to face."""
     if num_views == 2:
         return [0, max(1, num_cameras // 4)]
     return [view * num_cameras // num_views for view in range(num_views)]
@@ -102,7 +102,7 @@ def _ring(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ceiling(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """One half along the walls, looking to the middle; the other inside, looking to the opposite half."""
+    """Place half of the cameras along the walls, facing the centre, and half inside, facing the opposite half."""
     outer = (rig.num_cameras + 1) // 2
     angle = 2 * np.pi * (np.arange(outer) + 0.25) / outer
     ring_m = np.column_stack([rig.extent_m[0] * np.cos(angle), rig.extent_m[1] * np.sin(angle)])
@@ -115,11 +115,11 @@ def _ceiling(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _dome(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Evenly around, and evenly from the lowest cameras up to 60 degrees of elevation, neighbours far from level."""
+    """Place cameras evenly in angle and in height up to 60 degrees of elevation, neighbours at different heights."""
     number = np.arange(rig.num_cameras)
     radius_m = rig.extent_m[0]
     lowest, highest = rig.height_m / radius_m, np.sin(np.deg2rad(60.0))
-    # Multiples of the golden ratio, modulo 1, fill an interval evenly (equal areas on a sphere have equal rises).
+    # Multiples of the golden ratio modulo 1 fill an interval evenly; equal areas on a sphere have equal heights.
     rise = lowest + (highest - lowest) * (number * (np.sqrt(5) - 1) / 2 % 1)
     angle = 2 * np.pi * number / rig.num_cameras
     flat = np.sqrt(1 - rise**2)

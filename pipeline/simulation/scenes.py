@@ -1,4 +1,4 @@
-"""Named scenes, and their simulation with exact truth."""
+"""Named scenes of simulated people and cameras, and their simulation with exact ground truth."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.joints import COCO_17, JointSet
 from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast, improvise
-from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
 from pipeline.simulation.views.detector import Detector, detect
@@ -22,18 +22,18 @@ from pipeline.simulation.views.occlusion import Box
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Everything that a simulation needs but the seed.
+    """Scene: all settings of a simulation except the seed.
 
     Parameters
     ----------
     rig, clock, detector
-        What records it.
+        Cameras, their frame times and their 2D detector.
     cast
-        People who improvise, or the roles of people who don't.
+        People who improvise, or the roles of people with scripts.
     boxes
-        Furniture that hides people; they walk around it.
+        Furniture that hides people and that they walk around.
     duration_s
-        Length.
+        Length of the recording.
     """
 
     rig: Rig
@@ -46,26 +46,26 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """A recorded scene and its truth.
+    """Recording of a scene and its ground truth.
 
     Parameters
     ----------
     cameras
-        Exactly as they recorded.
+        Exact calibration of the cameras.
     times, detections
-        By camera's name: when it took its frames, and what its detector found in them.
+        Frame times and detections by camera name.
     identities
-        By camera's name: the person (row of ``truth_m``) that each detection is, ``NOBODY`` for false positives.
+        Person (row of ``truth_m``) of each detection by camera name, ``NOBODY`` for false positives.
     joints
-        Of detections and truth.
+        Joints of the detections and of the truth.
     timebase
-        The truth's frames.
+        Frames of the truth.
     truth_m
-        World positions, NaN while somebody is absent.
+        World positions of the joints, NaN while a person is absent.
     present
-        Who is there, in sight or not.
+        Whether each person is present, visible or not.
     sketches
-        What each camera's heatmaps and part affinity fields are drawn from (``simulation.fields``).
+        Content of each camera's heatmaps and part affinity fields; see ``views.fields.render``.
     """
 
     cameras: tuple[Camera, ...]
@@ -80,7 +80,7 @@ class Simulation:
 
 
 def _greeting(x: float, y: float, hand_s: float) -> tuple[Role, Role]:
-    """Two people who walk up to each other, shake hands, talk, and part."""
+    """Two people meet, shake hands, talk and part."""
     meeting = (x, y, 1.02)
     return (
         Role(
@@ -97,7 +97,7 @@ def _greeting(x: float, y: float, hand_s: float) -> tuple[Role, Role]:
 
 
 def _touching(x: float, y: float, gap_m: float, gesture: Gesture, hand_height_m: float) -> tuple[Role, Role]:
-    """Two people who walk up to each other, touch for a while, and touch again."""
+    """Two people meet, touch for four seconds, and touch again."""
     meeting = (x, y, hand_height_m)
     acts = Stay(4.0, gesture, meeting), Stay(1.0), Stay(4.0, gesture, meeting)
     return (
@@ -107,7 +107,7 @@ def _touching(x: float, y: float, gap_m: float, gesture: Gesture, hand_height_m:
 
 
 def _to_and_fro(y: float, far_m: float, speed_m_s: float, num_ways: int) -> Role:
-    """Somebody who walks or runs from side to side."""
+    """A person walks or runs from side to side."""
     ways = (
         cue for k in range(num_ways) for cue in (Walk(((-1) ** k * far_m, y), speed_m_s), Turn(np.pi * ((k + 1) % 2)))
     )
@@ -127,7 +127,7 @@ _LONG_SHELVES = (
 )
 _ROOM_RIG = Rig(Layout.RING, 4, (4.0, 4.0), 2.2, focal_px=760.0)
 
-# As the paper's scenes: people close together under a dome.
+# Rig of people close together under a dome, as in the paper's Panoptic scenes.
 _DOME_RIG = Rig(Layout.DOME, 31, (4.5, 4.5), 0.9, (1920, 1080), 1000.0)
 
 
@@ -209,16 +209,16 @@ SCENES: Mapping[str, Scene] = {
         duration_s=60.0,
     ),
 }
-"""What ``simulate`` knows, by name."""
+"""Scenes of ``simulate`` by name."""
 
 
 def find_scene(name: str) -> Scene:
-    """Look a scene up.
+    """Look up a scene by name.
 
     Raises
     ------
     InputError
-        If there is no such scene.
+        If the name is unknown.
     """
     if name not in SCENES:
         problem = Problem("unknown_scene", f"There is no scene {name!r}.", hint=f"Known are {', '.join(SCENES)}.")
@@ -231,16 +231,18 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None) -> Simula
 
     Parameters
     ----------
+    scene_name
+        Name in ``SCENES``.
     seed
-        Not negative; the same seed gives the same bytes.
+        Seed, 0 or greater; the same seed gives the same bytes.
     num_views
-        How many of the scene's cameras to keep, evenly spread; ``None`` for all. What a camera records does not depend
-        on the others.
+        Number of the scene's cameras to keep, evenly spread; ``None`` for all. A camera's recording does not depend on
+        the other cameras.
 
     Raises
     ------
     InputError
-        If there is no such scene, or it has not so many cameras.
+        If the scene is unknown or has fewer cameras, or the seed is negative.
     """
     return record(find_scene(scene_name), seed, num_views)
 
@@ -258,7 +260,7 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
     if problems:
         raise InputError(problems)
 
-    # Streams of their own for cast, every person, the rig and every camera: nothing depends on what else is drawn.
+    # Separate random streams for the cast, each person, the rig and each camera: none depends on draws of another.
     cast_seed, people_seed, rig_seed, cameras_seed = np.random.SeedSequence(seed).spawn(4)
     roles = (
         improvise(scene.cast, scene.boxes, scene.duration_s, np.random.default_rng(cast_seed))

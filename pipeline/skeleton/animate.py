@@ -1,4 +1,4 @@
-"""Everybody's motion: smoothed or fit, with feet that stand still where they stand."""
+"""Motion of all people: smoothing or skeleton fit, and standing feet held in place."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,16 +11,16 @@ from pipeline.config import ReconstructionConfig
 from pipeline.data import Animation, Camera, FootContact, Observations, Side, SkeletonMotion, Timebase, Track3D
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore, split
-from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, places_of_feet, slide_of, standing_share
+from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, held_positions_m, mean_slide_m, stance_weight
 from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
-from pipeline.skeleton.model import placed
+from pipeline.skeleton.model import joint_pose
 from pipeline.skeleton.rotations import from_axes
 from pipeline.skeleton.smooth import check_smoothing, smooth_track
 
 _LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
-# An ankle bends no further than this from the shin's right angle.
+# Limit on the bend of an ankle from the right angle with the shin.
 _MAX_BEND_RAD = np.radians(45.0)
-# Shares of a track's time: positions, the skeleton's motion, feet that are held, positions from the motion.
+# Shares of the computing time: positions, skeleton motion, holding feet, positions from the motion.
 _WORK = (6, 6, 3, 1)
 
 
@@ -33,26 +33,26 @@ def animate(
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
 ) -> Animation:
-    """Give everybody a skeleton that moves as they did.
+    """Compute the skeleton motion and the final joint positions of all people.
 
     Parameters
     ----------
     tracks
-        As association located the joints.
+        Tracks with the joints located by association.
     observations
-        Behind the tracks, in their order.
+        Observations of the tracks, in the same order.
     joints
-        Of the tracks.
+        Joint set of the tracks.
     config
-        How to smooth, and what to do with feet. With ``fit`` a track's joints are where the skeleton has them; else
-        they are smoothed by themselves and the skeleton follows them.
+        Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are those of the skeleton.
+        Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
     on_share
-        Called after every window of a track's frames.
+        Called with the progress after each window of a track's frames.
 
     Raises
     ------
     InputError
-        As ``check_smoothing``.
+        See ``check_smoothing``.
     """
     check_smoothing(timebase, config)
     num_frames = [track.num_frames for track in tracks]
@@ -70,7 +70,7 @@ def animate(
     finals: list[Track3D] = []
     for number, seen in enumerate(observations):
         contacts = find_contacts(ankles_m[number], known[number], floor, rate_hz, config.feet)
-        motions[number] = _stand(fits[number], motions[number], ankles_m[number], contacts, next(parts))
+        motions[number] = _hold_feet(fits[number], motions[number], ankles_m[number], contacts, next(parts))
         on_followed = next(parts)
         finals.append(
             follow(fits[number], seen, cameras, on_followed) if config.smoothing == "fit" else fits[number].track
@@ -95,7 +95,7 @@ def _prepare(
 
 
 def _ankles_m(motion: SkeletonMotion) -> Float[np.ndarray, "frames 2 3"]:
-    return np.stack([placed(motion, f"{side.capitalize()}Foot")[0] for side in SIDES], axis=1)
+    return np.stack([joint_pose(motion, f"{side.capitalize()}Foot")[0] for side in SIDES], axis=1)
 
 
 def _ankles_known(track: Track3D, joints: JointSet) -> Bool[np.ndarray, "frames 2"]:
@@ -105,19 +105,19 @@ def _ankles_known(track: Track3D, joints: JointSet) -> Bool[np.ndarray, "frames 
     return np.asarray(np.isfinite(track.xyz_m[:, joints.indices(tuple(names))]).all(-1))
 
 
-def _stand(
+def _hold_feet(
     fitted: SkeletonFit,
     motion: SkeletonMotion,
     ankles_m: Float[np.ndarray, "frames 2 3"],
     contacts: tuple[FootContact, ...],
     on_share: OnShare,
 ) -> SkeletonMotion:
-    """Hold feet that stand, and level them where nothing says how they are turned."""
-    places_m = places_of_feet(ankles_m, contacts, motion.frame_rate_hz)
+    """Hold standing feet in place; level them if neither toes nor heels are known."""
+    places_m = held_positions_m(ankles_m, contacts, motion.frame_rate_hz)
     if np.isfinite(places_m).any():
         fitted.pin({f"{side}_ankle": places_m[:, foot] for foot, side in enumerate(SIDES)}, on_share)
         ankles_m = _ankles_m(motion)
-    after = [slide_of(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
+    after = [mean_slide_m(ankles_m[contact.rows, SIDES.index(contact.side)]) for contact in contacts]
     slid = (replace(contact, slide_after_m=slide_m) for contact, slide_m in zip(contacts, after, strict=True))
     motion = replace(motion, contacts=tuple(slid))
     if not fitted.sees_feet:
@@ -127,13 +127,13 @@ def _stand(
 
 
 def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
-    """How a foot is turned to the shin of which the ankle alone is seen.
+    """Rotation from foot to shin where only the ankle is known.
 
-    At a right angle in the air, level on the floor. A standing foot points where the shin faces; it comes to be level,
-    and leaves that, as it comes to stand.
+    The foot is at a right angle to the shin in the air, and level on the floor. A standing foot points in the direction
+    that the shin faces. Both orientations are blended before and after a stance.
     """
-    share = standing_share(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
-    _, world_from_shin = placed(motion, f"{side.capitalize()}Leg")
+    share = stance_weight(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
+    _, world_from_shin = joint_pose(motion, f"{side.capitalize()}Leg")
     left = world_from_shin.apply(_LEFT) * _HORIZONTAL
     level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
     bend = (world_from_shin.inv() * level).as_rotvec()

@@ -1,8 +1,8 @@
-"""Feet on the floor: where it is, when a foot stands on it, and what holds a standing foot in place.
+"""Feet on the floor: height of the floor, contacts of feet, and positions of standing feet.
 
-A foot stands while its ankle is about as high as ankles of standing feet are, and hardly moves. Both are judged softly;
-their product has to be above a half for a tenth of a second. A foot that creeps on the floor stands in several places
-one after the other.
+A foot stands while its ankle has about the height of a standing ankle and hardly moves. Height and speed each give a
+likelihood. A contact needs a product above 0.5 for at least 0.1 s. A foot that creeps on the floor has several contacts
+in a row.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,29 +18,30 @@ from pipeline.data import Floor, FootContact, Side
 
 SIDES: tuple[Side, Side] = ("left", "right")
 ANKLE_HEIGHT_M = 0.065
-"""An ankle's height above the floor that its foot stands on, for adults (0.039 of stature)."""
+"""Height of a standing adult's ankle above the floor (0.039 of stature)."""
 
-# Movements faster than this are no evidence of speed but noise.
+# Smoothing time of the speed: faster movements are noise.
 _SMOOTH_S = 0.03
-# A foot that rests: so slow, for so long.
+# Resting foot: largest speed and shortest time.
 _REST_M_S, _REST_S = 0.15, 0.2
-# How far ankles of resting feet are from the floor's plane, at first and in the end; others rest on something else.
+# Scales of the distance between resting ankles and the floor plane, in order of the iterations; feet farther away do
+# not rest on the floor.
 _FLOOR_SCALES_M = (0.20, 0.10, 0.05, 0.03, 0.03, 0.03)
-# The lowest resting feet are on the floor. And what holds the plane level: feet in a small area say nothing of a slope.
+# Share of the lowest feet that are assumed to be on the floor. And the prior for a level plane: feet in a small area
+# don't determine a slope.
 _LOWEST_SHARE = 0.2
 _SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.02, 0.02
-# Where height and speed of an ankle are as likely those of a foot that stands as of one that does not, and how steep
-# that is.
+# Height and speed of an ankle at which a stance has the likelihood 0.5, and the widths of both transitions.
 _HEIGHT_M, _HEIGHT_STEEP_M = 0.08, 0.015
 _SPEED_M_S, _SPEED_STEEP_M_S = 0.40, 0.07
-# Somebody's own level: what so many of their ankles are below, unless it is this far off.
+# A person's own floor level: quantile of the ankle heights, and the limit on its difference from the floor.
 _OWN_SHARE, _OWN_LEVEL_M = 0.1, 0.3
 _LIKELY, _SHORTEST_S = 0.5, 0.1
 _SURE_AFTER_S = 0.15
 _CREEP_M, _ROOM_S = 0.04, 0.2
-# From here on ``auto`` holds a foot.
+# Lowest confidence of a contact that ``auto`` pins.
 _MIN_CONFIDENCE = 0.5
-# How long before and after it stands a foot is led to where it stands.
+# Time before and after a contact in which the foot moves to and from its held position.
 _EASE_S = 0.2
 
 
@@ -49,16 +50,15 @@ def estimate_floor(
     known: Sequence[Bool[np.ndarray, "_ 2"]],
     frame_rate_hz: float,
 ) -> Floor | None:
-    """Fit a plane to the lowest resting feet of everybody; ``None`` if no foot was ever seen.
+    """Fit a plane to the lowest resting feet of all people; ``None`` if no foot is known.
 
-    Of people who never rest it is the lowest that their feet ever are.
-
-    Robust by iterated reweighting (Geman and McClure); a weak prior keeps the plane level.
+    If no foot ever rests, the plane is fitted to the lowest positions of all feet. The fit is robust by iterative
+    reweighting (Geman and McClure). A weak prior keeps the plane level.
 
     Parameters
     ----------
     ankles_m
-        Left and right, of each person.
+        Positions of the left and right ankle of each person.
     known
         Frames in which an ankle was located.
     """
@@ -91,50 +91,55 @@ def find_contacts(
     frame_rate_hz: float,
     feet: Feet,
 ) -> tuple[FootContact, ...]:
-    """Find when each foot stands, by start; nothing without a floor.
+    """Find the contacts of both feet, sorted by start; none without a floor.
 
     Parameters
     ----------
+    ankles_m
+        Positions of the left and right ankle.
+    known
+        Frames in which an ankle was located.
     feet
-        Which contacts are to be pinned: none, those that are likely, or all.
+        Contacts to pin: none, confident contacts, or all.
     """
     if floor is None:
         return ()
-    found = []
+    contacts = []
     height_m = floor.height_m(ankles_m) - ANKLE_HEIGHT_M
     height_m -= _own_level_m(height_m[known])
     for foot, side in enumerate(SIDES):
         ankle_m = ankles_m[:, foot]
         likely = _likelihood(height_m[:, foot], _speed_m_s(ankle_m, frame_rate_hz)) * known[:, foot]
         for start, stop in _runs(likely >= _LIKELY):
-            for rows in _places(ankle_m, start, stop, frame_rate_hz):
+            for rows in _split_stance(ankle_m, start, stop, frame_rate_hz):
                 duration_s = (rows.stop - rows.start) / frame_rate_hz
                 if duration_s < _SHORTEST_S:
                     continue
                 confidence = float(likely[rows].mean() * (1.0 - np.exp(-duration_s / _SURE_AFTER_S)))
                 pinned = feet == "always" or (feet == "auto" and confidence >= _MIN_CONFIDENCE)
-                slide_m = slide_of(ankle_m[rows])
-                found.append(
+                slide_m = mean_slide_m(ankle_m[rows])
+                contacts.append(
                     FootContact(side, rows.start, rows.stop - rows.start, confidence, pinned, slide_m, slide_m)
                 )
-    return tuple(sorted(found, key=lambda contact: (contact.start_frame, contact.side)))
+    return tuple(sorted(contacts, key=lambda contact: (contact.start_frame, contact.side)))
 
 
-def slide_of(ankle_m: Float[np.ndarray, "frames 3"]) -> float:
-    """Mean horizontal distance of an ankle from its median place, in metres."""
+def mean_slide_m(ankle_m: Float[np.ndarray, "frames 3"]) -> float:
+    """Mean horizontal distance of an ankle from its median position, in metres."""
     return float(np.linalg.norm(ankle_m[:, :2] - np.median(ankle_m[:, :2], axis=0), axis=-1).mean())
 
 
-def places_of_feet(
+def held_positions_m(
     ankles_m: Float[np.ndarray, "frames 2 3"], contacts: Sequence[FootContact], frame_rate_hz: float
 ) -> Float[np.ndarray, "frames 2 3"]:
-    """Where ankles shall be for feet to stand still: horizontally, for a foot that stands may lift its heel.
+    """Horizontal positions at which ankles are held so that feet stand still.
 
-    A foot comes to and leaves the place where it stands over a fifth of a second, so that it does not jump there.
+    The height is free, because a standing foot may lift its heel. A foot moves to and from its held position over 0.2
+    s, so that it does not jump.
 
     Returns
     -------
-        NaN where and along which axes an ankle is free.
+        Positions in metres; NaN in frames and along axes in which an ankle is free.
     """
     moved_m, is_led = np.zeros_like(ankles_m), np.zeros(ankles_m.shape[:2], dtype=bool)
     longest = round(_EASE_S * frame_rate_hz)
@@ -144,7 +149,7 @@ def places_of_feet(
         for rows in standing:
             moved_m[rows, foot] = np.median(ankle_m[rows], axis=0) - ankle_m[rows]
             is_led[rows, foot] = True
-        # Between two stances a foot is led by both.
+        # Between two contacts, a foot is moved by both.
         for before, after in pairwise([None, *standing, None]):
             start = before.stop if before else 0
             stop = after.start if after else len(ankle_m)
@@ -162,10 +167,10 @@ def places_of_feet(
     return places_m
 
 
-def standing_share(
+def stance_weight(
     contacts: Sequence[FootContact], side: Side, num_frames: int, frame_rate_hz: float
 ) -> Float[np.ndarray, " frames"]:
-    """How much a foot stands: 1 while it does, and easing off to 0 before and after."""
+    """Weight of a stance in each frame: 1 during contacts, decreasing smoothly to 0 before and after."""
     share = np.zeros(num_frames)
     rising = _rising(round(_EASE_S * frame_rate_hz))
     for contact in contacts:
@@ -179,7 +184,7 @@ def standing_share(
 
 
 def _rising(num_frames: int) -> Float[np.ndarray, " frames"]:
-    """From nearly 0 to nearly 1, smoothly."""
+    """Smooth ramp from nearly 0 to nearly 1."""
     share = np.arange(1, num_frames + 1) / (num_frames + 1)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
@@ -187,7 +192,7 @@ def _rising(num_frames: int) -> Float[np.ndarray, " frames"]:
 def _resting_m(
     ankles_m: Float[np.ndarray, "frames 2 3"], known: Bool[np.ndarray, "frames 2"], frame_rate_hz: float
 ) -> Float[np.ndarray, "_ 3"]:
-    """Ankles of feet at rest: one point a rest and fifth of a second."""
+    """Ankle positions of resting feet: one point for each 0.2 s of a rest."""
     points = [np.zeros((0, 3))]
     step = max(1, round(_REST_S * frame_rate_hz))
     for foot in range(2):
@@ -206,7 +211,7 @@ def _speed_m_s(ankle_m: Float[np.ndarray, "frames 3"], frame_rate_hz: float) -> 
 
 
 def _own_level_m(height_m: Float[np.ndarray, " n"]) -> float:
-    """How high above the floor's plane somebody stands: with a calibration a degree off it is centimetres."""
+    """Height of a person's own floor above the plane: centimetres, if the calibration is tilted by a degree."""
     if not len(height_m):
         return 0.0
     level_m = float(np.quantile(height_m, _OWN_SHARE))
@@ -216,7 +221,7 @@ def _own_level_m(height_m: Float[np.ndarray, " n"]) -> float:
 def _likelihood(
     height_m: Float[np.ndarray, " frames"], speed_m_s: Float[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
-    """How likely it is by height and speed that a foot stands."""
+    """Likelihood of a stance, from height and speed of the ankle."""
     by_height = expit((_HEIGHT_M - np.abs(height_m)) / _HEIGHT_STEEP_M)
     return np.asarray(by_height * expit((_SPEED_M_S - speed_m_s) / _SPEED_STEEP_M_S))
 
@@ -226,8 +231,10 @@ def _runs(mask: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in borders.reshape(-1, 2)]
 
 
-def _places(ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float) -> Iterator[slice]:
-    """Cut a stance wherever the foot has left the mean of where it has stood so far, with room to get to the next."""
+def _split_stance(
+    ankle_m: Float[np.ndarray, "frames 3"], start: int, stop: int, frame_rate_hz: float
+) -> Iterator[slice]:
+    """Cut a stance where the foot has moved away from its mean position so far; leave frames for the movement."""
     margin = round(_ROOM_S / 2 * frame_rate_hz)
     begun, total = start, np.zeros(2)
     for frame in range(start, stop):

@@ -1,4 +1,4 @@
-"""Gaps in measured points: linear inside, held at the ends."""
+"""Fill gaps in measured points: linear between known frames, constant at the ends."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 def filled_linearly(
     points: Float[np.ndarray, "frames 3"], default: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "frames 3"]:
-    """Replace NaN: linear in time inside, held at the ends, ``default`` where no frame is known."""
+    """Replace NaN: linear between known frames, constant at the ends, ``default`` if no frame is known."""
     known = np.flatnonzero(np.isfinite(points).all(-1))
     if len(known) == 0:
         return np.broadcast_to(default, points.shape).copy()
@@ -15,29 +15,29 @@ def filled_linearly(
     return np.column_stack([np.interp(frames, known, points[known, axis]) for axis in range(points.shape[1])])
 
 
-def carried(
+def filled_relative_to(
     points: Float[np.ndarray, "frames 3"],
     reference: Float[np.ndarray, "frames 3"],
     default: Float[np.ndarray, " 3"],
 ) -> Float[np.ndarray, "frames 3"]:
-    """Replace NaN by letting a point travel with a known one: its offset from there is filled linearly.
+    """Replace NaN by moving a point with a reference point: the offset between both is filled linearly.
 
     Parameters
     ----------
     reference
-        Without NaN.
+        Reference point in each frame, without NaN.
     default
-        Offset from the reference where the point is never known.
+        Offset from the reference if the point is known in no frame.
     """
     return reference + filled_linearly(points - reference, default)
 
 
 def gaps_up_to(known: Bool[np.ndarray, "frames joints"], longest: int) -> Bool[np.ndarray, "frames joints"]:
-    """Frames in gaps of at most ``longest`` frames, each between two known ones."""
+    """Mark frames in gaps of at most ``longest`` frames between two known frames."""
     inside = np.zeros_like(known)
     frames = np.arange(len(known))
-    for joint, mine in enumerate(known.T):
-        last = np.maximum.accumulate(np.where(mine, frames, -1))
-        following = np.minimum.accumulate(np.where(mine, frames, len(known))[::-1])[::-1]
-        inside[:, joint] = (last >= 0) & (following < len(known)) & ~mine & (following - last <= longest + 1)
+    for joint, is_known in enumerate(known.T):
+        last = np.maximum.accumulate(np.where(is_known, frames, -1))
+        following = np.minimum.accumulate(np.where(is_known, frames, len(known))[::-1])[::-1]
+        inside[:, joint] = (last >= 0) & (following < len(known)) & ~is_known & (following - last <= longest + 1)
     return inside

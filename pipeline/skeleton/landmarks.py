@@ -1,4 +1,4 @@
-"""What a track says about a body: landmarks by name, and the lengths of its bones."""
+"""Landmarks of a track by name, and lengths of bones from them."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,23 @@ from pipeline.data import Source
 from pipeline.joints import JointSet
 from pipeline.skeleton.model import SKELETON, TRUNK
 
-# Stature of a person of whom no bone was measured.
+# Stature of a person without a measured bone.
 _ADULT_STATURE_M = 1.70
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """Positions of a person's joints by name; NaN throughout for joints that the detector doesn't know."""
+    """Positions of a person's joints by name.
+
+    Parameters
+    ----------
+    xyz_m
+        World positions in metres, NaN where unknown. All positions of joints that the detector lacks are NaN.
+    source
+        Source of each position, see ``data.Source``.
+    joints
+        Joint set of the track.
+    """
 
     xyz_m: Float[np.ndarray, "frames joints 3"]
     source: Int[np.ndarray, "frames joints"]
@@ -27,18 +37,18 @@ class Landmarks:
         return self.xyz_m[:, self.joints.index(name)]
 
     def middle(self, kind: str) -> Float[np.ndarray, "frames 3"]:
-        """Centre between the left and the right joint of a kind; NaN unless both are known."""
+        """Centre between the left and the right joint of a kind; NaN where one of them is unknown."""
         return (self[f"left_{kind}"] + self[f"right_{kind}"]) / 2
 
     def is_measured(self, name: str) -> np.ndarray:
-        """Frames in which a joint was measured: not absent, not interpolated, not predicted."""
+        """Frames in which a joint was measured, and not interpolated, predicted or absent."""
         if name not in self.joints.names:
             return np.zeros(len(self.xyz_m), dtype=bool)
         return self.source[:, self.joints.index(name)] == Source.MEASURED
 
 
 def _median_m(*distances_m: Float[np.ndarray, " frames"]) -> float:
-    """Median of all that is not NaN; NaN if nothing is."""
+    """Median of all values that are not NaN; NaN if there are none."""
     pooled = np.concatenate(distances_m)
     known = pooled[np.isfinite(pooled)]
     return float(np.median(known)) if len(known) else np.nan
@@ -47,8 +57,8 @@ def _median_m(*distances_m: Float[np.ndarray, " frames"]) -> float:
 def bone_lengths_m(landmarks: Landmarks) -> Float[np.ndarray, " joints"]:
     """Length of every bone of ``SKELETON``, constant in time.
 
-    Medians over the frames in which both ends were measured, left and right pooled. Bones that never were get adult
-    proportions at the scale of those that were.
+    Lengths in metres are medians over the frames in which both ends were measured; left and right are pooled. Bones
+    that were never measured get adult proportions, scaled to the measured bones.
     """
 
     def distance_m(start: tuple[str, ...], end: tuple[str, ...]) -> Float[np.ndarray, " frames"]:

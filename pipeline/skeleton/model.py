@@ -1,12 +1,12 @@
 """The animation skeleton: joints, parents, rest pose and forward kinematics.
 
 The rest pose is a T-pose in world axes (Z up): the person stands upright, faces -Y, the left side points to +X and both
-arms are stretched out along X, palms down. Every joint's frame is aligned with the world's axes in the rest pose, so
-the rest pose is the one in which all rotations are the identity.
+arms are stretched out along X, palms down. In the rest pose each joint's frame is aligned with the world axes, so all
+rotations are the identity.
 
-Shares of stature are those of Drillis and Contini (1966) as printed in Winter, "Biomechanics and Motor Control of Human
-Movement" (2009), fig. 4.1; shoulders and hips lie at the joints' centres, which are closer together than the breadths
-printed there.
+Shares of stature are from Drillis and Contini (1966) as printed in Winter, "Biomechanics and Motor Control of Human
+Movement" (2009), fig. 4.1; shoulders and hips are at the joint centres, which are closer together than the printed
+breadths.
 """
 
 from dataclasses import dataclass
@@ -22,30 +22,30 @@ _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
 _LEFT = (1.0, 0.0, 0.0)
 _RIGHT = (-1.0, 0.0, 0.0)
-# From the ankle to the tip of the toes, which touch the floor.
+# Direction from the ankle to the tip of the toes, which touch the floor.
 _TOES = (0.0, -cos(radians(22.0)), -sin(radians(22.0)))
 
 TRUNK = ("Spine", "Chest", "Neck")
-"""The bones from the centre of the hips to the centre of the shoulders: 0.288 of stature."""
+"""Bones from the centre of the hips to the centre of the shoulders: 0.288 of stature."""
 _TRUNK_SHARES = (0.058, 0.130, 0.100)
 
 
 @dataclass(frozen=True, slots=True)
 class SkeletonJoint:
-    """One joint of the animation skeleton.
+    """Joint of the animation skeleton.
 
     Parameters
     ----------
     name
-        As usual in animation software (Mixamo's names without the prefix). Ends of bones are called ``<Parent>End``.
+        Name as in animation software (Mixamo's names without the prefix). Ends of bones are called ``<Parent>End``.
     parent
         Name of the joint's parent; ``None`` for the root.
     rest_direction
         Unit vector from the parent to the joint in the rest pose, world axes.
     stature_share
-        Length of the bone from the parent as a share of stature, for bones that nobody measured.
+        Length of the bone from the parent as a share of stature, for bones without a measured length.
     landmarks
-        Detector's joints whose mean is this joint's measured position; empty where the joint is derived.
+        Joints of the detector whose mean is this joint's measured position; empty for derived joints.
     """
 
     name: str
@@ -56,14 +56,15 @@ class SkeletonJoint:
 
     @property
     def kind(self) -> str:
-        """The name without its side."""
+        """Name without the side."""
         return self.name.removeprefix("Left").removeprefix("Right")
 
 
 def _arm(side: str, outwards: tuple[float, float, float]) -> tuple[SkeletonJoint, ...]:
     prefix = side.lower()
     return (
-        # The collar bones begin at the base of the neck, so that their rest directions hold for any width of shoulders.
+        # The collar bones begin at the base of the neck, so that their rest directions don't depend on the shoulder
+        # width.
         SkeletonJoint(f"{side}Shoulder", "Chest", _UP, _TRUNK_SHARES[2], ("left_shoulder", "right_shoulder")),
         SkeletonJoint(f"{side}Arm", f"{side}Shoulder", outwards, 0.105, (f"{prefix}_shoulder",)),
         SkeletonJoint(f"{side}ForeArm", f"{side}Arm", outwards, 0.186, (f"{prefix}_elbow",)),
@@ -111,13 +112,13 @@ def rest_offsets_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndar
     return directions * bone_length_m[:, None]
 
 
-def placed(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "frames 3"], Rotation]:
-    """World positions (metres) of one joint of ``SKELETON`` and its orientation, by the joints above it alone."""
+def joint_pose(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "frames 3"], Rotation]:
+    """World position (metres) and orientation of a joint of ``SKELETON``; only its ancestors are computed."""
     joint = SKELETON[INDEX[name]]
     rotation = Rotation.from_quat(motion.parent_from_joint[:, INDEX[name]])
     if joint.parent is None:
         return motion.root_m, rotation
-    parent_m, world_from_parent = placed(motion, joint.parent)
+    parent_m, world_from_parent = joint_pose(motion, joint.parent)
     offset_m = motion.bone_length_m[INDEX[name]] * np.array(joint.rest_direction)
     return parent_m + world_from_parent.apply(offset_m), world_from_parent * rotation
 

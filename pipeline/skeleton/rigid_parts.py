@@ -1,4 +1,4 @@
-"""Heads and feet: landmarks on a rigid part of the body, and how it is turned in every frame."""
+"""Orientation of head and feet in each frame, from landmarks on these rigid parts of the body."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.rotations import align, unit
 from pipeline.skeleton.trunk import Torso, solve_torso
 
-# Where a face's landmarks lie in an upright head that faces -Y, from the centre between the ears (adult means, metres).
+# Positions of landmarks in an upright head that faces -Y, from the centre between the ears (adult means, metres).
 _FACE_M = {
     "nose": (0.0, -0.110, -0.010),
     "left_eye": (0.032, -0.080, 0.020),
@@ -21,18 +21,18 @@ _FACE_M = {
     "left_ear": (0.075, 0.0, 0.0),
     "right_ear": (-0.075, 0.0, 0.0),
 }
-# The direction from the base of the neck to the face counts like a landmark so far away: it steadies nods and tilts.
+# The direction from the base of the neck to the face has the influence of a landmark at this distance. It stabilises
+# nod and tilt.
 _NECK_LEVER_M = 0.05
-# A face that misses its landmarks by more than this (root mean square, metres), or that is turned farther away from the
-# chest than a neck can turn it, was not measured well enough to believe.
+# Limits of a plausible face: root mean square distance to its landmarks (metres), and rotation from the chest.
 _MAX_FACE_MISFIT_M = 0.04
 _MAX_NECK_TURN = np.radians(90.0)
-# The centre between the ears as seen from the base of the neck, upright.
+# Position of the centre between the ears from the base of the neck, in an upright head.
 _EARS_FROM_NECK_M = np.array([0.0, 0.0, 0.2])
-# Where a left foot's landmarks lie, seen from the ankle, in a foot that points to -Y (adult means, metres).
+# Positions of landmarks in a left foot that points to -Y, from the ankle (adult means, metres).
 _FOOT_M = {"heel": (0.0, 0.050, -0.060), "big_toe": (-0.030, -0.170, -0.066), "small_toe": (0.045, -0.140, -0.066)}
 _MIRRORED = np.array([-1.0, 1.0, 1.0])
-# A person's own proportions are medians over so many frames, spread evenly over the track.
+# Number of frames, evenly spaced over the track, for the medians of a person's own proportions.
 _NUM_SAMPLES = 400
 
 
@@ -54,10 +54,10 @@ class Foot:
 
 
 def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
-    """Lay a face of adult size onto whatever landmarks are known, at least two of nose, eyes and ears.
+    """Align a face of adult size with the known landmarks: at least two of nose, eyes and ears.
 
-    So a landmark that comes or goes doesn't make the head jump. The head is unknown, its centre NaN and its orientation
-    arbitrary, where fewer are known or where they don't make a face that looks where this chest allows.
+    So the head does not jump when a landmark appears or disappears. Where fewer landmarks are known, or where the face
+    is not plausible, the head is unknown: its centre is NaN and its orientation arbitrary.
     """
     template = np.array(list(_FACE_M.values()))
     face = np.stack([landmarks[name] for name in _FACE_M], axis=1)
@@ -67,7 +67,7 @@ def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
     share = np.where(enough[:, None], known, np.nan) / np.where(enough, known.sum(-1), 1)[:, None]
     center = np.einsum("fp,fpi->fi", share, np.where(known[..., None], face, 0.0))
     template_center = share @ template
-    # Vectors from the centre of the known landmarks, and the one from the neck: rotation alone is left to find.
+    # Vectors from the centre of the known landmarks, and the vector from the neck: only a rotation remains unknown.
     neck = _NECK_LEVER_M * unit(center - torso.shoulders_m)
     upright_neck = _NECK_LEVER_M * unit(template_center + _EARS_FROM_NECK_M)
     measured = np.concatenate([face - center[:, None], neck[:, None]], axis=1)
@@ -83,7 +83,7 @@ def solve_head(landmarks: Landmarks, torso: Torso) -> Head:
 
 
 def solve_foot(landmarks: Landmarks, side: str) -> Foot:
-    """Lay a foot of adult shape onto at least two of heel, big toe and small toe, as seen from the ankle."""
+    """Align a foot of adult shape with at least two of heel, big toe and small toe, relative to the ankle."""
     template = np.array(list(_FOOT_M.values())) * (1.0 if side == "left" else _MIRRORED)
     from_ankle_m = np.stack([landmarks[f"{side}_{name}"] - landmarks[f"{side}_ankle"] for name in _FOOT_M], axis=1)
     valid = np.isfinite(from_ankle_m).all(-1).sum(-1) >= 2
@@ -93,16 +93,19 @@ def solve_foot(landmarks: Landmarks, side: str) -> Foot:
 def landmark_offsets_m(
     track: Track3D, joints: JointSet, bone_length_m: Float[np.ndarray, " joints"]
 ) -> Mapping[str, Float[np.ndarray, " 3"]]:
-    """Where a person's landmarks of head and feet lie in these, by name; only what was seen together with others."""
+    """Median offsets of a person's landmarks in head and feet, by name, in metres.
+
+    Landmarks that were never known together with others of the same part are missing.
+    """
     sampled = np.unique(np.linspace(0, track.num_frames - 1, _NUM_SAMPLES).round().astype(int))
     landmarks = Landmarks(track.xyz_m[sampled], track.source[sampled], joints)
     head = solve_head(landmarks, solve_torso(landmarks, bone_length_m))
-    found = dict(_offsets_m(landmarks, tuple(_FACE_M), head.center_m, head.world_from_head, head.valid))
+    offsets_m = dict(_offsets_m(landmarks, tuple(_FACE_M), head.center_m, head.world_from_head, head.valid))
     for side in ("left", "right"):
         foot = solve_foot(landmarks, side)
         names = tuple(f"{side}_{name}" for name in _FOOT_M)
-        found |= _offsets_m(landmarks, names, landmarks[f"{side}_ankle"], foot.world_from_foot, foot.valid)
-    return found
+        offsets_m |= _offsets_m(landmarks, names, landmarks[f"{side}_ankle"], foot.world_from_foot, foot.valid)
+    return offsets_m
 
 
 def _offsets_m(

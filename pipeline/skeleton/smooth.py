@@ -1,11 +1,11 @@
-"""Smoothing of joints' positions over time; gaps stay gaps, and nothing is smoothed across one.
+"""Smoothing of joint positions over time. Gaps stay gaps, and nothing is smoothed across a gap.
 
-*Butterworth*: low-pass of fourth order without delay, a second-order filter forth and back; the cutoff of each pass is
-raised so that both together have the one that was asked for (Winter, "Biomechanics and motor control of human
+*Butterworth*: low-pass of fourth order without delay, by a second-order filter in both directions. The cutoff of each
+pass is raised so that both together have the requested cutoff (Winter, "Biomechanics and motor control of human
 movement", section 2.2.4.4).
 
-*One-euro*: a low-pass whose cutoff rises with speed, so that a still hand does not tremble and a fast one does not lag
-(Casiez, Roussel and Vogel, "1 euro filter", CHI 2012). It looks back only, as it would in a live preview.
+*One-euro*: low-pass with a cutoff that increases with speed, so that a still hand does not tremble and a fast hand does
+not lag (Casiez, Roussel and Vogel, "1 euro filter", CHI 2012). It uses past frames only, like a live preview.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,11 +22,11 @@ from pipeline.errors import InputError, Problem
 from pipeline.geometry.tracks import reproject
 
 _ORDER = 2
-# What two passes of a filter do to its cutoff.
+# Factor by which two passes of a filter lower its cutoff.
 _BOTH_PASSES = (np.sqrt(2.0) - 1.0) ** (1.0 / (2 * _ORDER))
 
-# Cutoff of a joint at rest, what a metre a second adds to it, and the cutoff of the speed itself. In simulation the lag
-# costs then as much accuracy as the smoothing gains.
+# Cutoff of a joint at rest, increase of the cutoff per m/s, and cutoff of the speed itself. In simulation, the loss of
+# accuracy by the lag then equals the gain by smoothing.
 _REST_HZ, _HZ_PER_M_S, _SPEED_HZ = 3.0, 8.0, 2.0
 
 _Filter = Callable[[Float[np.ndarray, "frames joints 3"]], Float[np.ndarray, "frames joints 3"]]
@@ -39,14 +39,14 @@ def smooth_track(
     timebase: Timebase,
     config: ReconstructionConfig,
 ) -> Track3D:
-    """Smooth somebody's joints each by itself, and measure the reprojection error anew.
+    """Smooth each joint of a person by itself, and compute the reprojection error again.
 
     Parameters
     ----------
     seen
-        The observations behind the track.
+        Observations of the track.
     config
-        Says how: ``butterworth`` or ``one-euro``; anything else gives the track back.
+        Method of smoothing: ``butterworth`` or ``one-euro``. For other methods, the track is returned unchanged.
     """
     rate_hz = timebase.frame_rate_hz
     filters: dict[str, _Filter] = {
@@ -62,12 +62,12 @@ def smooth_track(
 
 
 def check_smoothing(timebase: Timebase, config: ReconstructionConfig) -> None:
-    """Refuse a cutoff that a take's frame rate can't have.
+    """Check that the cutoff is possible at a session's frame rate.
 
     Raises
     ------
     InputError
-        If it is not between 0 and half of the frame rate.
+        If the cutoff is not between 0 and half of the frame rate.
     """
     if config.smoothing == "butterworth" and not 0 < config.cutoff_hz < timebase.frame_rate_hz / 2:
         problem = (
@@ -80,21 +80,21 @@ def check_smoothing(timebase: Timebase, config: ReconstructionConfig) -> None:
 def butterworth(
     xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float, cutoff_hz: float
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Low-pass of fourth order without delay; NaN stays, and parts what is before from what is after."""
-    # The bilinear transform behind the digital filter bends frequencies as the tangent does.
+    """Low-pass of fourth order without delay; NaN stays NaN, and nothing is filtered across it."""
+    # The bilinear transform of the digital filter warps frequencies by the tangent.
     raised_hz = np.arctan(np.tan(np.pi * cutoff_hz / rate_hz) / _BOTH_PASSES) * rate_hz / np.pi
     sections = butter(_ORDER, raised_hz, fs=rate_hz, output="sos")
     smoothed = xyz_m.copy()
     for joint in range(xyz_m.shape[1]):
         for run in _runs(np.isfinite(xyz_m[:, joint]).all(-1)):
-            # The filter needs some past to settle: the run mirrored at its ends, for a period of the cutoff.
+            # The run is mirrored at its ends for a period of the cutoff, so that the filter settles.
             num_mirrored = min(run.stop - run.start - 1, max(1, round(rate_hz / cutoff_hz)))
             smoothed[run, joint] = sosfiltfilt(sections, xyz_m[run, joint], axis=0, padlen=num_mirrored)
     return smoothed
 
 
 def one_euro(xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float) -> Float[np.ndarray, "frames joints 3"]:
-    """Low-pass that follows fast movements; NaN stays, and it begins anew after it."""
+    """Low-pass that follows fast movements; NaN stays NaN, and the filter restarts after it."""
     smoothed = xyz_m.copy()
     velocity_m_s = np.zeros(xyz_m.shape[1:])
     for frame in range(1, len(xyz_m)):
@@ -110,12 +110,12 @@ def one_euro(xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float) -> Flo
 
 
 def _share(cutoff_hz: float | Float[np.ndarray, "*batch"], rate_hz: float) -> float | Float[np.ndarray, "*batch"]:
-    """How much of a new value an exponential low-pass takes."""
+    """Weight of a new value in an exponential low-pass."""
     return 1.0 / (1.0 + rate_hz / (2 * np.pi * cutoff_hz))
 
 
 def _runs(known: Bool[np.ndarray, " frames"]) -> Iterator[slice]:
-    """Stretches of at least two known frames."""
+    """Runs of at least two known frames."""
     borders = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
     for start, stop in borders.reshape(-1, 2).tolist():
         if stop - start >= 2:

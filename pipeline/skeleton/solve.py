@@ -1,10 +1,10 @@
-"""Joint rotations from a track's positions: bones of constant length, aimed at the joints.
+"""Joint rotations from joint positions, with bones of constant length; the start of the fit.
 
-From the hips outwards every bone is turned, by the smallest rotation, towards the measured position of its end, seen
-from where the bones before it really end; so differences in length don't add up along a limb. Upper arms and thighs
-are twisted so that elbows and knees work as hinges. What was not seen moves evenly from one known rotation to the next,
-relative to its parent; what was never seen keeps its rest rotation. So do wrists and collar bones, of which positions
-of joints say nothing, and ankles where neither toes nor heels are known. It is what the fit starts from.
+From the hips outwards, each bone is turned by the smallest rotation towards the measured position of its end. It is
+aimed from the position at which the previous bone ends in the skeleton, so that differences in length don't add up
+along a limb. Upper arms and thighs are twisted so that elbows and knees are hinges. Unknown rotations are interpolated
+between known rotations, relative to the parent. Joints that are never known keep their rest rotation. So do wrists and
+collar bones, whose rotations don't follow from positions, and ankles if neither toes nor heels are known.
 """
 
 import numpy as np
@@ -18,12 +18,13 @@ from pipeline.skeleton.rigid_parts import solve_foot, solve_head
 from pipeline.skeleton.rotations import continuous_quat_xyzw, filled, hinge_twist_rad, swing
 from pipeline.skeleton.trunk import solve_torso
 
-# A bone measured so much longer or shorter than it is, as a share of its length, was not measured: it isn't followed.
+# Limit on the difference between measured and true length of a bone, as a share of its length; beyond it, the
+# measurement is ignored.
 _MAX_STRETCH = 0.5
 
 
 class _Pose:
-    """A skeleton that is posed joint by joint, parents before children, in all frames at once."""
+    """Skeleton that is posed joint by joint, parents before children, in all frames at once."""
 
     def __init__(
         self,
@@ -42,31 +43,31 @@ class _Pose:
         return self._world_from_joint[str(SKELETON[INDEX[name]].parent)]
 
     def position_m(self, name: str) -> Float[np.ndarray, "frames 3"]:
-        """Where a joint is, as soon as its parent is posed."""
+        """World position of a joint (metres); its parent must be posed."""
         parent = str(SKELETON[INDEX[name]].parent)
         return self._position_m[parent] + self._world_from_joint[parent].apply(self._offsets_m[INDEX[name]])
 
-    def _believed(self, child: str, bone_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
-        """A measured bone from its parent to ``child``, world axes; NaN where its length can't be true."""
+    def _plausible(self, child: str, bone_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+        """Vectors of a measured bone to ``child``, world axes; NaN where the length is not plausible."""
         length_m = np.linalg.norm(self._offsets_m[INDEX[child]])
         stretch_m = np.abs(np.linalg.norm(bone_m, axis=-1) - length_m)
         return np.where(stretch_m[:, None] <= _MAX_STRETCH * length_m, bone_m, np.nan)
 
     def turn(self, name: str, parent_from_joint: Rotation) -> None:
-        """Pose one joint."""
+        """Pose a joint by its rotation to its parent."""
         self._position_m[name] = self.position_m(name)
         self._world_from_joint[name] = self.world_from_parent(name) * parent_from_joint
         self._parent_from_joint[name] = parent_from_joint
 
     def aim(self, name: str, child: str, target_m: Float[np.ndarray, "frames 3"], before: Rotation) -> None:
-        """Pose a joint so that its child comes closest to a target, NaN where unknown.
+        """Pose a joint so that its child is closest to a target, NaN where unknown.
 
         Parameters
         ----------
         before
-            A rotation from the joint to its parent that the smallest rotation to the target follows.
+            Rotation from the joint to its parent before the smallest rotation to the target is applied.
         """
-        bone_m = self._believed(child, target_m - self.position_m(name))
+        bone_m = self._plausible(child, target_m - self.position_m(name))
         toward_m = (self.world_from_parent(name) * before).inv().apply(bone_m)
         turned, valid = swing(self._directions[INDEX[child]], toward_m)
         self.turn(name, filled(before * turned, valid))
@@ -93,15 +94,15 @@ class _Pose:
         upper, lower, end = names
         bone = self._directions[INDEX[lower]]
         world_from_parent = self.world_from_parent(upper)
-        upper_m = self._believed(lower, joint_m - self.position_m(upper))
+        upper_m = self._plausible(lower, joint_m - self.position_m(upper))
         turned, valid = swing(bone, world_from_parent.inv().apply(upper_m))
-        lower_direction = (world_from_parent * turned).inv().apply(self._believed(end, end_m - joint_m))
+        lower_direction = (world_from_parent * turned).inv().apply(self._plausible(end, end_m - joint_m))
         twist_rad = hinge_twist_rad(bone, hinge, lower_direction, frame_rate_hz)
         self.turn(upper, filled(turned * Rotation.from_rotvec(twist_rad[:, None] * bone), valid))
         self.aim(lower, end, end_m, Rotation.identity(len(end_m)))
 
     def parent_from_joint_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
-        """Quaternions of all joints, continuous in time; the rest rotation for joints that nobody posed."""
+        """Quaternions (x, y, z, w) of all joints, continuous in time; the identity for joints without a pose."""
         rest = Rotation.identity(len(self._position_m["Hips"]))
         return np.stack(
             [continuous_quat_xyzw(self._parent_from_joint.get(joint.name, rest)) for joint in SKELETON], axis=1
@@ -111,18 +112,18 @@ class _Pose:
 def solve_pose(
     landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"], frame_rate_hz: float
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames joints 4"]]:
-    """Pose the skeleton of ``pipeline.skeleton.model`` by where landmarks are.
+    """Pose the skeleton of ``pipeline.skeleton.model`` by landmarks.
 
     Parameters
     ----------
     landmarks
-        Positions with any gaps, at least one frame. They are looked up by COCO's names; the detector may know others,
-        and need not know all.
+        Positions in at least one frame, with any gaps. Landmarks are looked up by the names of COCO; the detector may
+        have other landmarks, and may lack some.
 
     Returns
     -------
-        World positions of the root and rotations of all joints to their parents (x, y, z, w), without any NaN. Joints
-        that were not measured are filled in.
+        World positions of the root (metres) and rotations of all joints to their parents (x, y, z, w), without NaN:
+        unknown joints are filled in.
     """
     offsets_m = rest_offsets_m(bone_length_m)
     torso = solve_torso(landmarks, bone_length_m)
@@ -130,7 +131,7 @@ def solve_pose(
     rest = Rotation.identity(len(torso.hips_m))
 
     pose = _Pose(bone_length_m, torso.hips_m, torso.world_from_pelvis)
-    # The spine takes half of the twist between pelvis and chest, and ends where the chest has to begin.
+    # The spine takes half of the twist between pelvis and chest, and is aimed at the start of the chest.
     half_twist = (torso.world_from_pelvis.inv() * torso.world_from_chest) ** 0.5
     chest_m = torso.shoulders_m - torso.world_from_chest.apply(offsets_m[INDEX["Neck"]])
     pose.aim("Spine", "Chest", chest_m, half_twist)

@@ -1,4 +1,4 @@
-"""The torso of every frame: where it is and how it is turned."""
+"""Position and orientation of the torso in each frame."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.skeleton.gaps import carried, filled_linearly
+from pipeline.skeleton.gaps import filled_linearly, filled_relative_to
 from pipeline.skeleton.landmarks import Landmarks
 from pipeline.skeleton.model import INDEX, TRUNK
 from pipeline.skeleton.rotations import filled, from_axes, unit
@@ -29,7 +29,7 @@ class Torso:
 def _girdle_center_m(
     landmarks: Landmarks, kind: str, axis: Float[np.ndarray, "frames 3"], half_width_m: float
 ) -> Float[np.ndarray, "frames 3"]:
-    """Centre of shoulders or hips; where one side is unknown, half the width away from the other one."""
+    """Centre of shoulders or hips; if a side is unknown, at half the width from the other side."""
     center = landmarks.middle(kind)
     from_left = landmarks[f"left_{kind}"] - half_width_m * axis
     from_right = landmarks[f"right_{kind}"] + half_width_m * axis
@@ -37,22 +37,22 @@ def _girdle_center_m(
 
 
 def solve_torso(landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"]) -> Torso:
-    """Hips, shoulders, pelvis and chest of every frame.
+    """Compute hips, shoulders, pelvis and chest of each frame.
 
-    The pelvis' X axis runs along the hips and the chest's along the shoulders, exactly; both point up along the trunk.
-    Where the hips are unknown they travel with the shoulders, and the other way round. A person of whom neither was
-    ever seen stands upright above the world's origin.
+    The X axis of the pelvis is along the hips, and that of the chest along the shoulders; both Z axes point up along
+    the trunk. Where the hips are unknown, they move with the shoulders, and vice versa. A person without known hips and
+    shoulders stands upright above the world's origin.
     """
     hip_axis = unit(landmarks["left_hip"] - landmarks["right_hip"])
     shoulder_axis = unit(landmarks["left_shoulder"] - landmarks["right_shoulder"])
-    shoulder_axis = unit(carried(shoulder_axis, filled_linearly(hip_axis, _LEFT), _NOTHING))
-    hip_axis = unit(carried(hip_axis, filled_linearly(shoulder_axis, _LEFT), _NOTHING))
+    shoulder_axis = unit(filled_relative_to(shoulder_axis, filled_linearly(hip_axis, _LEFT), _NOTHING))
+    hip_axis = unit(filled_relative_to(hip_axis, filled_linearly(shoulder_axis, _LEFT), _NOTHING))
 
     trunk = bone_length_m[[INDEX[name] for name in TRUNK]].sum() * _UP
     hips_m = _girdle_center_m(landmarks, "hip", hip_axis, float(bone_length_m[INDEX["LeftUpLeg"]]))
     shoulders_m = _girdle_center_m(landmarks, "shoulder", shoulder_axis, float(bone_length_m[INDEX["LeftArm"]]))
-    shoulders_m = carried(shoulders_m, filled_linearly(hips_m, _NOTHING), trunk)
-    hips_m = carried(hips_m, shoulders_m, -trunk)
+    shoulders_m = filled_relative_to(shoulders_m, filled_linearly(hips_m, _NOTHING), trunk)
+    hips_m = filled_relative_to(hips_m, shoulders_m, -trunk)
     return Torso(
         hips_m,
         shoulders_m,

@@ -14,7 +14,7 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.clustering.associate import find_people, first_lengths, join_poses, link_people, sampled_frames
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.clustering.instant.candidates import Seen, SeenBodies, SeenFields
+from pipeline.clustering.instant.candidates import BodyEvidence, FieldEvidence, ViewEvidence
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.clustering.skeleton import skeleton_of
@@ -201,16 +201,16 @@ def link(
 
 def _seen(
     session: Session, frames: range, found: DetectionsByCamera, joints: JointSet, parameters: ClusteringParameters
-) -> Seen:
+) -> ViewEvidence:
     """What shows a range of output frames."""
     skeleton = skeleton_of(joints)
     fields = {camera: one for camera, one in found.items() if isinstance(one, PafFields)}
     if fields:
-        return SeenFields(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
+        return FieldEvidence(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
     span = span_s(session.timebase, frames.start, frames.stop)
     bodies = {
         camera: bodies_in(one, frames_in(session.times[camera], *span))
         for camera, one in found.items()
         if isinstance(one, Detections)
     }
-    return SeenBodies(session.cameras, session.times, bodies, session.timebase, skeleton, parameters)
+    return BodyEvidence(session.cameras, session.times, bodies, session.timebase, skeleton, parameters)

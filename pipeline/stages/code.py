@@ -31,8 +31,8 @@ LIBRARIES = (
 """Distributions whose versions results may depend on."""
 
 _ROOT = Path(__file__).parents[2]
-# Not imported here: it loads the science.
-_MODULE = "pipeline.stages.run"
+# Not imported here: they load the science.
+_MODULE, _RECORD = "pipeline.stages.run", "pipeline.capture.preflight_npz"
 
 
 @functools.cache
@@ -53,7 +53,9 @@ def stage_codes(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> Map
         SHA-256 in hexadecimal digits.
     """
     versions = [[name, _version(name)] for name in libraries]
-    digests = {stage.name: function_digest(root, _MODULE, stage.function) for stage in STAGES}
+    # All stages read the record of the session's check.
+    session = [function_digest(root, _RECORD, name) for name in ("decode_session", "decode_keypoints")]
+    digests = {stage.name: [function_digest(root, _MODULE, stage.function), *session] for stage in STAGES}
     forget_sources()
     return MappingProxyType(
         {

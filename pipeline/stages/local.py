@@ -11,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.config import ReconstructionConfig, method_warnings
 from pipeline.data import Reconstruction
 from pipeline.errors import ChildError, InputError, PipelineError, Problem
@@ -22,9 +23,8 @@ from pipeline.stages.association import Session, clustering_parameters, restrict
 from pipeline.stages.code import sources_sha256, stage_codes
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, plan
-from pipeline.stages.records_npz import encode_keypoints, encode_session
 from pipeline.stages.run import Context, assemble, load_detector, run_task
-from pipeline.video.probe import mean_rate_hz
+from pipeline.video.frame_rate import measured_rate_hz
 
 _DEFAULTS = ReconstructionConfig()
 
@@ -88,7 +88,7 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
         frame_rate_hz=timebase.frame_rate_hz,
         stretches=session.stretches,
         camera_rates_hz={
-            name: mean_rate_hz(times.time_s) if len(times.time_s) > 1 else timebase.frame_rate_hz
+            name: measured_rate_hz(times.time_s) if len(times.time_s) > 1 else timebase.frame_rate_hz
             for name, times in session.times.items()
         },
         has_videos=not isinstance(session, KeypointSession),

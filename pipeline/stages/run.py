@@ -32,8 +32,7 @@ from pipeline.stages.association import (
     track_gathered,
 )
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, DETECT, FIT, LENGTHS, POSES, STAGE_BY_NAME, FrameCut, SessionFacts, Task
-from pipeline.stages.records_npz import (
+from pipeline.stages.outputs_npz import (
     decode_animation,
     decode_damaged_videos,
     decode_detections,
@@ -48,6 +47,7 @@ from pipeline.stages.records_npz import (
     open_people,
     write_people,
 )
+from pipeline.stages.plan import ASSOCIATE, DETECT, FIT, LENGTHS, POSES, STAGE_BY_NAME, FrameCut, SessionFacts, Task
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 

@@ -1,1 +1,1 @@
-"""Method ``tracking``: cross-view tracking (Chen et al., CVPR 2020)."""
+"""Association method ``tracking``: cross-view tracking (Chen et al., CVPR 2020)."""

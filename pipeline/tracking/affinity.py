@@ -1,8 +1,8 @@
-"""How well targets and detections fit: 2D and 3D correspondence (Chen et al. 2020, eq. 1-5), and two views (eq. 13).
+"""Affinity of targets and detections (Chen et al. 2020, eq. 1-5), and of detections in two cameras (eq. 12-13).
 
-Affinities are means over the joints that both sides have, where the paper writes sums: their sign and order within a
-detection stay, and a half-hidden body is not penalised. A joint's term is cut at -1, so that a single wrong wrist does
-not outvote a body.
+Affinities are means over shared joints, where the paper uses sums: signs and the order within a detection are the
+same, and a half-hidden body is not penalised. A joint's term is at least -1, so that a single wrong joint does not
+decide.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from pipeline.geometry.epipolar import epipolar_distance_px
 from pipeline.tracking.parameters import TrackingParameters
 
-# Fewer shared joints are no evidence.
+# Least number of shared joints for an affinity.
 _MIN_JOINTS = 3
 
 
@@ -21,7 +21,7 @@ def predict(
     age_s: Float[np.ndarray, "*batch joints"],
     max_extrapolation_s: float,
 ) -> Float[np.ndarray, "*batch joints 3"]:
-    """Linear motion (eq. 5), standing still after ``max_extrapolation_s``."""
+    """Predict positions by linear motion (eq. 5); predictions stand still after ``max_extrapolation_s``."""
     return xyz_m + velocity_m_s * np.minimum(age_s, max_extrapolation_s)[..., None]
 
 
@@ -30,7 +30,12 @@ def ray_distance_m(
     center_m: Float[np.ndarray, "*#batch 3"],
     rays: Float[np.ndarray, "*batch 3"],
 ) -> Float[np.ndarray, "*batch"]:
-    """Distance d of points to the rays from a camera centre (eq. 4); infinite behind the camera, NaN for NaN."""
+    """Distance d of points to unit rays from a camera centre (eq. 4).
+
+    Returns
+    -------
+        Metres; infinite for points behind the camera, NaN where an input is NaN.
+    """
     offset_m = points_m - center_m
     along_m = (offset_m * rays).sum(-1)
     across_m = np.linalg.norm(offset_m - along_m[..., None] * rays, axis=-1)
@@ -43,7 +48,19 @@ def correspondence_2d(
     gap_s: Float[np.ndarray, " targets"],
     parameters: TrackingParameters,
 ) -> Float[np.ndarray, "targets detections joints"]:
-    """2D correspondence A2D with the last match in the same camera (eq. 2), NaN where one side has no joint."""
+    """2D correspondence A2D of detections with the targets' last match in the same camera (eq. 2).
+
+    Parameters
+    ----------
+    points_px, last_px
+        Undistorted pixels, NaN where a joint is unseen.
+    gap_s
+        Time since each target's last match in this camera.
+
+    Returns
+    -------
+        A2D, NaN where the target or the detection lacks the joint.
+    """
     moved_px = np.linalg.norm(points_px[None] - last_px[:, None], axis=-1)
     allowed_px = parameters.alpha_2d_px_s * gap_s[:, None, None]
     decay = np.exp(-parameters.lambda_a_hz * gap_s)[:, None, None]
@@ -57,7 +74,19 @@ def correspondence_3d(
     age_s: Float[np.ndarray, "targets joints"],
     parameters: TrackingParameters,
 ) -> Float[np.ndarray, "targets detections joints"]:
-    """3D correspondence A3D of predicted joints and rays (eq. 4), NaN where one side has no joint."""
+    """3D correspondence A3D of predicted joints and viewing rays (eq. 4).
+
+    Parameters
+    ----------
+    rays, center_m
+        Unit rays of the detections' joints in the world, NaN where a joint is unseen, and the camera's centre.
+    predicted_m, age_s
+        Predicted joints, NaN where unknown, and the time since they were located.
+
+    Returns
+    -------
+        A3D, NaN where the target or the detection lacks the joint.
+    """
     targets, detections = np.broadcast_arrays(predicted_m[:, None], rays[None])
     distance_m = ray_distance_m(targets, center_m, detections)
     decay = np.exp(-parameters.lambda_a_hz * age_s)[:, None]
@@ -67,11 +96,15 @@ def correspondence_3d(
 def affinity(
     terms_2d: Float[np.ndarray, "targets detections joints"], terms_3d: Float[np.ndarray, "targets detections joints"]
 ) -> Float[np.ndarray, "targets detections"]:
-    """Affinity A of targets and detections (eq. 1), -inf where they share too few joints."""
+    """Affinity A of targets and detections (eq. 1): mean over shared joints of A2D + A3D.
+
+    Returns
+    -------
+        A; ``-inf`` for a pair that shares fewer than three joints.
+    """
     shared = np.isfinite(terms_3d)
-    count = shared.sum(-1)
     total = np.where(shared, terms_3d, 0.0) + np.where(shared & np.isfinite(terms_2d), terms_2d, 0.0)
-    return np.where(count >= _MIN_JOINTS, total.sum(-1) / np.maximum(count, 1), -np.inf)
+    return _mean_over_joints(total, shared)
 
 
 def epipolar_affinity(
@@ -80,10 +113,30 @@ def epipolar_affinity(
     right_px: Float[np.ndarray, "right joints 2"],
     alpha_px: float,
 ) -> Float[np.ndarray, "left right"]:
-    """Affinity A_e of detections in two cameras (eq. 12-13), -inf where they share too few joints."""
+    """Affinity A_e of detections in two cameras (eq. 12-13).
+
+    Parameters
+    ----------
+    fundamental
+        Fundamental matrix of the left and the right camera; see ``geometry.epipolar``.
+    left_px, right_px
+        Undistorted pixels, NaN where a joint is unseen.
+    alpha_px
+        Epipolar distance at which the affinity is 0.
+
+    Returns
+    -------
+        A_e; ``-inf`` for a pair that shares fewer than three joints.
+    """
     left, right = np.broadcast_arrays(left_px[:, None], right_px[None])
     terms = np.maximum(1 - epipolar_distance_px(fundamental, left, right) / alpha_px, -1.0)
     shared: Bool[np.ndarray, "left right joints"] = np.isfinite(terms)
+    return _mean_over_joints(np.where(shared, terms, 0.0), shared)
+
+
+def _mean_over_joints(
+    terms: Float[np.ndarray, "*batch joints"], shared: Bool[np.ndarray, "*batch joints"]
+) -> Float[np.ndarray, "*batch"]:
+    """Mean of the shared joints' terms, the others being 0; ``-inf`` for too few shared joints."""
     count = shared.sum(-1)
-    total = np.where(shared, terms, 0.0).sum(-1)
-    return np.where(count >= _MIN_JOINTS, total / np.maximum(count, 1), -np.inf)
+    return np.where(count >= _MIN_JOINTS, terms.sum(-1) / np.maximum(count, 1), -np.inf)

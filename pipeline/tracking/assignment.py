@@ -1,4 +1,4 @@
-"""Who belongs to whom: Hungarian assignment, and graph partitioning as a binary integer programme."""
+"""Assignment of detections: Hungarian algorithm, and graph partitioning as a binary integer programme."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -9,26 +9,26 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-# Stands for "never" in an affinity that a solver has to add up.
+# Affinity of a forbidden pair for solvers, which can't add infinite values.
 _NEVER = -1e3
-# The programme of so many detections takes up to a second; its constraints grow with their third power. Connected parts
-# of the simulated scenes have 13 at most.
+# Most detections of a programme: 16 take up to a second, and constraints grow with the third power of the number.
+# Connected parts of the simulated scenes have 13 detections at most.
 _MAX_PROGRAMME_NODES = 16
-# Of all programmes of a partition together.
+# Detections of all programmes of a partition together.
 _MAX_NODES = 32
-# Of the branch and bound tree of a programme; those of the simulated scenes are solved at its root.
+# Branches of the search tree of a programme; those of the simulated scenes are solved at the root.
 _MAX_BRANCHES = 1000
 
 
 class Partition(NamedTuple):
-    """Detections of several cameras as people.
+    """Partition of several cameras' detections into people.
 
     Parameters
     ----------
     parts
         Detections of each person, at least two, ascending.
     is_exact
-        Whether no other partition is better; else some parts were matched camera by camera.
+        Whether the partition is optimal; if not, some parts were matched camera by camera.
     """
 
     parts: tuple[tuple[int, ...], ...]
@@ -36,7 +36,12 @@ class Partition(NamedTuple):
 
 
 def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[int, int]]:
-    """Pairs (target, detection) of the maximum total affinity (Hungarian algorithm); a pair needs a positive one."""
+    """Match targets and detections for the maximum total affinity (Hungarian algorithm).
+
+    Returns
+    -------
+        Pairs (target, detection); each has a positive affinity.
+    """
     gain = np.maximum(affinities, 0.0)
     rows, columns = linear_sum_assignment(gain, maximize=True)
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if affinities[i, j] > 0]
@@ -45,20 +50,20 @@ def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[in
 def partition(affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]) -> Partition:
     """Partition detections of several cameras into people (Chen et al. 2020, eq. 14-16).
 
-    Maximises the sum of affinities within parts; cycle consistency ``y_ij + y_jk <= 1 + y_ik`` for all i, j, k makes
-    parts of pairs. Each part of the graph that positive affinities connect is solved by itself: exactly where it has
-    16 detections at most, and such parts together 32; else camera by camera, which is exact for two cameras.
+    Maximises the sum of affinities within parts. Cycle consistency, ``y_ij + y_jk <= 1 + y_ik`` for all i, j, k, makes
+    parts of pairs. Each part of the graph that positive affinities connect is solved by itself: exactly if it has at
+    most 16 detections and all such parts together at most 32, else camera by camera, which is exact for two cameras.
 
     Parameters
     ----------
     affinities
-        Symmetric; ``-inf`` where two detections can't be one person.
+        Symmetric matrix; ``-inf`` for two detections that can't be the same person.
     groups
-        The camera of each detection: a part has at most one of each.
+        Camera of each detection. A part has at most one detection of a camera.
     """
-    beyond_dispute = _partition_by_best(affinities, groups)
-    if beyond_dispute is not None:
-        return Partition(beyond_dispute, is_exact=True)
+    mutual = _partition_by_best(affinities, groups)
+    if mutual is not None:
+        return Partition(mutual, is_exact=True)
     possible = (affinities > 0) & (groups[:, None] != groups[None, :])
     _, labels = connected_components(csr_array(possible), directed=False)
     parts: list[tuple[int, ...]] = []
@@ -66,24 +71,28 @@ def partition(affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarr
     for label in np.unique(labels):
         nodes = np.flatnonzero(labels == label)
         inside = affinities[np.ix_(nodes, nodes)], groups[nodes]
-        found = _partition_by_best(*inside)
-        if found is None and len(nodes) <= min(_MAX_PROGRAMME_NODES, left_nodes):
+        solution = _partition_by_best(*inside)
+        if solution is None and len(nodes) <= min(_MAX_PROGRAMME_NODES, left_nodes):
             left_nodes -= len(nodes)
-            found = _partition_connected(*inside)
-        if found is None:
-            found = _partition_camera_by_camera(*inside)
+            solution = _partition_connected(*inside)
+        if solution is None:
+            solution = _partition_camera_by_camera(*inside)
             is_exact &= len(np.unique(inside[1])) == 2
-        parts.extend(tuple(nodes[list(part)].tolist()) for part in found)
+        parts.extend(tuple(nodes[list(part)].tolist()) for part in solution)
     return Partition(tuple(parts), is_exact)
 
 
 def _partition_by_best(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
 ) -> tuple[tuple[int, ...], ...] | None:
-    """The solution of eq. 14-16 where every node's best partner in every other camera is beyond dispute, else ``None``.
+    """Solve eq. 14-16 if best partners are mutual: every node's best partner in every camera chooses that node, too.
 
-    A node has at most one partner in a camera. So no partition gains more than the sum of every node's best positive
-    affinity to each camera; parts in which all are each other's best gain just that, and are the solution.
+    A node has at most one partner in a camera. So the sum of every node's best positive affinity to each camera bounds
+    the gain of a partition. Parts in which all nodes are each other's best partners reach that bound.
+
+    Returns
+    -------
+        The parts, or ``None`` if best partners are not mutual.
     """
     linked = np.eye(len(groups), dtype=bool)
     rows = np.arange(len(groups))
@@ -100,7 +109,7 @@ def _partition_by_best(
 def _partition_connected(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
 ) -> tuple[tuple[int, ...], ...] | None:
-    """Solve eq. 14-16 for one connected part of the graph; ``None`` where that takes too many branches."""
+    """Solve eq. 14-16 for one connected part of the graph; ``None`` if that takes too many branches."""
     num_nodes = len(groups)
     pairs = list(combinations(range(num_nodes), 2))
     variable = {pair: k for k, pair in enumerate(pairs)}
@@ -141,10 +150,10 @@ def _partition_connected(
 def _partition_camera_by_camera(
     affinities: Float[np.ndarray, "nodes nodes"], groups: Int[np.ndarray, " nodes"]
 ) -> tuple[tuple[int, ...], ...]:
-    """Match the detections of each camera in turn to the parts so far, for the largest sum (Hungarian algorithm)."""
+    """Match the detections of each camera in turn to the parts so far (Hungarian algorithm)."""
     gains = np.maximum(affinities, _NEVER)
     labels = np.arange(len(groups))
-    part_gains = np.zeros_like(gains)  # of the part of each label with each node
+    part_gains = np.zeros_like(gains)  # gain of each label's part with each node
     for group in np.unique(groups):
         members = np.flatnonzero(groups == group)
         parts = np.unique(labels[groups < group])
@@ -155,7 +164,7 @@ def _partition_camera_by_camera(
 
 
 def _parts_of(labels: Int[np.ndarray, " nodes"]) -> tuple[tuple[int, ...], ...]:
-    """Nodes of each label that at least two have, in order of their first nodes."""
+    """Group nodes by label, labels of a single node left out, in order of the first nodes."""
     in_order = np.argsort(labels, kind="stable")
     parts = np.split(in_order, np.flatnonzero(np.diff(labels[in_order])) + 1)
     return tuple(sorted(tuple(part.tolist()) for part in parts if len(part) >= 2))

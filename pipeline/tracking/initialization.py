@@ -1,4 +1,4 @@
-"""Targets from detections that no target explains: new ones (Chen et al. 2020, supplement, eq. 12-16), or lost ones."""
+"""Start of targets from unmatched detections: new or lost targets (Chen et al. 2020, supplement, eq. 12-16)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,13 +12,23 @@ from pipeline.tracking.assignment import assign, partition
 from pipeline.tracking.kernels.state import MIN_JOINTS, Rig
 from pipeline.tracking.parameters import TrackingParameters
 
-# Detections that are grouped at once: those of a hundred people in five cameras. The simulated scenes have 24.
+# Most detections that are grouped at once: a hundred people in five cameras. The simulated scenes have 24.
 _MAX_UNMATCHED = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unmatched:
-    """A detection of one camera's most recent frame that belongs to no target."""
+    """Detection of a camera's most recent frame that belongs to no target.
+
+    Parameters
+    ----------
+    camera, row
+        Position of the camera, and row of the detection among all detections.
+    time_s
+        Time of the frame.
+    points_px, score
+        Undistorted joints, NaN where not used, and the detector's confidence.
+    """
 
     camera: int
     row: int
@@ -28,14 +38,14 @@ class Unmatched:
 
 
 class Groups(NamedTuple):
-    """Detections of several cameras as people.
+    """Unmatched detections grouped into people.
 
     Parameters
     ----------
     people
-        Detections of each, of at least two views.
+        Detections of each person, from at least two cameras.
     is_exact
-        Whether all detections were looked at and no other grouping is better.
+        Whether all detections were considered and the grouping is optimal.
     """
 
     people: list[list[Unmatched]]
@@ -45,22 +55,22 @@ class Groups(NamedTuple):
 def group_unmatched(
     unmatched: Sequence[Unmatched], fundamentals: Float[np.ndarray, "cameras cameras 3 3"], alpha_px: float
 ) -> Groups:
-    """Group detections of several cameras into people: of more than 512 those with the highest scores.
+    """Group detections of several cameras into people (eq. 12-16).
+
+    Of more than 512 detections, those with the highest scores are grouped.
 
     Parameters
     ----------
-    unmatched
-        Undistorted detections.
     fundamentals
-        ``fundamentals[left, right]`` as of ``geometry.epipolar.fundamental_matrices``.
+        ``fundamentals[left, right]`` of ``geometry.epipolar.fundamental_matrices``.
     alpha_px
-        Threshold of the epipolar distance.
+        Threshold of the epipolar distance (eq. 13).
     """
     is_complete = len(unmatched) <= _MAX_UNMATCHED
     if not is_complete:
-        ranked = np.argsort([-one.score.sum() for one in unmatched], kind="stable")
+        ranked = np.argsort([-body.score.sum() for body in unmatched], kind="stable")
         unmatched = [unmatched[int(i)] for i in np.sort(ranked[:_MAX_UNMATCHED])]
-    cameras = np.array([one.camera for one in unmatched])
+    cameras = np.array([body.camera for body in unmatched])
     affinities = np.full((len(unmatched), len(unmatched)), -np.inf)
     for left in np.unique(cameras):
         for right in np.unique(cameras[cameras > left]):
@@ -78,9 +88,9 @@ def group_unmatched(
 
 
 def spread_m(rig: Rig, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
-    """Median distance of a group's joints to the rays that made them; infinite if there is none."""
-    cameras = [one.camera for one in group]
-    points_px = np.array([one.points_px for one in group])
+    """Median distance of a group's triangulated joints to their viewing rays in metres; infinite without any joint."""
+    cameras = [body.camera for body in group]
+    points_px = np.array([body.points_px for body in group])
     homogeneous = np.concatenate([points_px, np.ones_like(points_px[..., :1])], axis=-1)
     rays = homogeneous @ rig.world_ray_from_image[cameras].swapaxes(-1, -2)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -92,8 +102,15 @@ def spread_m(rig: Rig, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joi
 def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: TrackingParameters) -> bool:
     """Whether a triangulated group can be a person: enough joints, rays that meet, and the size of a body.
 
-    Epipolar lines alone let two people pass for one when they stand in one epipolar plane; where their rays meet lies
-    outside of the scene, or makes a body of absurd size, most of the time.
+    Two people in the same epipolar plane satisfy the epipolar constraint. Their rays then mostly miss each other, or
+    meet at points that make no body of plausible size.
+
+    Parameters
+    ----------
+    xyz_m
+        World positions, NaN where a joint was not located.
+    spread_m
+        See ``spread_m``.
     """
     known = np.isfinite(xyz_m[:, 0])
     if known.sum() < xyz_m.shape[0] // 3 or not spread_m < parameters.alpha_3d_m:
@@ -103,14 +120,14 @@ def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: T
 
 
 class Lost(NamedTuple):
-    """Confirmed targets that nobody sees.
+    """Confirmed targets without recent observations.
 
     Parameters
     ----------
     xyz_m, velocity_m_s
-        As they were last, (targets, joints, 3); NaN where a joint was never located.
+        Last positions and velocities, (targets, joints, 3); NaN where a joint was never located.
     gap_s
-        For how long they have not been seen, (targets,).
+        Time since each target was last located, (targets,).
     """
 
     xyz_m: np.ndarray
@@ -121,11 +138,19 @@ class Lost(NamedTuple):
 def find_returning(
     found_m: Sequence[Float[np.ndarray, "joints 3"]], lost: Lost, parameters: TrackingParameters
 ) -> dict[int, int]:
-    """Find out who of those that appear was lost before: body by body the lost target that it is.
+    """Match newly located bodies to lost targets (Hungarian algorithm on the detour).
 
-    Who is hidden may go on as before, or stop on the way: so the middle of the body is somewhere between where it was
-    and where its velocity leads to, give or take ``duplicate_m`` and ``max_detour_m_s``. Nearest ones first, as a whole
-    (Hungarian algorithm).
+    A hidden person may continue or stop on the way. So the centre of the body is expected between its last position and
+    its position by linear motion. A detour of up to ``duplicate_m`` plus ``max_detour_m_s`` times the gap is allowed.
+
+    Parameters
+    ----------
+    found_m
+        World positions of each body's joints, NaN where a joint was not located.
+
+    Returns
+    -------
+        Position of the lost target by position of the body, for the matched bodies.
     """
     if not len(found_m) or not len(lost.gap_s):
         return {}

@@ -1,4 +1,4 @@
-"""What all cameras saw, in arrays; and what they saw of one person, brought to the output instants."""
+"""Detections of all cameras as arrays, and one person's observations at the output instants."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -13,20 +13,20 @@ from pipeline.tracking.kernels.observation_kernels import clear_unfound, sample_
 from pipeline.tracking.parameters import TrackingParameters
 
 NOBODY = -1
-"""The identity of a detection that belongs to nobody."""
+"""Identity of a detection that belongs to no person."""
 
 
 class Bodies(NamedTuple):
-    """All detections, camera by camera, each camera's in order of frames.
+    """Detections of all cameras, camera by camera and in order of frames.
 
     Parameters
     ----------
     camera, frame, time_s
-        Position of the camera, its frame number and time; one a detection.
+        Position of the camera, its frame number and the frame's time, (detections,).
     seen_px
-        Joints as seen, (detections, joints, 2).
+        Joints in full-image pixels (distorted, as seen), (detections, joints, 2); NaN where a joint was not found.
     score
-        The detector's, (detections, joints), 0 for joints that it did not find.
+        The detector's confidence, (detections, joints); 0 where a joint was not found.
     """
 
     camera: np.ndarray
@@ -37,22 +37,30 @@ class Bodies(NamedTuple):
 
 
 def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> Bodies:
-    """Copy all cameras' detections into arrays."""
+    """Copy the detections of all cameras into arrays.
+
+    Parameters
+    ----------
+    cameras
+        Cameras in the order of ``Bodies.camera``.
+    times, detections
+        Frame times and detections by camera name.
+    """
     ordered = [detections[camera.name] for camera in cameras]
-    seen_px = np.concatenate([one.keypoints_px for one in ordered])
-    score = np.concatenate([one.score for one in ordered])
+    seen_px = np.concatenate([of_camera.keypoints_px for of_camera in ordered])
+    score = np.concatenate([of_camera.score for of_camera in ordered])
     clear_unfound(seen_px, score)
     return Bodies(
-        camera=np.repeat(np.arange(len(cameras)), [len(one.frame) for one in ordered]),
-        frame=np.concatenate([one.frame for one in ordered]),
-        time_s=np.concatenate([times[one.camera].time_s[one.frame] for one in ordered]),
+        camera=np.repeat(np.arange(len(cameras)), [len(of_camera.frame) for of_camera in ordered]),
+        frame=np.concatenate([of_camera.frame for of_camera in ordered]),
+        time_s=np.concatenate([times[of_camera.camera].time_s[of_camera.frame] for of_camera in ordered]),
         seen_px=seen_px,
         score=score,
     )
 
 
 def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, "detections joints 2"]:
-    """Joints in undistorted pixels; ``bodies.seen_px`` itself if no camera distorts."""
+    """Undistort the joints of all detections; returns ``bodies.seen_px`` itself if no camera has distortion."""
     if not any(np.any(camera.distortion) for camera in cameras):
         return bodies.seen_px
     ideal_px = np.empty_like(bodies.seen_px)  # filled camera by camera: a long session is a large part of the memory
@@ -62,15 +70,23 @@ def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, 
     return ideal_px
 
 
-def people(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
-    """Rows of each person's detections, ascending; of two in a frame the one with the higher scores."""
+def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> Iterator[Int[np.ndarray, " rows"]]:
+    """Rows of each person's detections in ``bodies``, ascending.
+
+    Of several detections of a person in one frame, the row with the highest sum of scores is kept.
+
+    Parameters
+    ----------
+    identity
+        Identity of each detection; rows with ``NOBODY`` are left out.
+    """
     by_person = np.argsort(identity, kind="stable")
     for rows in np.split(by_person, np.flatnonzero(np.diff(identity[by_person])) + 1):
         if len(rows) and identity[rows[0]] != NOBODY:
-            yield _one_a_frame(bodies, rows)
+            yield _best_in_frame(bodies, rows)
 
 
-def _one_a_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
+def _best_in_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " _"]:
     camera, frame = bodies.camera[rows], bodies.frame[rows]
     if np.all((np.diff(camera) != 0) | (np.diff(frame) != 0)):
         return rows
@@ -80,16 +96,16 @@ def _one_a_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.ndarr
 
 
 class Sampled(NamedTuple):
-    """One person's observations at the output instants of a life.
+    """One person's observations at consecutive output instants.
 
     Parameters
     ----------
     start_frame
         Output frame of the first row.
     points_px
-        (frames, cameras, joints, 2), NaN where a camera has no observation.
+        Joints in pixels, (frames, cameras, joints, 2); NaN where a camera has no observation.
     score
-        (frames, cameras, joints), 0 where there is none.
+        The detector's confidence, (frames, cameras, joints); 0 where a camera has no observation.
     """
 
     start_frame: int
@@ -105,19 +121,21 @@ def observations_at(
     num_cameras: int,
     parameters: TrackingParameters,
 ) -> Sampled:
-    """Observations of every camera at the output instants of a person's life.
+    """Sample a person's observations in every camera at the output instants.
 
     An output instant between two consecutive frames of a camera takes their linear interpolation, so that cameras that
-    are not synchronised agree on the instant; its score falls with the distance to the nearer frame as old observations
-    do, ``exp(-lambda_t |t - t_i|)`` (Chen et al. 2020, eq. 11). Where a neighbour is missing, a frame within half a
-    period stands for the instant. Nothing is made up across missed frames.
+    are not synchronised agree on the instant. Its score falls with the distance to the nearer frame as the weight of
+    old observations does, ``exp(-lambda_t |t - t_i|)`` (Chen et al. 2020, eq. 11). Where a neighbour is missing, a
+    frame within half a period stands for the instant. Missed frames are not interpolated.
 
     Parameters
     ----------
     points_px
         Joints of ``bodies``, as seen or undistorted.
     rows
-        The person's detections.
+        Rows of the person's detections, ascending, at most one a camera and frame.
+    num_cameras
+        Number of cameras of the session.
     """
     half_s = 0.5 / timebase.frame_rate_hz
     instants_s = _instants_s(timebase, bodies.time_s[rows], half_s)
@@ -131,7 +149,7 @@ def observations_at(
 
 
 def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:
-    """Output instants from half a period before the first observation to half a period after the last."""
+    """Output instants from half a period before the first observation to half a period after the last observation."""
     start = max(0, int(np.ceil((seen_s.min() - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
     stop = int(np.floor((seen_s.max() + half_s - timebase.start_time_s) * timebase.frame_rate_hz)) + 1
     return timebase.start_time_s + np.arange(start, min(stop, timebase.num_frames)) / timebase.frame_rate_hz

@@ -1,7 +1,7 @@
-"""Parameters of cross-view tracking, and how their defaults follow from the session.
+"""Parameters of cross-view tracking, and their defaults for a session.
 
-The paper gives one set a data set; the rule behind them is that the 2D threshold follows the image's scale and the
-penalty rates follow the frame rate. So they are derived here from cameras and frame rate, never by data set.
+The paper gives a set of parameters for each data set: the 2D threshold follows the scale of the image, and the penalty
+rates follow the frame rate. This module derives them from the cameras and the frame rate instead.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.data import Camera
 from pipeline.geometry.camera import center_in_world
 
-# How fast a joint's image is allowed to move before its 2D affinity turns negative: a brisk walk with swinging arms.
+# Speed of a joint above which its 2D affinity is negative: a brisk walk with swinging arms.
 _JOINT_SPEED_M_S = 3.0
 
 
@@ -37,21 +37,21 @@ class TrackingParameters:
     velocity_window_s
         Span of the recent positions behind a joint's velocity (eq. 5).
     min_score
-        Joints below are not used.
+        Least score of a joint that is used.
     instant_s
-        Frames of two cameras that are less apart show one instant: over half a period, so that cameras in opposite
-        phase meet, and under a whole one, so that a camera's last frame is the past.
+        Time within which frames of two cameras show the same instant. It is longer than half a period, so that cameras
+        in opposite phase match, and shorter than a period, so that it excludes a camera's previous frame.
     confirm_instants
-        A target is confirmed once two cameras saw it at so many instants.
+        Number of instants at which two cameras must see a target to confirm it.
     max_unseen_s, max_unseen_tentative_s
-        A confirmed or tentative target ends when two cameras have not seen it for so long.
+        Time after which a confirmed or a tentative target ends if no two cameras see it.
     max_extrapolation_s
-        Predictions (eq. 5) stand still after so long.
+        Time after which predictions (eq. 5) stand still.
     max_detour_m_s
-        How fast somebody whom nobody sees may leave the way that he was on, and still be the same person on return:
-        as people walk (preferred speed, Bohannon 1997).
+        Speed at which a lost target may leave its predicted path and still be matched on return: preferred walking
+        speed (Bohannon 1997).
     duplicate_m
-        Two targets whose joints are on average closer than this are one person.
+        Mean joint distance below which two targets are the same person.
     """
 
     alpha_2d_px_s: float
@@ -73,18 +73,18 @@ class TrackingParameters:
 
 
 def viewed_point_m(cameras: Sequence[Camera]) -> np.ndarray:
-    """Where the optical axes meet: the point with the least summed squared distance to all axes."""
+    """Point with the least sum of squared distances to the cameras' optical axes, in world coordinates, metres."""
     axes = np.array([camera.cam_from_world.rotation[2] for camera in cameras])
     centers_m = np.array([center_in_world(camera) for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # Parallel axes leave the depth open; the small term puts the point near the cameras' middle then.
+    # Parallel axes do not determine the depth; the small term then puts the point near the centre of the cameras.
     left = across.sum(0) + 1e-3 * np.eye(3)
     right = np.einsum("cab,cb->a", across, centers_m) + 1e-3 * centers_m.mean(0)
     return np.linalg.solve(left, right)
 
 
 def pixels_per_metre(cameras: Sequence[Camera]) -> float:
-    """Median over the cameras of focal length over distance to the viewed point."""
+    """Image scale at the viewed point: median over the cameras of focal length over distance."""
     target_m = viewed_point_m(cameras)
     return float(
         np.median(
@@ -98,10 +98,15 @@ def pixels_per_metre(cameras: Sequence[Camera]) -> float:
 
 
 def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> TrackingParameters:
-    """Defaults for a session.
+    """Derive the default parameters of a session.
 
-    ``alpha_2d`` is 3 m/s seen at the viewed point, ``alpha_epipolar`` is ``alpha_3d`` seen there; the penalty rates are
+    ``alpha_2d`` is 3 m/s and ``alpha_epipolar`` is ``alpha_3d``, both projected at the viewed point. Penalty rates are
     the paper's for 25 frames a second (lambda_a 5, lambda_t 10), scaled by the frame rate.
+
+    Parameters
+    ----------
+    frame_rate_hz
+        Rate of the output frames.
     """
     scale_px_m = pixels_per_metre(cameras)
     return TrackingParameters(

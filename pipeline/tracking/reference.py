@@ -1,8 +1,8 @@
-"""The tracker of ``kernels.py`` in plain numpy: slow, and close to the paper (Chen et al. 2020, algorithm 1).
+"""Cross-view tracker in plain NumPy, close to the paper (Chen et al. 2020, algorithm 1) and slow.
 
-Each frame comes from one camera at its own time: no synchronisation is assumed. Its detections are matched to targets
-in 3D space; what stays unmatched starts new targets together with the most recent frames of the other cameras. Tests
-hold the kernels to it, and the benchmark compares their speed.
+Each frame comes from one camera at its own time: no synchronisation is assumed. The frame's detections are matched to
+targets in 3D space. Unmatched detections start new targets together with those of the other cameras' most recent
+frames. Tests compare the compiled tracker (``kernels``) with this module; the benchmark compares their speed.
 """
 
 from collections.abc import Sequence
@@ -24,26 +24,26 @@ from pipeline.tracking.parameters import TrackingParameters
 
 @dataclass(slots=True, eq=False)
 class Target:
-    """A person being tracked: the state that the paper keeps (section 3.2).
+    """State of a tracked person (section 3.2).
 
     Parameters
     ----------
     target_id
-        From 0, in order of birth.
+        Number from 0, in order of creation.
     xyz_m, updated_s
-        Last position of each joint (NaN if it never had one) and its time t'.
+        Last position of each joint (NaN before the first) and its time t'.
     last_px, weight, matched_s
-        For every camera the joints of the last match (undistorted, NaN where unseen), the factors of their rows, and
-        its time t'' (-inf if there was none).
+        Last match of the target in each camera: undistorted joints (NaN where unseen), factors of their rows, and time
+        t'' (-inf before the first match).
     velocity_m_s, is_fitted
-        Of each joint, 0 while unknown; and whether it knows the newest position.
+        Velocity of each joint, 0 while unknown, and whether it includes the newest position.
     recent, recent_since_s
-        Instants and positions behind the velocity, and when the newest was first taken.
+        Times and positions behind the velocity, and the time at which the newest entry was created.
     moved_s
-        When a joint was located last.
+        Time at which a joint was last located.
     supported_s, num_supported, confirmed
-        Last instant at which two cameras saw the target together, how many of them there were, and whether these were
-        enough.
+        Last instant at which two cameras saw the target together, number of such instants, and whether they confirm
+        the target.
     """
 
     target_id: int
@@ -63,7 +63,7 @@ class Target:
 
     @classmethod
     def empty(cls, target_id: int, num_cameras: int, num_joints: int) -> "Target":
-        """Make a target that nobody has seen yet."""
+        """Create a target without observations."""
         return cls(
             target_id=target_id,
             xyz_m=np.full((num_joints, 3), np.nan),
@@ -75,13 +75,16 @@ class Target:
         )
 
     def expect(self, time_s: float, parameters: TrackingParameters) -> Float[np.ndarray, "joints 3"]:
-        """Where the joints should be (eq. 5)."""
+        """Predict the joints' world positions at a time (eq. 5), NaN where a joint was never located."""
         if not self.is_fitted and time_s > self.moved_s:
             self._fit_velocity(parameters.velocity_window_s)
         return predict(self.xyz_m, self.velocity_m_s, time_s - self.updated_s, parameters.max_extrapolation_s)
 
     def _fit_velocity(self, window_s: float) -> None:
-        """Linear least squares over the recent positions (eq. 5); two alone would take the noise for speed."""
+        """Fit velocities to the recent positions by linear least squares (eq. 5).
+
+        A joint with fewer than three positions has velocity 0: two positions would turn noise into speed.
+        """
         since_s = np.array([at_s for at_s, _ in self.recent]) - self.recent[-1][0]
         positions_m = np.array([xyz_m for _, xyz_m in self.recent])
         known = np.isfinite(positions_m[..., 0]) & (since_s >= -window_s)[:, None]
@@ -96,18 +99,22 @@ class Target:
 
     def observe(
         self,
-        one: Unmatched,
+        detection: Unmatched,
         expected_m: Float[np.ndarray, "joints 3"],
         image_from_world: Float[np.ndarray, "cameras 3 4"],
         parameters: TrackingParameters,
     ) -> None:
-        """Take a matched detection for the last one of its camera, weighted by confidence and by surprise."""
-        rows = plane_rows(image_from_world[one.camera][None], one.points_px[None])[0]
+        """Store a matched detection as the last match of its camera.
+
+        The weight of a joint is the detector's confidence times the root of ``a^2 / (a^2 + d^2)``, with a the
+        parameter ``alpha_3d_m`` and d the distance of the ray to the expected position.
+        """
+        rows = plane_rows(image_from_world[detection.camera][None], detection.points_px[None])[0]
         distance2_m2 = (((rows[..., :3] @ expected_m[..., None])[..., 0] + rows[..., 3]) ** 2).sum(-1)
         doubt = parameters.alpha_3d_m**2 / (parameters.alpha_3d_m**2 + distance2_m2)
-        self.last_px[one.camera] = one.points_px
-        self.weight[one.camera] = one.score * np.sqrt(np.where(np.isnan(doubt), 1.0, doubt))
-        self.matched_s[one.camera] = one.time_s
+        self.last_px[detection.camera] = detection.points_px
+        self.weight[detection.camera] = detection.score * np.sqrt(np.where(np.isnan(doubt), 1.0, doubt))
+        self.matched_s[detection.camera] = detection.time_s
 
     def move(
         self, time_s: float, image_from_world: Float[np.ndarray, "cameras 3 4"], parameters: TrackingParameters
@@ -117,10 +124,10 @@ class Target:
         fresh = age_s < parameters.velocity_window_s
         penalty = np.where(fresh, np.exp(-parameters.lambda_t_hz * np.where(fresh, age_s, 0.0)), 0.0)
         xyz_m = triangulate(image_from_world, self.last_px, penalty[:, None] * self.weight)
-        found = np.isfinite(xyz_m[:, 0])
-        self.xyz_m = np.where(found[:, None], xyz_m, self.xyz_m)
-        self.updated_s = np.where(found, time_s, self.updated_s)
-        self.moved_s = time_s if found.any() else self.moved_s
+        is_located = np.isfinite(xyz_m[:, 0])
+        self.xyz_m = np.where(is_located[:, None], xyz_m, self.xyz_m)
+        self.updated_s = np.where(is_located, time_s, self.updated_s)
+        self.moved_s = time_s if is_located.any() else self.moved_s
         self.is_fitted = False
         spacing_s = parameters.velocity_window_s / (NUM_RECENT - 1)
         if self.recent and time_s - self.recent_since_s < spacing_s:
@@ -135,7 +142,7 @@ class Target:
 
 
 class Tracker:
-    """Matches detections to people, one frame of one camera at a time; see ``tracker.Tracker``."""
+    """Assignment of detections to people, one frame of one camera at a time; see ``tracker.Tracker``."""
 
     def __init__(self, cameras: Sequence[Camera], rig: Rig, frames: Frames, parameters: TrackingParameters) -> None:
         self._cameras = cameras
@@ -150,7 +157,12 @@ class Tracker:
         self.targets: list[Target] = []
 
     def run(self) -> Int[np.ndarray, " detections"]:
-        """Go through all frames; the identity of every detection."""
+        """Process all frames in time order.
+
+        Returns
+        -------
+            Identity of each detection; ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
+        """
         merged_s = -np.inf
         for time_s, camera, first, last in zip(*(array.tolist() for array in self._frames[:4]), strict=True):
             if time_s > merged_s:
@@ -199,7 +211,7 @@ class Tracker:
         bodies: Sequence[Unmatched],
         expected_m: Sequence[Float[np.ndarray, "joints 3"]],
     ) -> list[tuple[int, int]]:
-        """Pairs of target and detection by the affinity of eq. 1; confirmed targets choose first."""
+        """Match targets and detections by the affinity of eq. 1, confirmed targets before tentative ones."""
         if not self.targets or not bodies:
             return []
         points_px = np.array([body.points_px for body in bodies])
@@ -228,16 +240,16 @@ class Tracker:
         return sorted(pairs)
 
     def _start_targets(self, time_s: float) -> None:
-        """New targets from what is unmatched in every camera's most recent frame."""
-        pool = [one for view in self._unmatched for one in view if time_s - one.time_s < self._parameters.instant_s]
+        """Start targets from the unmatched detections of every camera's most recent frame."""
+        pool = [body for view in self._unmatched for body in view if time_s - body.time_s < self._parameters.instant_s]
         bodies = []
         for group in group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px).people:
-            group.sort(key=lambda one: one.time_s)
-            views = [one.camera for one in group]
+            group.sort(key=lambda body: body.time_s)
+            views = [body.camera for body in group]
             xyz_m = triangulate_robust(
                 self._rig.image_from_world[views],
-                np.array([one.points_px for one in group]),
-                np.array([one.score for one in group]),
+                np.array([body.points_px for body in group]),
+                np.array([body.score for body in group]),
             )
             if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
                 bodies.append((group, xyz_m))
@@ -253,10 +265,10 @@ class Tracker:
         )
         for number, (group, xyz_m) in enumerate(bodies):
             target = self._resume(lost[returning[number]]) if number in returning else self._new_target()
-            for one in group:
-                target.observe(one, xyz_m, self._rig.image_from_world, self._parameters)
-                self._identity[one.row] = target.target_id
-                self._unmatched[one.camera].remove(one)
+            for body in group:
+                target.observe(body, xyz_m, self._rig.image_from_world, self._parameters)
+                self._identity[body.row] = target.target_id
+                self._unmatched[body.camera].remove(body)
             self._move(target, time_s)
 
     def _is_lost(self, target: Target, time_s: float) -> bool:
@@ -270,14 +282,14 @@ class Tracker:
         return target
 
     def _resume(self, lost: Target) -> Target:
-        """Let a lost target begin anew, with the past that it earned."""
+        """Restart a lost target: its state is cleared, its number and its confirmation stay."""
         target = Target.empty(lost.target_id, len(self._cameras), self._frames.score.shape[1])
         target.num_supported, target.confirmed = lost.num_supported, True
         self.targets[self.targets.index(lost)] = target
         return target
 
     def _bury(self, time_s: float) -> None:
-        """End targets that two cameras have not seen for long."""
+        """End targets that no two cameras have seen for longer than their limit."""
         limits_s = {True: self._parameters.max_unseen_s, False: self._parameters.max_unseen_tentative_s}
         self.targets = [
             target
@@ -286,10 +298,10 @@ class Tracker:
         ]
 
     def _merge_duplicates(self, time_s: float) -> None:
-        """Two targets in one place are one person: the one that is seen now, or was seen more often, stays.
+        """Merge targets at the same place: a target with recent support stays, else the one with more support.
 
-        A tentative target's detections go over to the one that stays. A confirmed one has a past of its own, such as
-        somebody who left and coasts into another's way: it ends there, and its past stays what it was.
+        The detections of a tentative duplicate go to the target that stays. A confirmed duplicate ends and keeps its
+        detections: it may be a person who left the scene and whose prediction moved into another person.
         """
 
         def rank(target: Target) -> tuple[bool, int, int]:
@@ -297,11 +309,11 @@ class Tracker:
             return (is_old, -target.num_supported, target.target_id)
 
         gone: set[int] = set()
-        for i, one in enumerate(self.targets):
+        for i, target in enumerate(self.targets):
             for other in self.targets[i + 1 :]:
-                if gone & {one.target_id, other.target_id} or not self._same_place(one, other):
+                if gone & {target.target_id, other.target_id} or not self._same_place(target, other):
                     continue
-                twin, loser = sorted((one, other), key=rank)
+                twin, loser = sorted((target, other), key=rank)
                 gone.add(loser.target_id)
                 if not loser.confirmed:
                     self._replaced[loser.target_id] = twin.target_id

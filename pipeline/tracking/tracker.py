@@ -1,4 +1,4 @@
-"""Cross-view tracking over all frames of a session: compiled loops, and new people where they ask for them."""
+"""Cross-view tracker over all frames of a session: compiled loops over frames, targets started in between."""
 
 from collections.abc import Callable, Sequence
 
@@ -12,19 +12,19 @@ from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.kernels import tracking_kernels as kernels
-from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_room, make_targets
+from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_targets, make_workspace
 from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
 
 _FIRST_SLOTS = 16
-# Targets at once, tentative ones and lost ones among them. Matching grows with the square of their number.
+# Most targets at once, tentative and lost targets included. Matching grows with the square of their number.
 _MAX_TARGETS = 512
-# Between two reports of progress; a frame of a hundred people and 512 targets takes a twentieth of a second.
+# Frames between two reports of progress; a frame of a hundred people and 512 targets takes a twentieth of a second.
 _FRAMES_AT_ONCE = 64
 
 
 def make_rig(cameras: Sequence[Camera]) -> Rig:
-    """All cameras as arrays."""
+    """Gather the geometry of all cameras in arrays."""
     projections = np.array([image_from_world(camera) for camera in cameras])
     return Rig(
         image_from_world=projections,
@@ -35,33 +35,33 @@ def make_rig(cameras: Sequence[Camera]) -> Rig:
 
 
 def make_limits(parameters: TrackingParameters) -> Limits:
-    """Parameters as the kernels take them."""
+    """Convert parameters to the tuple that the kernels take."""
     return Limits(**{name: getattr(parameters, name) for name in Limits._fields})
 
 
 def make_frames(
     times: Sequence[FrameTimes], bodies: Bodies, ideal_px: Float[np.ndarray, "detections joints 2"], min_score: float
 ) -> Frames:
-    """All frames in time order, cameras at the same instant in their order.
+    """Sort the frames of all cameras by time; frames of the same time keep the order of the cameras.
 
     Parameters
     ----------
     times
-        Of each camera, in the order of ``bodies.camera``.
+        Frame times of each camera, in the order of ``bodies.camera``.
     ideal_px
-        Joints of ``bodies``, undistorted.
+        Undistorted joints of ``bodies``.
     min_score
-        Joints below it are not used.
+        Least score of a joint that is used.
     """
     first, last = [], []
     starts = np.searchsorted(bodies.camera, np.arange(len(times) + 1))
-    for number, one in enumerate(times):
-        mine = slice(starts[number], starts[number + 1])
-        borders = starts[number] + np.searchsorted(bodies.frame[mine], np.arange(len(one.time_s) + 1))
+    for number, frames in enumerate(times):
+        rows = slice(starts[number], starts[number + 1])
+        borders = starts[number] + np.searchsorted(bodies.frame[rows], np.arange(len(frames.time_s) + 1))
         first.append(borders[:-1])
         last.append(borders[1:])
-    time_s = np.concatenate([one.time_s for one in times])
-    camera = np.repeat(np.arange(len(times)), [len(one.time_s) for one in times])
+    time_s = np.concatenate([frames.time_s for frames in times])
+    camera = np.repeat(np.arange(len(times)), [len(frames.time_s) for frames in times])
     in_time = np.argsort(time_s, kind="stable")
     return Frames(
         time_s[in_time],
@@ -94,7 +94,7 @@ class Tracker:
         self._rig = make_rig(cameras)
         most = int((frames.last - frames.first).max(initial=1))
         self._targets = make_targets(_FIRST_SLOTS, len(cameras), frames.score.shape[1], most)
-        self._room = make_room(_FIRST_SLOTS, most)
+        self._workspace = make_workspace(_FIRST_SLOTS, most)
         self._pool = Pool(
             np.zeros((len(cameras), most), np.int64), np.zeros(len(cameras), np.int64), np.full(len(cameras), -np.inf)
         )
@@ -109,26 +109,25 @@ class Tracker:
     def run(
         self, on_share: OnShare = ignore, on_approximate: Callable[[float], object] = ignore
     ) -> Int[np.ndarray, " detections"]:
-        """Go through all frames.
+        """Process all frames in time order.
 
         Parameters
         ----------
         on_share
-            Called with the share of frames that are done, at least every 64 frames.
+            Called with the completed share of the frames, at least every 64 frames.
         on_approximate
-            Called with each time at which new people were not grouped exactly, or there were too many targets for all
-            of them.
+            Called with each time at which new people were not grouped exactly, or exceeded the limit of targets.
 
         Returns
         -------
-            An identity a detection; ``NOBODY`` where it belongs to none, or to one that did not earn its birth.
+            Identity of each detection; ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
         """
         event, num_frames = 0, len(self._frames.time_s)
         while event < num_frames:
             stop = min(event + _FRAMES_AT_ONCE, num_frames)
             frames = self._frames._replace(time_s=self._frames.time_s[:stop])
             event = kernels.track(
-                event, frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._room
+                event, frames, self._rig, self._limits, self._targets, self._pool, self._outcome, self._workspace
             )
             if event < stop:
                 time_s = float(self._frames.time_s[event])
@@ -140,11 +139,11 @@ class Tracker:
         return final[self._outcome.identity]
 
     def states(self) -> np.ndarray:
-        """State of those alive, in order of birth; records of ``state.target_dtype``."""
+        """State of the living targets in order of creation; records of ``state.target_dtype``."""
         return self._targets.state[self._targets.order[: self._targets.alive[0]]]
 
     def _final_identities(self) -> Int[np.ndarray, " targets"]:
-        """The identity of each target after duplicates were merged, ``NOBODY`` if it did not earn its birth."""
+        """Identity of each target after the merge of duplicates; ``NOBODY`` if the target was never confirmed."""
         final = np.arange(self._num_born)
         twins = self._outcome.replaced_by[: self._num_born]
         while (moved := twins[final] >= 0).any():
@@ -152,7 +151,7 @@ class Tracker:
         return np.where(self._outcome.earned[final], final, NOBODY)
 
     def _start_targets(self, time_s: float) -> bool:
-        """Start targets from unmatched detections of every camera's most recent frame; return whether that is exact."""
+        """Start targets from the unmatched detections of every camera's most recent frame; return whether exactly."""
         pool = [
             Unmatched(camera, row, float(self._pool.time_s[camera]), self._points_px(row), self._frames.score[row])
             for camera in range(len(self._cameras))
@@ -163,7 +162,7 @@ class Tracker:
         groups = group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px)
         is_exact = groups.is_exact
         for group in groups.people:
-            group.sort(key=lambda one: one.time_s)
+            group.sort(key=lambda body: body.time_s)
             xyz_m = self._locate(group)
             if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
                 bodies.append((group, xyz_m))
@@ -194,18 +193,18 @@ class Tracker:
         )
 
     def _points_px(self, row: int) -> Float[np.ndarray, "joints 2"]:
-        """Joints in use of a detection, NaN elsewhere."""
+        """Undistorted joints of a detection, NaN where a joint is not used."""
         return np.where(self._frames.score[row][:, None] > 0, self._frames.points_px[row], np.nan)
 
     def _locate(self, group: Sequence[Unmatched]) -> Float[np.ndarray, "joints 3"]:
         return triangulate_frames(
-            self._rig.image_from_world[[one.camera for one in group]],
-            np.array([[one.points_px for one in group]]),
-            np.array([[one.score for one in group]]),
+            self._rig.image_from_world[[body.camera for body in group]],
+            np.array([[body.points_px for body in group]]),
+            np.array([[body.score for body in group]]),
         )[0]
 
     def _resume(self, slot: int) -> int:
-        """Let a lost target begin anew, with the past that it earned."""
+        """Restart a lost target: its state is cleared, its number and its confirmation stay."""
         state = self._targets.state
         target_id, num_supported = int(state["target_id"][slot]), int(state["num_supported"][slot])
         kernels.clear(self._targets, slot, target_id)
@@ -213,7 +212,7 @@ class Tracker:
         return slot
 
     def _new_slot(self) -> int:
-        self._make_room()
+        self._grow()
         slot = int(self._targets.order[self._targets.alive[0]])
         self._targets.alive[0] += 1
         kernels.clear(self._targets, slot, self._num_born)
@@ -223,25 +222,25 @@ class Tracker:
     def _place(
         self, slot: int, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"], time_s: float
     ) -> None:
-        """Give a cleared target its first detections."""
+        """Give a cleared target its first detections, and locate it."""
         targets = self._targets
         targets.state["expected_m"][slot, :, : len(xyz_m)] = xyz_m.T
-        for one in group:
-            kernels.prepare(targets, self._frames, one.row, 1, self._rig.world_ray_from_image[one.camera])
-            kernels.observe(targets, slot, one.camera, one.time_s, 0, self._rig.image_from_world, self._limits)
-            self._outcome.identity[one.row] = targets.state["target_id"][slot]
-            self._forget(one)
+        for body in group:
+            kernels.prepare(targets, self._frames, body.row, 1, self._rig.world_ray_from_image[body.camera])
+            kernels.observe(targets, slot, body.camera, body.time_s, 0, self._rig.image_from_world, self._limits)
+            self._outcome.identity[body.row] = targets.state["target_id"][slot]
+            self._forget(body)
         kernels.move(targets, slot, time_s, self._limits, self._outcome.earned)
 
     def _forget(self, claimed: Unmatched) -> None:
-        """Take a detection out of the pool."""
+        """Remove a detection from the pool."""
         rows = self._pool.rows[claimed.camera]
         left = [row for row in rows[: self._pool.num_rows[claimed.camera]] if row != claimed.row]
         rows[: len(left)] = left
         self._pool.num_rows[claimed.camera] = len(left)
 
-    def _make_room(self) -> None:
-        """Twice as many slots where all are taken, twice as many identities likewise."""
+    def _grow(self) -> None:
+        """Double the slots if all are taken, and the identities if all are used."""
         num_slots = len(self._targets.state)
         if self._targets.alive[0] == num_slots:
             larger = make_targets(
@@ -252,7 +251,7 @@ class Tracker:
             for old, new in zip(self._targets[2:], larger[2:], strict=True):
                 new[: len(old)] = old
             self._targets = larger
-            self._room = make_room(2 * num_slots, len(self._targets.bodies))
+            self._workspace = make_workspace(2 * num_slots, len(self._targets.bodies))
         if self._num_born == len(self._outcome.earned):
             self._outcome = self._outcome._replace(
                 replaced_by=_doubled(self._outcome.replaced_by, -1), earned=_doubled(self._outcome.earned, False)

@@ -1,7 +1,7 @@
-"""Limits of the child processes that open strangers' videos, and what their ends mean. Standard library only.
+"""Limits and exit codes of the child processes that open untrusted videos. Standard library only.
 
-A file may make FFmpeg crash, hang or eat memory; each video is opened in a process of its own, which ends for it. A
-process that somebody else ended says nothing about its file.
+A file may make FFmpeg crash, hang or exhaust memory, so each video is opened in its own process. If the process ends by
+a signal from outside, the file is not to blame.
 """
 
 import resource
@@ -13,34 +13,34 @@ from pipeline.errors import ChildError
 MAX_MEMORY_BYTES = 4 * 2**30
 
 READY = b"ready\n"
-"""First line of a child's output, before it opens the file: whatever ends it earlier is not the file's doing."""
+"""First line of a child's output, before it opens the file. An earlier end of the child is not caused by the file."""
 
-# Signals by which a decoder or a limit ends a process. Any other signal comes from outside.
-_BY_THE_FILE = {-signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL, -signal.SIGSEGV, -signal.SIGXCPU}
+# Signals of a crashing decoder or of a limit. Any other signal comes from outside.
+_CAUSED_BY_FILE = {-signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL, -signal.SIGSEGV, -signal.SIGXCPU}
 _LOGGED_CHARACTERS = 2000
 
 
 def start_child(max_cpu_s: int) -> None:
     """Limit this process's memory and computing time, and print the line ``READY``."""
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
-    # SIGXCPU at the first limit, which tells of the file; SIGKILL, which tells nothing, at the second.
+    # SIGXCPU at the first limit, which is caused by the file; SIGKILL, whose cause is unknown, at the second.
     resource.setrlimit(resource.RLIMIT_CPU, (max_cpu_s, max_cpu_s + 5))
     sys.stdout.buffer.write(READY)
     sys.stdout.flush()
 
 
-def is_by_the_file(exit_code: int) -> bool:
-    """Whether a child ended by a signal for which its file is to blame."""
-    return exit_code in _BY_THE_FILE
+def is_caused_by_file(exit_code: int) -> bool:
+    """Return whether a child ended by a signal that its file caused."""
+    return exit_code in _CAUSED_BY_FILE
 
 
 def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str) -> ChildError:
-    """Error of a child that failed for a reason that is not its file; the end of its stderr is a note of it.
+    """Build the error of a child that failed for a reason other than its file; its stderr is added as a note.
 
     Parameters
     ----------
     task
-        What the child did, such as "check of the videos".
+        Task of the child, such as "check of the videos".
     exit_code
         ``None`` if the child did not start within ``timeout_s``.
     errors

@@ -1,6 +1,7 @@
-"""Open a stranger's video: container formats only, this one file only, one thread; and decode it from a keyframe on.
+"""Open an untrusted video and decode it from a keyframe on.
 
-Of Multicap's own modules this one imports none, and NumPy neither: decoder processes start with it.
+FFmpeg may open container formats only, and no other file. Decoding uses one thread. The module imports neither NumPy
+nor other modules of Multicap, so that decoder processes start quickly.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,30 +14,30 @@ from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
-# A playlist or a concat script would make FFmpeg open whatever it names.
+# A playlist or a concat script would make FFmpeg open other files or addresses.
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,mpegts,mpeg", "protocol_whitelist": "file"}
 
-# After a seek in an MPEG program stream FFmpeg guesses the times of frames, wrongly.
+# After a seek in an MPEG program stream, FFmpeg computes wrong frame times.
 _NEVER_SEEK = frozenset({"mpeg"})
 
 CODECS = frozenset({"h264", "hevc", "av1", "vp8", "vp9", "mpeg4", "mpeg2video", "mjpeg", "prores", "dnxhd", "ffv1"})
 MAX_PIXELS = 8192 * 4320
-"""Limit on the pixels of a picture; decoders refuse larger ones before they allocate memory for them."""
+"""Limit on the pixels of a picture; decoders refuse larger pictures before they allocate memory."""
 
-# All that a broken file makes PyAV raise.
+# All exceptions that PyAV raises for a broken file.
 DECODE_ERRORS = (FFmpegError, OSError, ValueError, EOFError)
 
 
 @contextmanager
 def open_container(path: Path) -> Iterator[InputContainer]:
-    """Open a video file; raises one of ``DECODE_ERRORS`` if it is none."""
-    # The prefix keeps a file called 'concat:...' from being taken for a protocol.
+    """Open a video file; raises one of ``DECODE_ERRORS`` if FFmpeg can't open it."""
+    # Without the prefix, FFmpeg would read a file name 'concat:...' as a protocol.
     with av.open(f"file:{path.absolute()}", options=_OPTIONS) as container:
         yield container
 
 
 def first_video(container: InputContainer) -> VideoStream | None:
-    """The first video stream, set to decode on one thread; ``None`` if there is none or no decoder for it."""
+    """Return the first video stream with a decoder, set to one thread; ``None`` if there is no such stream."""
     for stream in container.streams.video:
         if stream.codec_context is not None:
             stream.codec_context.thread_count = 1
@@ -46,16 +47,16 @@ def first_video(container: InputContainer) -> VideoStream | None:
 
 
 def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterator[VideoFrame]:
-    """Decode frames in the order in which they are shown, from a keyframe that is not after ``target_pts``.
+    """Decode frames in the order of display, from a keyframe that is not after ``target_pts``.
 
-    Packets that can't be decoded are skipped: their frames are missing.
+    Packets that can't be decoded are skipped, and their frames are missing.
 
     Parameters
     ----------
     seek_pts
-        Timestamps of keyframes to start at, the best one first. A seek may lead past the keyframe (damaged index,
-        MPEG-TS), and a container may call a frame a keyframe that is none: then the next timestamp is tried, and at
-        last the start of the file. An MPEG program stream is always decoded from its start.
+        Timestamps of keyframes to start at, the best first. A seek may lead past the keyframe (damaged index,
+        MPEG-TS), or to a frame that is wrongly marked as a keyframe. Then the next timestamp is tried, and finally the
+        start of the file. An MPEG program stream is always decoded from its start.
 
     Raises
     ------
@@ -74,14 +75,14 @@ def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterato
         yield from _decode(container, first_video(container))
 
 
-def shown_at(frame: VideoFrame) -> int | None:
-    """Timestamp at which a frame is shown, in units of the stream's time base; ``None`` if it has none."""
+def display_pts(frame: VideoFrame) -> int | None:
+    """Presentation timestamp of a frame in ticks of the stream's time base; ``None`` if it has none."""
     return frame.dts if frame.pts is None else frame.pts
 
 
 def _is_shown_by(frame: VideoFrame, pts: int) -> bool:
-    """Whether a frame is shown at a timestamp or before it; not if it has no timestamp."""
-    shown_pts = shown_at(frame)
+    """Return whether a frame is shown at a timestamp or before it; False for a frame without a timestamp."""
+    shown_pts = display_pts(frame)
     return shown_pts is not None and shown_pts <= pts
 
 
@@ -91,7 +92,7 @@ def _decode_after_seek(container: InputContainer, pts: int) -> Iterator[VideoFra
     stream = first_video(container)
     try:
         container.seek(pts, stream=stream)
-    except DECODE_ERRORS:  # the file has no index that can be used
+    except DECODE_ERRORS:  # no usable index
         return
     yield from _decode(container, stream)
 

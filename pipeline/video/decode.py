@@ -1,6 +1,6 @@
-"""Decode ranges of frames: exactly the frames asked for, whatever the cut.
+"""Decode exactly the requested range of frames, wherever the ranges are cut.
 
-Each range is decoded in a process of its own with limits on memory and time, which works ahead by a frame or two.
+Each range is decoded in a child process with limits on memory and time, which works ahead by a frame or two.
 """
 
 from collections.abc import Callable, Generator
@@ -14,7 +14,8 @@ from pipeline.video.decoder import Request
 from pipeline.video.decoder_process import LimitError, UnreadableError, decoded_frames
 from pipeline.video.info import VideoInfo, seek_points
 
-# As for the check of a video, and for each frame from the start of the file on, where decoding may have to begin.
+# Base limit on computing time, and additional time for each frame since the start of the file, where decoding may have
+# to begin.
 _MAX_CPU_S = 110
 _MAX_CPU_S_PER_FRAME = 1
 
@@ -24,26 +25,26 @@ def decode(
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Decode the frames ``start_frame <= k < stop_frame``, in order.
 
-    An iterator that is not read to its end is to be closed: a process belongs to it.
+    Close the generator if it is not read to its end: that ends its child process.
 
     Parameters
     ----------
     on_damaged
-        Called with the number of each frame that the decoder marks as damaged, and of each frame without a picture:
-        the decoder could not make one.
+        Called with the number of each frame that the decoder marks as damaged, and of each frame that it could not
+        decode.
 
     Yields
     ------
-        Number and RGB picture of each frame, turned as the video says. A picture is valid until the next one is asked
-        for: all have the same memory.
+        Number and RGB picture of each frame, rotated for display. A picture is valid until the next frame is requested:
+        all pictures share their memory.
 
     Raises
     ------
     InputError
-        If the file can't be read, if its decoder crashes or takes more time or memory than it may, if the size of the
-        pictures changes, or if the times of the frames go back.
+        If the file can't be read, if its decoder crashes or exceeds the limits on time or memory, if the size of the
+        pictures changes, or if the timestamps go backwards.
     ChildError
-        If the decoder's process fails for a reason that is not the file.
+        If the child process fails for a reason other than the file.
     """
     wanted = range(max(start_frame, 0), min(stop_frame, video.num_frames))
     if not wanted:
@@ -92,7 +93,7 @@ def _request(video: VideoInfo, wanted: range) -> Request:
 
 
 def _number(video: VideoInfo, pts: int) -> int | None:
-    """Frame number by timestamp; ``None`` for a picture that is not meant to be shown."""
+    """Frame number by timestamp; ``None`` for a picture that is not part of the display."""
     number = int(np.searchsorted(video.pts, pts))
     return number if number < video.num_frames and video.pts[number] == pts else None
 
@@ -109,8 +110,8 @@ def _changed_size(video: VideoInfo, number: int, size_px: tuple[int, int]) -> In
 
 
 def _times_go_back(video: VideoInfo, number: int) -> InputError:
-    message = f"The times of the frames go back, at or before frame {number}."
-    return _bad_video(video, "video_times", message, "Export it again.")
+    message = f"The timestamps go backwards at or before frame {number}."
+    return _bad_video(video, "video_times", message, "Export the video again.")
 
 
 def _undecodable(video: VideoInfo, number: int) -> InputError:
@@ -120,7 +121,7 @@ def _undecodable(video: VideoInfo, number: int) -> InputError:
 
 def _beyond_limits(video: VideoInfo, number: int) -> InputError:
     message = f"Frame {number} of {video.num_frames} could not be decoded within the limits on time and memory."
-    return _bad_video(video, "video_unreadable", message, "Convert it to H.264 in MP4.")
+    return _bad_video(video, "video_unreadable", message, "Convert the video to H.264 in MP4.")
 
 
 def _bad_video(video: VideoInfo, code: str, message: str, hint: str) -> InputError:

@@ -1,8 +1,8 @@
 """Decode a range of a video's frames for another process: ``python -m pipeline.video.decoder REQUEST FILE_DESCRIPTOR``.
 
-The process writes a record (``FRAME``) to stdout for each decoded frame, in the order in which frames are shown, from
-the keyframe before the range on. The picture of a frame of the range is in a file that both processes share; a byte on
-stdin says that it was read, and that the next picture may take its place. The process ends when stdin is closed.
+The process writes a record (``FRAME``) to stdout for each decoded frame, in the order of display, from the keyframe
+before the range on. The picture of a frame in the range is written to a file that both processes share. A byte on
+stdin confirms that the picture was read; then the next picture may overwrite it. The process ends when stdin is closed.
 """
 
 import json
@@ -22,15 +22,15 @@ from av.filter import Graph
 from av.video.frame import VideoFrame
 
 from pipeline.video.children import start_child
-from pipeline.video.container import DECODE_ERRORS, decode_from, shown_at
+from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
 
 FRAME = struct.Struct("<qII??")
-"""Timestamp, width, height, whether the decoder marks the frame as damaged, and whether its picture is there."""
+"""Timestamp, width, height, whether the decoder marks the frame as damaged, and whether there is a picture."""
 
 EXIT_UNREADABLE = 3
 EXIT_OUT_OF_MEMORY = 4
 
-# Its decoder replaces what fails its checksum by the frame before, and tells only the log.
+# Codecs that replace damaged parts by the previous frame and report this only in the log.
 _LOGS_DAMAGE = frozenset({"ffv1"})
 
 
@@ -40,17 +40,17 @@ class Request(NamedTuple):
     Parameters
     ----------
     path, codec
-        The file, and FFmpeg's name of its codec.
+        Path of the file, and FFmpeg's name of its codec.
     width, height
-        Size of the pictures as they are stored, before rotation; frames of another size come without a picture.
+        Size of the stored pictures in pixels, before rotation. Frames of another size come without a picture.
     seek_pts
-        As of ``decode_from``.
+        See ``decode_from``.
     first_pts, last_pts
         Timestamps of the first and the last frame of the range.
     to_the_end
-        Whether to decode what follows the range, too, without its pictures.
+        Whether to decode the frames after the range too, without their pictures.
     max_cpu_s
-        Limit on the process's computing time.
+        Limit on the computing time of the process.
     """
 
     path: str
@@ -65,7 +65,7 @@ class Request(NamedTuple):
 
     @property
     def picture_bytes(self) -> int:
-        """Bytes of a picture, three a pixel, and so of the shared file."""
+        """Bytes of a picture and of the shared file, three a pixel."""
         return 3 * self.width * self.height
 
 
@@ -79,7 +79,7 @@ def _write_frames(request: Request, shared_file: int) -> None:
         for frame in decode_from(Path(request.path), request.seek_pts, request.first_pts):
             is_damaged = frame.is_corrupt or (request.codec in _LOGS_DAMAGE and bool(logged))
             logged.clear()
-            pts = shown_at(frame)
+            pts = display_pts(frame)
             if pts is None:
                 continue
             is_wanted = request.first_pts <= pts <= request.last_pts
@@ -104,7 +104,7 @@ def _read_stdin(is_free: threading.Semaphore) -> None:
 
 
 def _rgb_converter(frame: VideoFrame) -> Graph:
-    """A converter for frames like this one; a filter graph, for it reuses the memory of pictures that were let go."""
+    """Build a converter for frames of this size and format: a filter graph, which reuses the memory of pictures."""
     graph = Graph()
     graph.threads = 1
     source = graph.add_buffer(
@@ -116,7 +116,7 @@ def _rgb_converter(frame: VideoFrame) -> Graph:
 
 
 def _write_rows(frame_rgb: VideoFrame, picture: mmap.mmap) -> None:
-    """Copy a picture without the padding of its rows."""
+    """Copy a picture to the shared file without the padding of its rows."""
     plane = frame_rgb.planes[0]
     rows, row_bytes = memoryview(plane), 3 * frame_rgb.width
     if plane.line_size == row_bytes:
@@ -135,7 +135,7 @@ def main() -> int:
         _write_frames(request, shared_file)
     except MemoryError:
         return EXIT_OUT_OF_MEMORY
-    except BrokenPipeError:  # nobody wants more frames
+    except BrokenPipeError:  # the reader is gone
         return 1
     except DECODE_ERRORS:
         return EXIT_UNREADABLE

@@ -1,4 +1,4 @@
-"""Run ``pipeline.video.decoder``: frames of a file whose decoder may crash, hang or eat memory."""
+"""Run ``pipeline.video.decoder`` in a child process: its codec may crash, hang or exhaust memory."""
 
 import json
 import mmap
@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, child_error, is_by_the_file
+from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.decoder import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, FRAME, Request
 
-# For one frame, pictures before the range included; less than a minute, so that no job seems to stand still.
+# Longest wait for one frame. It includes decoding from the keyframe before the range. It is less than a minute, so
+# that a job never seems to hang.
 _TIMEOUT_S = 45.0
 
 
@@ -27,23 +28,23 @@ class UnreadableError(Exception):
 
 
 class LimitError(Exception):
-    """The decoder crashed, or took more time or memory than it may."""
+    """The decoder crashed, or exceeded the limits on time or memory."""
 
 
 class DecodedFrame(NamedTuple):
-    """A frame as the decoder gives it.
+    """A decoded frame.
 
     Parameters
     ----------
     pts
-        Timestamp at which it is shown.
+        Presentation timestamp, in ticks of the stream's time base.
     size_px
         Width and height, before rotation.
     is_damaged
         Whether the decoder marks it as damaged.
     image_rgb
-        Read-only, and valid until the next frame is asked for; ``None`` outside the range, and for a picture of
-        another size than the request's.
+        Read-only picture, valid until the next frame is requested. ``None`` outside the range, and for a picture whose
+        size differs from the request.
     """
 
     pts: int
@@ -53,7 +54,9 @@ class DecodedFrame(NamedTuple):
 
 
 def decoded_frames(request: Request) -> Generator[DecodedFrame, None, None]:
-    """Decode frames in a process of their own; to be closed if it is not read to its end, which ends the process.
+    """Decode frames in a child process.
+
+    Close the generator if it is not read to its end: that ends the process.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def decoded_frames(request: Request) -> Generator[DecodedFrame, None, None]:
     LimitError
         If the decoder crashes, or exceeds the limits on time and memory.
     ChildError
-        If the process fails for a reason that is not its file.
+        If the process fails for a reason other than its file.
     """
     child: subprocess.Popen[bytes] | None = None
     with _shared_file() as shared, tempfile.TemporaryFile() as errors:
@@ -88,7 +91,7 @@ def decoded_frames(request: Request) -> Generator[DecodedFrame, None, None]:
 
 
 def _shared_file() -> IO[bytes]:
-    """A file that lies in memory where the system can do that."""
+    """Open an anonymous file, in memory where the system supports it."""
     if sys.platform == "linux":
         return os.fdopen(os.memfd_create("multicap-picture"), "w+b")
     return tempfile.TemporaryFile()
@@ -107,21 +110,21 @@ def _read_frames(
             pts, width, height, is_damaged, has_picture = FRAME.unpack(record)
             yield DecodedFrame(pts, (width, height), is_damaged, image_rgb if has_picture else None)
             if has_picture:
-                with suppress(BrokenPipeError):  # it was the last picture
+                with suppress(BrokenPipeError):  # the decoder has ended after its last picture
                     os.write(stdin, b"\n")
         exit_code = child.wait(_TIMEOUT_S)
     if exit_code == 0 and is_started:
         return
     if exit_code == EXIT_UNREADABLE:
         raise UnreadableError
-    if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_by_the_file(exit_code)):
+    if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_caused_by_file(exit_code)):
         raise LimitError
     errors.seek(0)
     raise child_error("decoder", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace"))
 
 
 def _read(pipe: int, num_bytes: int) -> bytes:
-    """Bytes from a pipe, fewer at its end; ``TimeoutError`` if they don't come in time."""
+    """Read bytes from a pipe, fewer at its end; raise ``TimeoutError`` if they don't arrive in time."""
     poll = select.poll()
     poll.register(pipe, select.POLLIN)
     content = b""

@@ -1,4 +1,4 @@
-"""What is known of a video before its frames are decoded."""
+"""Properties of a video, read before its frames are decoded."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoInfo:
-    """A video file whose frames can be told apart and found.
+    """Properties of a usable video file.
 
     Parameters
     ----------
@@ -20,17 +20,17 @@ class VideoInfo:
     size_px
         Width and height of the picture after rotation.
     rotation_deg
-        By how much the decoded picture is turned counterclockwise before it is shown: 0, 90, 180 or 270.
+        Counterclockwise turn of the decoded picture for display: 0, 90, 180 or 270.
     pts
-        Presentation timestamps of all frames in units of the stream's time base, ascending.
+        Presentation timestamps of all frames, in ticks of the stream's time base, ascending.
     keyframe_pts
-        Those of the frames at which decoding can start.
+        Timestamps of the keyframes, at which decoding can start.
     time_s
-        Times of the frames since the first.
+        Times of the frames in seconds; the first is 0.
     frame_rate_hz
-        Mean rate over the intervals that are not gaps.
+        Rate of ``frame_rate.measured_rate``.
     num_repeated
-        How many frames have the time of another frame and are left out.
+        Number of frames that are left out because they have the timestamp of another frame.
     """
 
     path: Path
@@ -56,10 +56,10 @@ class VideoInfo:
 
 
 def seek_points(keyframe_pts: Int[np.ndarray, " keyframes"], target_pts: int) -> list[int]:
-    """Keyframes at which decoding up to ``target_pts`` may begin, the nearest one first.
+    """Timestamps of keyframes at which decoding up to ``target_pts`` may begin, the nearest first.
 
-    The distance to the next one doubles: a few suffice where a container's index leads past some keyframes, or calls
-    frames keyframes that are none. Empty if decoding begins at the start of the file.
+    The distance doubles from keyframe to keyframe. So a few attempts suffice if a container's index skips keyframes or
+    marks other frames as keyframes. Empty if decoding begins at the start of the file.
     """
     last = int(np.searchsorted(keyframe_pts, target_pts, side="right")) - 1
     steps_back = [2**k - 1 for k in range(max(last, 0).bit_length() + 1)]

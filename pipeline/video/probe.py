@@ -1,6 +1,7 @@
-"""Look into video files, in a process of its own: ``python -m pipeline.video.probe FILE``.
+"""Examine a video file in its own process: ``python -m pipeline.video.probe FILE``.
 
-Reads all packets and decodes the first and the last pictures; the frames between are decoded once, when they are used.
+The program reads all packets, but decodes only the first pictures and one near the end. The stages decode the other
+frames later, once.
 """
 
 import json
@@ -23,49 +24,47 @@ from pipeline.video.container import (
     DECODE_ERRORS,
     MAX_PIXELS,
     decode_from,
+    display_pts,
     first_video,
     open_container,
-    shown_at,
 )
+from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.signatures import is_container
 
 MAX_FRAMES = 2_000_000
-# Differences of 64 bit timestamps are exact below.
+# Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.
 _MAX_TICKS = 2**62
 
-# Decoders hold back 16 frames at most to show them in order; frames that are further from their place are in disorder.
+# Decoders reorder 16 frames at most. A frame farther from its place in the order of times has a wrong timestamp.
 _MAX_REORDERED = 32
 _MAX_REPEATED_SHARE = 0.1
 _NUM_DECODED = 8
 _REPAIR_TIMES = "Export it again at a constant frame rate."
 
-# Of the usual interval: 3 ticks are like 2, a dropped frame is not.
-_EVEN = 0.6
-
-# Of a small file. A large one gets as much more as reading needs: its packets are read, its pictures are not decoded.
+# Limit on the computing time for a small file. A large file gets additional time for reading its packets.
 _MAX_CPU_S = 8
 _CPU_S_PER_BYTE = 60 / 2**30
 
 
 class _UnusableError(Exception):
-    """A file that can't be used, and why."""
+    """The file can't be used: problem code, message and hint."""
 
     def __init__(self, code: str, message: str, hint: str | None = None) -> None:
         super().__init__(code)
         self.code, self.message, self.hint = code, message, hint
 
     def problem(self, path: Path) -> Problem:
-        """Problem of a file."""
+        """Build the problem, with the name of the file."""
         return Problem(self.code, self.message, file=path.name, hint=self.hint)
 
 
 def probe(path: Path) -> VideoInfo | Problem:
-    """Look into one file, in this process.
+    """Examine one file in this process.
 
     Returns
     -------
-        What is known of the video, or why it can't be used.
+        Properties of the video, or the problem that makes it unusable.
     """
     try:
         return _probe(path)
@@ -78,15 +77,18 @@ def probe(path: Path) -> VideoInfo | Problem:
 def _unreadable() -> _UnusableError:
     return _UnusableError(
         "video_unreadable",
-        "This is no video that can be read, or it is damaged.",
-        "A recording that was not closed has no index: record or export it again.",
+        "The file is not a readable video, or it is damaged.",
+        "An interrupted recording has no index. Record or export the video again.",
     )
 
 
 def _check_start(path: Path) -> None:
-    """Raise ``_UnusableError`` for what can be told without opening a container."""
+    """Raise ``_UnusableError`` for a missing or empty file, or one that is not a video container.
+
+    FFmpeg does not open the file.
+    """
     if not path.is_file():
-        raise _UnusableError("video_missing", "There is no such video file.")
+        raise _UnusableError("video_missing", "The video file does not exist.")
     if path.stat().st_size == 0:
         raise _UnusableError("video_empty", "The file is empty.", "Copy it again.")
     if not is_container(path):
@@ -99,14 +101,16 @@ def _probe(path: Path) -> VideoInfo:
         stream = first_video(container)
         if stream is None:
             raise _UnusableError(
-                "no_video_stream", "The file has no video stream that can be decoded.", "Is it audio only?"
+                "no_video_stream",
+                "The file has no video stream that can be decoded.",
+                "Check that the file is not audio only.",
             )
         codec = stream.codec_context.codec.canonical_name
         if codec not in CODECS:
             raise _UnusableError(
                 "unsupported_codec",
                 f"The codec {codec} is not supported.",
-                f"Convert it to one of {', '.join(sorted(CODECS))}.",
+                f"Convert the video to one of {', '.join(sorted(CODECS))}.",
             )
         if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
             raise _UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
@@ -121,20 +125,22 @@ def _probe(path: Path) -> VideoInfo:
     if announced > len(stored_pts) + 1:
         raise _UnusableError(
             "video_truncated",
-            f"The file breaks off: {len(stored_pts)} of {announced} frames are there.",
+            f"The file is truncated: it has {len(stored_pts)} of {announced} frames.",
             "Copy it again.",
         )
     pts = _shown_pts(stored_pts)
     size_px, rotation_deg = _decode_ends(path, keyframe_pts)
     time_s = (pts - pts[0]) * float(time_base)
     num_repeated = len(stored_pts) - len(pts)
-    return VideoInfo(path, codec, size_px, rotation_deg, pts, keyframe_pts, time_s, mean_rate_hz(time_s), num_repeated)
+    return VideoInfo(
+        path, codec, size_px, rotation_deg, pts, keyframe_pts, time_s, measured_rate_hz(time_s), num_repeated
+    )
 
 
 def _read_packets(
     container: InputContainer, stream: VideoStream
 ) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, " keyframes"]]:
-    """Timestamps of all frames that will be shown, as they are stored, and of the keyframes, without decoding."""
+    """Read the timestamps of all frames to show, in stored order, and of the keyframes; nothing is decoded."""
     pts: list[int] = []
     keyframes: list[int] = []
     is_corrupt = False
@@ -144,52 +150,55 @@ def _read_packets(
         stamp = packet.dts if packet.pts is None else packet.pts
         is_corrupt = packet.is_corrupt
         if stamp is None:
-            raise _UnusableError("video_times", f"Frame {len(pts)} has no time.", _REPAIR_TIMES)
+            raise _UnusableError("video_times", f"Frame {len(pts)} has no timestamp.", _REPAIR_TIMES)
         pts.append(stamp)
         if packet.is_keyframe:
             keyframes.append(stamp)
         if len(pts) > MAX_FRAMES:
             raise _UnusableError("video_too_long", f"The video has more than {MAX_FRAMES} frames.", "Cut it.")
-    if is_corrupt:  # one before the last is a damaged frame, which its decoder marks
-        raise _UnusableError("video_truncated", f"The file breaks off after {len(pts) - 1} frames.", "Copy it again.")
+    # Only the last packet counts: the decoder marks damaged frames before it.
+    if is_corrupt:
+        raise _UnusableError("video_truncated", f"The file is truncated after {len(pts) - 1} frames.", "Copy it again.")
     return np.array(pts, np.int64), np.unique(np.array(keyframes, np.int64))
 
 
 def _is_hidden(codec: str, content: bytes) -> bool:
-    """Whether a packet is a VP8 frame that is not to be shown: the bit ``show_frame`` (RFC 6386, section 9.1)."""
+    """Return whether a packet is a VP8 frame without the bit ``show_frame`` (RFC 6386, section 9.1)."""
     return codec == "vp8" and not content[0] & 0x10
 
 
 def _shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " shown"]:
-    """Timestamps in the order in which frames are shown, each once; an error if they can't all be right."""
+    """Sort timestamps in the order of display and remove repeated ones; raise if they are not plausible."""
     shown_pts = np.unique(stored_pts)
     if int(shown_pts[-1]) - int(shown_pts[0]) > _MAX_TICKS:
-        raise _UnusableError("video_times", "The times of the frames make no sense.", _REPAIR_TIMES)
+        raise _UnusableError("video_times", "The timestamps of the frames are too far apart.", _REPAIR_TIMES)
     num_repeated = len(stored_pts) - len(shown_pts)
     if num_repeated > _MAX_REPEATED_SHARE * len(stored_pts):
         raise _UnusableError(
-            "video_times", f"{num_repeated} of {len(stored_pts)} frames repeat the time of another.", _REPAIR_TIMES
+            "video_times",
+            f"{num_repeated} of {len(stored_pts)} frames have the timestamp of another frame.",
+            _REPAIR_TIMES,
         )
     order = np.argsort(stored_pts, kind="stable")
     misplaced = np.flatnonzero(np.abs(order - np.arange(len(order))) > _MAX_REORDERED)
     if len(misplaced):
-        message = f"The times of the frames go back, near frame {misplaced[0]}."
+        message = f"The timestamps go backwards near frame {misplaced[0]}."
         raise _UnusableError("video_times", message, _REPAIR_TIMES)
     return shown_pts
 
 
 def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int], int]:
-    """Decode the first pictures, and one near the end, for size and rotation and to see that they can be had."""
+    """Decode the first pictures and one near the end; return size and rotation, or raise if decoding fails."""
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
         raise _UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
-    times = [pts for frame in frames if (pts := shown_at(frame)) is not None]
+    times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
     if times != sorted(times):
-        raise _UnusableError("video_times", "The times of the first frames go back.", _REPAIR_TIMES)
+        raise _UnusableError("video_times", "The timestamps of the first frames go backwards.", _REPAIR_TIMES)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
-        last = next((frame for frame in later if (shown_at(frame) or 0) >= last_pts), None)
+        last = next((frame for frame in later if (display_pts(frame) or 0) >= last_pts), None)
         if last is None:
             raise _UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
         frames.append(last)
@@ -207,22 +216,8 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
     return size_px, rotation_deg
 
 
-def mean_rate_hz(time_s: np.ndarray) -> float:
-    """Mean rate over the intervals within 60 % of their median: uneven intervals average out, gaps don't count.
-
-    25 for a single frame, which has no interval; infinity where frames share their times.
-    """
-    intervals_s = np.sort(np.diff(time_s))
-    if not len(intervals_s):
-        return 25.0
-    # One that is there, never the mean of two: 24 Hz on a clock of 60 Hz have intervals of 2 and 3 ticks.
-    usual_s = intervals_s[(len(intervals_s) - 1) // 2]
-    mean_s = float(np.mean(intervals_s[np.abs(intervals_s - usual_s) <= _EVEN * usual_s]))
-    return 1.0 / mean_s if mean_s > 0 else math.inf
-
-
-def problem_at_once(path: Path) -> Problem | None:
-    """Problem of a file that is found without opening its container; ``None`` if there is none."""
+def problem_before_opening(path: Path) -> Problem | None:
+    """Return the problem of a missing or empty file, or of one that is not a video container; else ``None``."""
     try:
         _check_start(path)
     except _UnusableError as error:
@@ -233,32 +228,32 @@ def problem_at_once(path: Path) -> Problem | None:
 
 
 def reading_s(path: Path) -> int:
-    """Computing time (s) that a file may take beyond that of a small one."""
+    """Additional computing time (s) for reading a large file."""
     return math.ceil(path.stat().st_size * _CPU_S_PER_BYTE)
 
 
-def beyond_limits(name: str) -> Problem:
-    """Problem of a file whose examination took more time or memory than it may."""
+def limits_problem(name: str) -> Problem:
+    """Build the problem of a file that exceeded the limits on time or memory."""
     return Problem(
         "video_unreadable",
         "The video could not be examined within the limits on time and memory.",
         file=name,
-        hint="Convert it to H.264 in MP4.",
+        hint="Convert the video to H.264 in MP4.",
     )
 
 
 def main() -> None:
-    """Print what is known of the file as one JSON object, after a line that says that the program could be loaded."""
+    """Print the line ``READY``, then the properties or the problem of the file as one JSON object."""
     path = Path(sys.argv[1])
     start_child(_MAX_CPU_S + reading_s(path))
     try:
-        found = probe(path)
+        result = probe(path)
     except MemoryError:
-        found = beyond_limits(path.name)
-    if isinstance(found, Problem):
-        answer: dict[str, Any] = {"problem": asdict(found)}
+        result = limits_problem(path.name)
+    if isinstance(result, Problem):
+        answer: dict[str, Any] = {"problem": asdict(result)}
     else:
-        answer = asdict(found) | {name: getattr(found, name).tolist() for name in ("pts", "keyframe_pts", "time_s")}
+        answer = asdict(result) | {name: getattr(result, name).tolist() for name in ("pts", "keyframe_pts", "time_s")}
         del answer["path"]
     sys.stdout.write(json.dumps(answer) + "\n")
 

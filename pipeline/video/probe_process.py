@@ -1,4 +1,4 @@
-"""Look into several video files, each in a process of its own (``pipeline.video.probe``) with limits."""
+"""Examine several video files, each in a child process (``pipeline.video.probe``) with limits."""
 
 import json
 import subprocess
@@ -11,24 +11,28 @@ import numpy as np
 
 from pipeline.errors import Problem
 from pipeline.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, child_error, is_by_the_file
+from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import beyond_limits, problem_at_once, reading_s
+from pipeline.video.probe import limits_problem, problem_before_opening, reading_s
 
 _TIMEOUT_S = 120.0
 _CHILDREN_AT_ONCE = 2
 
 
 def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
-    """Look into files, each in a process of its own with limits on time and memory.
+    """Examine video files, each in a child process with limits on time and memory.
 
-    A file that makes FFmpeg crash, hang or eat memory costs its own child only. No child is left when this returns or
-    raises, an interruption included.
+    A file that makes FFmpeg crash, hang or exhaust memory ends only its own child. All children have ended when the
+    function returns or raises, also on an interruption.
+
+    Returns
+    -------
+        Properties or problem of each file, in the order of ``paths``.
 
     Raises
     ------
     ChildError
-        If a child can't do its work, for a reason that is not its file.
+        If a child fails for a reason other than its file.
     """
     running: set[subprocess.Popen[bytes]] = set()
     with ThreadPoolExecutor(_CHILDREN_AT_ONCE) as pool:
@@ -36,10 +40,10 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
         try:
             with uninterrupted():
                 waiting += [pool.submit(_probe_in_child, path, running) for path in paths]
-            return [one.result() for one in waiting]
+            return [future.result() for future in waiting]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            while not all(one.done() for one in waiting):
+            while not all(future.done() for future in waiting):
                 for child in list(running):
                     child.kill()
                 time.sleep(0.01)
@@ -47,7 +51,7 @@ def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
 
 
 def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoInfo | Problem:
-    if problem := problem_at_once(path):
+    if problem := problem_before_opening(path):
         return problem
     child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
         module_command("pipeline.video.probe", str(path.absolute())),
@@ -58,29 +62,29 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
     running.add(child)
     timeout_s = _TIMEOUT_S + 2 * reading_s(path)
     try:
-        said, errors = child.communicate(timeout=timeout_s)
+        output, errors = child.communicate(timeout=timeout_s)
         exit_code: int | None = child.returncode
     except subprocess.TimeoutExpired:
         child.kill()
-        said, errors = child.communicate()
+        output, errors = child.communicate()
         exit_code = None
     finally:
         running.remove(child)
-    if not said.startswith(READY) or (exit_code and not is_by_the_file(exit_code)):
+    if not output.startswith(READY) or (exit_code and not is_caused_by_file(exit_code)):
         raise child_error("check of the videos", exit_code, timeout_s, errors.decode(errors="replace"))
     if exit_code != 0:
-        return beyond_limits(path.name)
-    found = json.loads(said.removeprefix(READY))
-    if "problem" in found:
-        return Problem(**found["problem"])
+        return limits_problem(path.name)
+    answer = json.loads(output.removeprefix(READY))
+    if "problem" in answer:
+        return Problem(**answer["problem"])
     return VideoInfo(
         path=path,
-        codec=found["codec"],
-        size_px=(found["size_px"][0], found["size_px"][1]),
-        rotation_deg=found["rotation_deg"],
-        pts=np.array(found["pts"], np.int64),
-        keyframe_pts=np.array(found["keyframe_pts"], np.int64),
-        time_s=np.array(found["time_s"], np.float64),
-        frame_rate_hz=found["frame_rate_hz"],
-        num_repeated=found["num_repeated"],
+        codec=answer["codec"],
+        size_px=(answer["size_px"][0], answer["size_px"][1]),
+        rotation_deg=answer["rotation_deg"],
+        pts=np.array(answer["pts"], np.int64),
+        keyframe_pts=np.array(answer["keyframe_pts"], np.int64),
+        time_s=np.array(answer["time_s"], np.float64),
+        frame_rate_hz=answer["frame_rate_hz"],
+        num_repeated=answer["num_repeated"],
     )

@@ -1,4 +1,4 @@
-"""A ring of cameras, and people made of moving points."""
+"""Ring of cameras, a standing body, and exact detections of people for tests."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from pipeline.geometry.rigid import Rigid3
 
 
 def ring_camera(name: str, angle_rad: float, radius_m: float = 4.0, height_m: float = 2.0) -> Camera:
-    """A camera on a circle that looks at a point one metre above the origin."""
+    """Make a camera on a circle that looks at a point one metre above the origin."""
     center = np.array([radius_m * np.cos(angle_rad), radius_m * np.sin(angle_rad), height_m])
     forward = np.array([0.0, 0.0, 1.0]) - center
     forward /= np.linalg.norm(forward)
@@ -28,7 +28,7 @@ def ring() -> tuple[Camera, ...]:
 
 
 def body(num_joints: int = 17) -> np.ndarray:
-    """Joints of a standing body around the origin, from the floor to 1.7 m."""
+    """World positions (joints, 3) of a standing body around the origin, from the floor to 1.7 m."""
     rng = np.random.default_rng(7)
     shape = rng.uniform([-0.25, -0.25, 0.0], [0.25, 0.25, 1.7], (num_joints, 3))
     shape[0, 2], shape[-1, 2] = 1.7, 0.0
@@ -36,7 +36,7 @@ def body(num_joints: int = 17) -> np.ndarray:
 
 
 def detections_of(camera: Camera, people_m: np.ndarray, order: np.ndarray | None = None) -> Detections:
-    """What a perfect detector finds of people (people, frames, joints, 3); ``order`` shuffles the people."""
+    """Exact detections of people (people, frames, joints, 3) with score 0.9; ``order`` shuffles the people."""
     num_people, num_frames = people_m.shape[:2]
     order = np.arange(num_people) if order is None else order
     points_px = np.concatenate([project(camera, people_m[order, frame]) for frame in range(num_frames)])

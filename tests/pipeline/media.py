@@ -1,4 +1,4 @@
-"""Small videos for tests, made with the encoders that PyAV brings."""
+"""Small test videos, encoded by PyAV."""
 
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def picture(number: int, size_px: tuple[int, int]) -> np.ndarray:
-    """A picture whose grey level says its number, with a bright square that wanders."""
+    """Draw a picture whose grey level and bright square encode its number."""
     width, height = size_px
     image = np.full((height, width, 3), 20 + 2 * number % 200, np.uint8)
     left = number * 3 % (width - 8)
@@ -25,10 +25,10 @@ def write_video(
     codec: str = "libx264",
     options: dict[str, str] | None = None,
     stamps: Sequence[int] | None = None,
-    rate_hz: int = 25,
+    rate_hz: int | Fraction = 25,
     pix_fmt: str = "yuv420p",
 ) -> Path:
-    """Encode ``num_frames`` pictures; ``stamps`` are timestamps in 1/1000 s where the rate is not constant."""
+    """Encode ``num_frames`` pictures; ``stamps`` are their timestamps in 1/1000 s if the rate is not constant."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=rate_hz, options=options or {})
         assert isinstance(stream, av.VideoStream)
@@ -48,7 +48,7 @@ def write_video(
 def write_sizes(
     path: Path, sizes_px: Sequence[tuple[int, int]], frames_each: int, codec: str, options: dict[str, str] | None = None
 ) -> Path:
-    """One stream of pictures whose size changes, as of a camera that was restarted or of streams that were joined."""
+    """Encode a stream whose picture size changes, as after a restart of a camera."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options=options or {})
         assert isinstance(stream, av.VideoStream)
@@ -74,7 +74,7 @@ def rewrite_packets(
     target: Path,
     change: Callable[[int, "av.Packet[Any]"], "Iterable[av.Packet[Any]]"],
 ) -> Path:
-    """Copy a video packet by packet; ``change`` gives the packets that stand for the k-th one."""
+    """Copy a video packet by packet; ``change`` gives the packets that replace the k-th packet."""
     with av.open(str(source)) as reader, av.open(str(target), "w") as writer:
         stream = writer.add_stream_from_template(reader.streams.video[0])
         packets = [packet for packet in reader.demux(video=0) if packet.size]
@@ -86,7 +86,7 @@ def rewrite_packets(
 
 
 def write_audio(path: Path) -> Path:
-    """A file with sound and no picture."""
+    """Encode a file with sound and without pictures."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("aac", rate=44100)
         assert isinstance(stream, av.AudioStream)

@@ -1,4 +1,4 @@
-"""Pauses of a session cost nothing, however long: no time, no memory, no step of progress."""
+"""Pauses of a session take no time, memory or progress steps, whatever their length."""
 
 from collections import Counter
 from dataclasses import replace
@@ -15,7 +15,7 @@ from pipeline.stages.local import reconstruct
 
 
 def two_takes(pause_s: float) -> KeypointSession:
-    """One second of three people, twice."""
+    """Detections of three people over one second, twice with a pause."""
     once = record(replace(find_scene("unsynchronised"), duration_s=1.0), seed=4)
     times = {name: np.concatenate([one.time_s, one.time_s + pause_s]) for name, one in once.times.items()}
     rate_hz = once.timebase.frame_rate_hz

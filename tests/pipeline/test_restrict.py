@@ -1,4 +1,4 @@
-"""Some of a session's frames, and some of its people."""
+"""Reconstruction of some of a session's frames, and of some of its people."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,7 +18,7 @@ from pipeline.stages.local import reconstruct
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
-    """Three people, four cameras that are not synchronised, 3 s."""
+    """Session of three people and four unsynchronised cameras over 3 s."""
     folder = tmp_path_factory.mktemp("capture")
     for name, content in simulation_files(record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4)):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -27,7 +27,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
 
 
 def positions(found: Reconstruction) -> Mapping[int, np.ndarray]:
-    """Of each person (frames of the session, joints, 3), NaN where away."""
+    """World positions (frames of the session, joints, 3) of each person, NaN where absent."""
     whole = {}
     for track in found.located:
         xyz_m = np.full((found.timebase.num_frames, *track.xyz_m.shape[1:]), np.nan)

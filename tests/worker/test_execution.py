@@ -11,7 +11,7 @@ import pytest
 from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Preflight
 from pipeline.errors import InputError
-from pipeline.stages.records_npz import decode_detections
+from pipeline.stages.outputs_npz import decode_detections
 from tests.e2e.captures import video_capture
 from tests.worker.jobs.damage import overwrite
 from worker import execution

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.data import Detections, FrameTimes, Timebase
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.records_npz import encode_keypoints
 from worker.chunk import Work
 from worker.execution import run_chunk
 from worker.jobs.files.artifacts import LocalArtifacts, record_key

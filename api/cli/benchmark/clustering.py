@@ -9,7 +9,7 @@ import typer
 
 from api.cli.console import reporting, show_sizes
 from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
-from pipeline.clustering.instant.candidates import SeenFields
+from pipeline.clustering.instant.candidates import FieldEvidence
 from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.parameters import derive_parameters
 from pipeline.clustering.skeleton import skeleton_of
@@ -32,7 +32,7 @@ def _poses_s(simulation: Simulation) -> float:
     skeleton = skeleton_of(COCO_18)
     projections = np.array([image_from_world(camera) for camera in cameras])
     fields = render(simulation.sketches, simulation.times, (-np.inf, np.inf))
-    seen = SeenFields(cameras, simulation.times, fields, timebase, skeleton, parameters)
+    seen = FieldEvidence(cameras, simulation.times, fields, timebase, skeleton, parameters)
     sampled = [(seen, sampled_frames(timebase, parameters))]
     lengths = first_lengths(cameras, sampled, timebase, skeleton, parameters)
     instants = [seen.at(frame) for frame in range(timebase.num_frames)]

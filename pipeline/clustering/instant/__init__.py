@@ -1,1 +1,1 @@
-"""Clustering of one instant: joints in space from 2D candidates, people from joints."""
+"""Hypothesis clustering at one instant: 3D joints from 2D candidates, and poses from joints."""

@@ -1,4 +1,4 @@
-"""What all cameras saw, in the skeleton's order; and which of it shows an instant."""
+"""2D evidence of all cameras: candidates of joints at an instant, and what connects them."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -15,24 +15,28 @@ from pipeline.geometry.undistortion import undistort_px
 
 
 class Instant(NamedTuple):
-    """What there is to find people from at an output frame."""
+    """Candidates at an output frame, and the evidence that connects them."""
 
     candidates: Candidates
     evidence: Evidence
 
 
 @runtime_checkable
-class Seen(Protocol):
-    """What cameras saw over time."""
+class ViewEvidence(Protocol):
+    """2D evidence of all cameras over time."""
 
     def at(self, frame: int) -> Instant:
-        """What shows an output frame: each camera's nearest frame within half a period, if it has one."""
+        """Evidence for an output frame from each camera's nearest frame within half a period, if there is one."""
 
 
 def frame_at(times: FrameTimes, timebase: Timebase, frame: int) -> int | None:
-    """A camera's frame nearest to an output frame, among those in its half-open period.
+    """Number of a camera's frame nearest to an output frame, within the output frame's half-open period.
 
-    Periods cut time as chunks of the map do, so that what shows an output frame lies in its chunk.
+    Periods cut time in the same way as chunks of frames, so that all evidence for an output frame is in its chunk.
+
+    Returns
+    -------
+        ``None`` if the camera has no frame in the period.
     """
     first, stop = np.searchsorted(times.time_s, [timebase.time_s(frame - 0.5), timebase.time_s(frame + 0.5)])
     if first == stop:
@@ -40,15 +44,15 @@ def frame_at(times: FrameTimes, timebase: Timebase, frame: int) -> int | None:
     return int(first + np.abs(times.time_s[first:stop] - timebase.time_s(frame)).argmin())
 
 
-class SeenBodies:
-    """Candidates of whole bodies that a detector found; those of one body are connected.
+class BodyEvidence:
+    """Evidence from a detector's bodies: their joints are candidates, and joints of a body are connected.
 
     Parameters
     ----------
     cameras
-        Their order is that of views.
+        Cameras in the order of ``Candidates.view``.
     times, detections
-        By camera name.
+        Frame times and detections by camera name.
     """
 
     def __init__(
@@ -62,20 +66,20 @@ class SeenBodies:
     ) -> None:
         ordered = [detections[camera.name] for camera in cameras]
         self._times = [times[camera.name] for camera in cameras]
-        self._frame = [one.frame for one in ordered]
+        self._frame = [of_camera.frame for of_camera in ordered]
         self._timebase, self._min_score = timebase, parameters.min_score
-        self._seen_px = [_in_order(one.keypoints_px, skeleton) for one in ordered]
+        self._seen_px = [_in_order(of_camera.keypoints_px, skeleton) for of_camera in ordered]
         self._cameras = cameras
-        self._score = [_scores_in_order(one, skeleton) for one in ordered]
+        self._score = [_scores_in_order(of_camera, skeleton) for of_camera in ordered]
         self._evidence = Membership(skeleton, parameters.tau2)
 
     def at(self, frame: int) -> Instant:
-        """Candidates, whose body is the row of its detection among its camera's; see ``Seen``."""
+        """Evidence for an output frame; ``body`` is the row among the camera's detections. See ``ViewEvidence``."""
         views = []
         for view, times in enumerate(self._times):
-            mine = frame_at(times, self._timebase, frame)
-            if mine is not None:
-                start, stop = np.searchsorted(self._frame[view], [mine, mine + 1])
+            nearest = frame_at(times, self._timebase, frame)
+            if nearest is not None:
+                start, stop = np.searchsorted(self._frame[view], [nearest, nearest + 1])
                 views.append(self._candidates(view, np.arange(start, stop)))
         return Instant(_join(views), self._evidence)
 
@@ -93,15 +97,15 @@ class SeenBodies:
         )
 
 
-class SeenFields:
-    """Candidates from peaks of heatmaps; part affinity fields connect them.
+class FieldEvidence:
+    """Evidence from heatmaps and fields: peaks are candidates, and part affinity fields connect them.
 
     Parameters
     ----------
     cameras
-        Their order is that of views.
+        Cameras in the order of ``Candidates.view``.
     times, fields
-        By camera name; of the fields those that show the output frames that are asked for.
+        Frame times and fields by camera name; the fields must cover the output frames given to ``at``.
     """
 
     def __init__(
@@ -116,42 +120,42 @@ class SeenFields:
         self._cameras, self._timebase, self._skeleton, self._parameters = cameras, timebase, skeleton, parameters
         self._times = [times[camera.name] for camera in cameras]
         self._fields = [fields[camera.name] for camera in cameras]
-        (self._limbs,) = {one.limbs.tobytes(): one.limbs for one in self._fields}.values()
+        (self._limbs,) = {of_camera.limbs.tobytes(): of_camera.limbs for of_camera in self._fields}.values()
 
     def at(self, frame: int) -> Instant:
-        """Candidates and fields; see ``Seen``."""
+        """Evidence for an output frame; see ``ViewEvidence``."""
         views, shown = [], []
-        for view, (camera, one) in enumerate(zip(self._cameras, self._fields, strict=True)):
-            mine = frame_at(self._times[view], self._timebase, frame)
-            row = NOWHERE if mine is None else int(np.searchsorted(one.frame, mine))
-            if 0 <= row < len(one.frame) and one.frame[row] == mine:
+        for view, (camera, of_camera) in enumerate(zip(self._cameras, self._fields, strict=True)):
+            nearest = frame_at(self._times[view], self._timebase, frame)
+            row = NOWHERE if nearest is None else int(np.searchsorted(of_camera.frame, nearest))
+            if 0 <= row < len(of_camera.frame) and of_camera.frame[row] == nearest:
                 views.append(self._candidates(view, row))
-                shown.append(ViewFields(camera, one.fields[row], one.grid))
+                shown.append(ViewFields(camera, of_camera.fields[row], of_camera.grid))
         return Instant(_join(views), AffinityFields(shown, self._limbs, self._skeleton, self._parameters.tau2))
 
     def _candidates(self, view: int, row: int) -> Candidates:
-        one = self._fields[view]
-        peaks = slice(*np.searchsorted(one.peak_row, [row, row + 1]))
-        # A joint of the detector that the skeleton lacks is the joint "nowhere", and so nobody's.
-        joint_of = np.full(max(*self._skeleton.sources, *one.peak_joint[peaks], 0) + 1, NOWHERE)
+        fields = self._fields[view]
+        peaks = slice(*np.searchsorted(fields.peak_row, [row, row + 1]))
+        # Peaks of joints that the skeleton lacks get the joint NOWHERE, and are left out.
+        joint_of = np.full(max(*self._skeleton.sources, *fields.peak_joint[peaks], 0) + 1, NOWHERE)
         joint_of[list(self._skeleton.sources)] = np.arange(len(self._skeleton.sources))
-        joint = joint_of[one.peak_joint[peaks]]
-        found = Candidates(
+        joint = joint_of[fields.peak_joint[peaks]]
+        candidates = Candidates(
             joint=joint,
             view=np.full(len(joint), view),
-            points_px=_undistorted(self._cameras[view], one.peak_px[peaks]),
-            seen_px=one.peak_px[peaks],
-            score=one.peak_score[peaks],
+            points_px=_undistorted(self._cameras[view], fields.peak_px[peaks]),
+            seen_px=fields.peak_px[peaks],
+            score=fields.peak_score[peaks],
             body=np.full(len(joint), NOWHERE),
         )
-        return found.where((joint >= 0) & (found.score >= self._parameters.min_score))
+        return candidates.where((joint >= 0) & (candidates.score >= self._parameters.min_score))
 
 
 def _undistorted(camera: Camera, seen_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Points of one frame in undistorted pixels.
+    """Undistort the points of a single frame.
 
-    A frame at a time: points that are undistorted together end together, so their last bits depend on each other, and
-    they must not depend on where the session was cut.
+    Points that are undistorted together iterate together, so that their last bits depend on each other. A frame at a
+    time, results do not depend on the cut of the session into chunks.
     """
     return undistort_px(camera, seen_px)
 
@@ -164,15 +168,15 @@ def _join(views: Sequence[Candidates]) -> Candidates:
 
 
 def _in_order(keypoints_px: Float[np.ndarray, "n joints 2"], skeleton: Skeleton) -> Float[np.ndarray, "n _ 2"]:
-    """Joints as the skeleton has them; a neck that the detector does not know is its shoulders' middle."""
+    """Joints in the skeleton's order; the neck is the midpoint of the shoulders if the detector has none."""
     ordered = keypoints_px[:, skeleton.sources]
     if skeleton.sources[0] < 0:
         ordered[:, 0] = ordered[:, skeleton.shoulders].mean(1)
     return ordered
 
 
-def _scores_in_order(one: Detections, skeleton: Skeleton) -> Float[np.ndarray, "n _"]:
-    ordered = one.score[:, skeleton.sources]
+def _scores_in_order(detections: Detections, skeleton: Skeleton) -> Float[np.ndarray, "n _"]:
+    ordered = detections.score[:, skeleton.sources]
     if skeleton.sources[0] < 0:
         ordered[:, 0] = ordered[:, skeleton.shoulders].min(1)
     return ordered

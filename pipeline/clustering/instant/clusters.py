@@ -1,4 +1,4 @@
-"""Hypotheses to joints: clusters, merged ones split by their parents (section 3.2.2)."""
+"""3D joints from hypotheses: clusters, split by parent joints, and matched candidates (section 3.2.2)."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -14,21 +14,21 @@ from scipy.spatial.distance import cdist
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.clustering.instant.effort import MAX_CANDIDATES, MAX_DENSE, MAX_JOINTS, MAX_NEIGHBOURS, Effort
-from pipeline.clustering.instant.evidence import NOWHERE, Evidence, Places
+from pipeline.clustering.instant.evidence import NOWHERE, Evidence, Points
 from pipeline.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
 from pipeline.clustering.instant.joints import refine
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 from pipeline.geometry.triangulation import plane_rows
 
-# Of a large cluster so many points are tried for the densest: each is near many others, and eq. 4 does the rest.
+# Most points of a cluster that are tried as its densest point; the refinement of eq. 4 corrects the choice.
 _MAX_SEEDS = 128
-# Pairs of a joint and a candidate whose distances are taken at once.
+# Pairs of a joint and a candidate whose distances are computed at once.
 _BLOCK = 2**18
 
 
 class _Draft(NamedTuple):
-    """A view's candidate each, where they meet, the parent, and the cluster that it is of."""
+    """Draft of a joint: candidates of different views, initial position, parent joint and cluster."""
 
     candidates: list[int]
     seed_m: Float[np.ndarray, " 3"]
@@ -37,33 +37,33 @@ class _Draft(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """Everybody's joints at an instant, of any kind.
+    """3D joints of all people and kinds at an instant.
 
     Parameters
     ----------
-    places
-        What they are and where.
+    points
+        Kinds and positions of the joints.
     candidate
-        The candidate behind a joint in each view, (joints, cameras), ``NOWHERE`` where there is none.
+        Row of the candidate behind a joint in each view, (joints, cameras); ``NOWHERE`` for no candidate.
     """
 
-    places: Places
+    points: Points
     candidate: np.ndarray
 
     def where(self, chosen: Bool[np.ndarray, " joints"] | Int[np.ndarray, " chosen"]) -> "Joints":
-        """Some of them."""
-        return Joints(Places(*(values[chosen] for values in self.places)), self.candidate[chosen])
+        """Select joints by a mask or by rows."""
+        return Joints(Points(*(values[chosen] for values in self.points)), self.candidate[chosen])
 
     def with_others(self, others: "Joints") -> "Joints":
-        """All of both."""
-        places = Places(*(np.concatenate(pair) for pair in zip(self.places, others.places, strict=True)))
-        return Joints(places, np.concatenate([self.candidate, others.candidate]))
+        """Append other joints."""
+        points = Points(*(np.concatenate(pair) for pair in zip(self.points, others.points, strict=True)))
+        return Joints(points, np.concatenate([self.candidate, others.candidate]))
 
 
 def no_joints(num_cameras: int) -> Joints:
-    """Nobody has one."""
+    """Make an empty set of joints."""
     nothing = np.empty((0, num_cameras), int)
-    return Joints(Places(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
+    return Joints(Points(np.empty(0, int), np.empty((0, 3)), nothing), nothing)
 
 
 def find_joints(
@@ -75,28 +75,29 @@ def find_joints(
     parameters: ClusteringParameters,
     effort: Effort,
 ) -> Joints:
-    """Find everybody's joints, those together that are as far from the root as each other.
+    """Find the 3D joints of all people, level by level of the skeleton (sections 3.2 and 3.3).
 
     Parameters
     ----------
     candidates
-        Of all joints; of more than ``MAX_CANDIDATES`` of a joint in a view those with the highest scores are taken.
+        Candidates of all joints. Of more than ``MAX_CANDIDATES`` candidates of a joint in a view, those with the
+        highest scores are used.
     effort
         See ``effort.Effort``.
     """
-    found = no_joints(len(image_from_world))
+    joints = no_joints(len(image_from_world))
     certain = _most_certain(candidates, effort)
     for level in skeleton.levels:
         of_level = certain[np.isin(candidates.joint[certain], level)]
         here = candidates.where(of_level)
         hypotheses = meet(image_from_world, here, parameters.tau1_px, effort)
         drafts: list[_Draft] = []
-        is_small = len(found.places.joint) * len(hypotheses.pair) <= MAX_DENSE
+        is_small = len(joints.points.joint) * len(hypotheses.pair) <= MAX_DENSE
         for kinds in [level] if is_small else [[kind] for kind in level]:
             of_kinds = hypotheses.where(np.isin(here.joint[hypotheses.pair[:, 0]], kinds))
-            is_parent = np.isin(found.places.joint, [skeleton.parents[kind] for kind in kinds])
+            is_parent = np.isin(joints.points.joint, [skeleton.parents[kind] for kind in kinds])
             parent = np.flatnonzero(is_small | is_parent)
-            parents = found.where(parent).places
+            parents = joints.where(parent).points
             value = np.empty((0, len(of_kinds.pair)))
             if level != [0]:
                 value = _agreement(here, of_kinds, parents, evidence, skeleton, lengths, parameters)
@@ -104,15 +105,15 @@ def find_joints(
                 of_kinds, value = of_kinds.where(chosen), value[:, chosen]
             parent = np.append(parent, NOWHERE)
             drafts += [
-                one._replace(parent=int(parent[one.parent]))
-                for one in _draft(
+                draft._replace(parent=int(parent[draft.parent]))
+                for draft in _draft(
                     image_from_world, here, of_kinds, value, parents, skeleton, lengths, parameters, effort
                 )
             ]
-        located = _locate(image_from_world, here, drafts, found.places, parameters.eps_m, effort)
+        located = _locate(image_from_world, here, drafts, joints.points, parameters.eps_m, effort)
         candidate = np.where(located.candidate >= 0, np.append(of_level, NOWHERE)[located.candidate], NOWHERE)
-        found = found.with_others(located._replace(candidate=candidate))
-    return found
+        joints = joints.with_others(located._replace(candidate=candidate))
+    return joints
 
 
 def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _"]:
@@ -128,20 +129,20 @@ def _most_certain(candidates: Candidates, effort: Effort) -> Int[np.ndarray, " _
 def _agreement(
     candidates: Candidates,
     hypotheses: Hypotheses,
-    parents: Places,
+    parents: Points,
     evidence: Evidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
 ) -> Float[np.ndarray, "parents hypotheses"]:
-    """How well each hypothesis hangs on each parent (eq. 2 and 3); minus infinity where it may not.
+    """Agreement of each hypothesis with each parent (eq. 2 and 3); minus infinity where a constraint is violated.
 
-    The cheap constraint comes first: evidence is asked about what bone lengths leave.
+    Bone lengths come first because they are cheap: connectivity is computed for the remaining pairs.
     """
     joint = candidates.joint[hypotheses.pair[:, 0]]
     body = np.full((len(hypotheses.pair), parents.body.shape[1]), NOWHERE)
     np.put_along_axis(body, candidates.view[hypotheses.pair], candidates.body[hypotheses.pair], axis=1)
-    points = Places(joint, hypotheses.xyz_m, body)
+    points = Points(joint, hypotheses.xyz_m, body)
     error = length_error(parents, points, skeleton, lengths)
     possible = error <= parameters.leniency * parameters.tau3
     score = evidence.connect(parents, points, possible) if parameters.use_connectivity else np.full(error.shape, np.nan)
@@ -163,13 +164,13 @@ def _draft(
     candidates: Candidates,
     hypotheses: Hypotheses,
     value: Float[np.ndarray, "parents hypotheses"],
-    parents: Places,
+    parents: Points,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
     effort: Effort,
 ) -> list[_Draft]:
-    """Cluster hypotheses, split clusters, and match candidates across views in each."""
+    """Draft joints: cluster hypotheses, split clusters by parents, and match candidates across views in each."""
     nobody = np.full(len(image_from_world), NOWHERE)
     drafts: list[_Draft] = []
     joint = candidates.joint[hypotheses.pair[:, 0]]
@@ -179,7 +180,7 @@ def _draft(
     outbid = _outbid(value, joint, parent_of, clusters) if may_split else {}
     for cluster, members in enumerate(clusters):
         shared = [(parent, members[value[parent, members] > -np.inf]) for parent in outbid.get(cluster, [])]
-        if len(members) == 1:  # by far the most are chance meetings
+        if len(members) == 1:  # most clusters: rays that meet by chance
             parents_here = [int(parent_of[members[0]]), *(parent for parent, _ in shared)]
             used, seed_m = hypotheses.pair[members[0]].tolist(), hypotheses.xyz_m[members[0]]
             drafts.extend(_Draft(used, seed_m, parent, cluster) for parent in parents_here)
@@ -199,14 +200,14 @@ def _draft(
 def _clusters(
     xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, effort: Effort
 ) -> Iterator[Int[np.ndarray, " _"]]:
-    """DBSCAN with one sample to a cluster: every point is a core point then, and clusters are connected components.
+    """Cluster hypotheses by DBSCAN with at least one sample: clusters are the connected components of neighbours.
 
-    Of points with more than ``MAX_NEIGHBOURS`` pairs of neighbours those in one cell, half as wide as ``eps_m``, are
-    taken for its centre.
+    With more than ``MAX_NEIGHBOURS`` pairs of neighbours, points are replaced by the centres of cells half as wide as
+    ``eps_m``.
     """
     if not len(xyz_m):
         return
-    # Far apart in a fourth dimension, joints of different kinds have no neighbours in common.
+    # A fourth dimension separates joints of different kinds.
     places = np.column_stack([xyz_m, 10 * eps_m * joint])
     cell_of = np.arange(len(places))
     tree = cKDTree(places)
@@ -227,18 +228,18 @@ def _split(
     members: Int[np.ndarray, " _"],
     joint: int,
     parent_of: Int[np.ndarray, " hypotheses"],
-    parents: Places,
+    parents: Points,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
 ) -> Iterator[tuple[int, Int[np.ndarray, " _"]]]:
-    """Regroup by parent a cluster whose centre may hang on several: joints of people who touch."""
+    """Split a cluster by the parents of its members if its centre fits several parents: joints of people who touch."""
     wanted, counts = np.unique(parent_of[members], return_counts=True)
     if len(wanted) < 2 or not parameters.split_clusters:
         yield int(wanted[counts.argmax()]), members
         return
-    centre = Places(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
-    error = length_error(Places(*(values[wanted] for values in parents)), centre, skeleton, lengths)
+    centre = Points(np.array([joint]), xyz_m[members].mean(0, keepdims=True), parents.body[:1])
+    error = length_error(Points(*(values[wanted] for values in parents)), centre, skeleton, lengths)
     if (error <= parameters.tau3).sum() < 2:
         yield int(wanted[counts.argmax()]), members
         return
@@ -252,22 +253,22 @@ def _outbid(
     parent_of: Int[np.ndarray, " hypotheses"],
     clusters: Sequence[Int[np.ndarray, " _"]],
 ) -> dict[int, list[int]]:
-    """Parents that every hypothesis of a joint prefers another one to, by the cluster that fits them best.
+    """Parents that are the best parent of no hypothesis of a joint, by the number of their best cluster.
 
-    Hands that clap are one peak in most views and one point in space: it is both people's.
+    Clapping hands are a single peak in most views and a single point in space, which belongs to both people.
     """
     cluster_of = np.empty(len(joint), int)
     for number, members in enumerate(clusters):
         cluster_of[members] = number
-    found: dict[int, list[int]] = {}
+    by_cluster: dict[int, list[int]] = {}
     for kind in np.unique(joint):
         of_kind = np.flatnonzero(joint == kind)
         could = np.any(value[:, of_kind] > -np.inf, axis=1)
         could[parent_of[of_kind]] = False
         for parent in np.flatnonzero(could).tolist():
             best = of_kind[value[parent, of_kind].argmax()]
-            found.setdefault(int(cluster_of[best]), []).append(parent)
-    return found
+            by_cluster.setdefault(int(cluster_of[best]), []).append(parent)
+    return by_cluster
 
 
 def _extract(
@@ -279,10 +280,11 @@ def _extract(
     parameters: ClusteringParameters,
     effort: Effort,
 ) -> Iterator[tuple[list[int], Float[np.ndarray, " 3"]]]:
-    """Candidates of one joint, a view each, from where hypotheses are densest; what uses none of them goes on.
+    """Extract joints from a group of hypotheses: matched candidates of different views, and an initial position.
 
-    Of a view's candidates the one that is connected to the parent is taken, then the nearest. Once an instant's effort
-    is spent, what is left gives one joint.
+    Each round takes the densest point and the best candidate of each view near it: a candidate of the parent's body
+    first, then the nearest. Hypotheses that use none of these candidates remain for the next round. Once the effort of
+    an instant is spent, the remaining hypotheses give a single joint.
     """
     if not parameters.separate_clusters:
         yield _match(candidates, hypotheses, members)
@@ -303,7 +305,7 @@ def _extract(
         )
         candidate = np.full(len(image_from_world), NOWHERE)
         is_strange = (parent_body[views] >= 0) & (candidates.body[used] != parent_body[views])
-        in_order = np.lexsort((-errors_px, ~is_strange))  # the best of a view last
+        in_order = np.lexsort((-errors_px, ~is_strange))  # the best candidate of a view comes last
         in_order = in_order[errors_px[in_order] <= 2 * parameters.tau1_px]
         candidate[views[in_order]] = used[in_order]
         candidate = candidate[candidate >= 0]
@@ -314,9 +316,9 @@ def _extract(
 def _match(
     candidates: Candidates, hypotheses: Hypotheses, members: Int[np.ndarray, " _"]
 ) -> tuple[list[int], Float[np.ndarray, " 3"]]:
-    """The candidates of one joint as the paper has them: of each view the one behind most of the hypotheses."""
+    """Match the candidates of one joint as in the paper: in each view the candidate of the most hypotheses."""
     used, counts = np.unique(hypotheses.pair[members], return_counts=True)
-    in_order = used[np.lexsort((candidates.score[used], counts))]  # the best of a view last
+    in_order = used[np.lexsort((candidates.score[used], counts))]  # the best candidate of a view comes last
     of_view = dict(zip(candidates.view[in_order].tolist(), in_order.tolist(), strict=True))
     return list(of_view.values()), np.median(hypotheses.xyz_m[members], axis=0)
 
@@ -325,19 +327,19 @@ def _locate(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
     drafts: list[_Draft],
-    parents: Places,
+    parents: Points,
     eps_m: float,
     effort: Effort,
 ) -> Joints:
-    """Give every candidate to one joint, the best supported first, and locate those that keep two views.
+    """Assign each candidate to one draft, drafts with the most views first, and locate drafts that keep two views.
 
-    Of more than ``MAX_JOINTS`` of a kind the best supported are located.
+    Of more than ``MAX_JOINTS`` drafts of a kind, those with the most views are located.
 
-    Joints of several people in one place, whom a split cluster told apart, may share what a view shows as one.
-    Candidates that are left go to a joint nearby that lacks their view.
+    Drafts of different parents from a split cluster may share a candidate: two people's joints may be one peak in a
+    view. Unused candidates go to a nearby joint that lacks their view.
     """
     score = candidates.score.tolist()
-    drafts = sorted(drafts, key=lambda one: (-len(one.candidates), -sum(score[k] for k in one.candidates)))
+    drafts = sorted(drafts, key=lambda draft: (-len(draft.candidates), -sum(score[k] for k in draft.candidates)))
     owners: dict[int, list[_Draft]] = {}
     kept: list[_Draft] = []
     num_kept: Counter[int] = Counter()
@@ -363,11 +365,11 @@ def _locate(
     body = np.append(candidates.body, NOWHERE)[chosen]
     if kept[0].parent != NOWHERE:
         body = np.where(body >= 0, body, parents.body[[draft.parent for draft in kept]])
-    return Joints(Places(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
+    return Joints(Points(candidates.joint[chosen.max(-1)], xyz_m, body), chosen)
 
 
 def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:
-    """Whether a draft may have a candidate beside those that have it."""
+    """Whether a draft may share a candidate with its owners: the same cluster, and different parents."""
     return all(owner.cluster == draft.cluster and owner.parent != draft.parent for owner in owners)
 
 
@@ -378,10 +380,14 @@ def _adopt(
     chosen: Int[np.ndarray, "joints cameras"],
     eps_m: float,
 ) -> bool:
-    """Give candidates that are nobody's to the joint that lacks their view and their ray passes nearest by; in place.
+    """Assign unused candidates to the joint nearest to their ray that lacks their view; changes ``chosen``.
 
-    Such a candidate met none of the others within tau1, for noise or an inexact calibration, but is as near as
-    hypotheses of one joint are. Left out, it would make the joint look more exact than it is.
+    Such a candidate met no other candidate within tau1, because of noise or an inaccurate calibration, but is within
+    the spread of a joint. Without it, the reprojection error of the joint would be too small.
+
+    Returns
+    -------
+        Whether any candidate was assigned.
     """
     free = np.setdiff1d(np.arange(len(candidates.view)), chosen)
     view = candidates.view[free]

@@ -1,10 +1,10 @@
-"""What a hypothesis has to agree with: its parent's appearance and the lengths of bones (section 3.2.1, eq. 1-3)."""
+"""Constraints on hypotheses: connectivity with a parent joint and bone lengths (section 3.2.1, eq. 1-3)."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.clustering.bone_lengths import LimbLengths
-from pipeline.clustering.instant.evidence import Places
+from pipeline.clustering.instant.evidence import Points
 from pipeline.clustering.skeleton import Skeleton
 
 _SHORTEST_M = 0.02
@@ -16,7 +16,15 @@ def fits(
     error: Float[np.ndarray, "parents points"],
     tau3: float,
 ) -> Bool[np.ndarray, "parents points"]:
-    """Eq. 2 and 3; where no view can tell what is connected, nothing speaks against it."""
+    """Whether pairs satisfy eq. 2 and 3; a pair without evidence (score NaN) satisfies eq. 2.
+
+    Parameters
+    ----------
+    score, least
+        Connectivity scores, and the least score of each point.
+    error, tau3
+        Relative errors of the length, and the largest allowed error.
+    """
     return (np.isnan(score) | (score >= least)) & (error <= tau3)
 
 
@@ -28,30 +36,32 @@ def nearly_fits(
     is_measured: Bool[np.ndarray, " points"],
     leniency: float,
 ) -> Bool[np.ndarray, "parents points"]:
-    """Eq. 2 and 3 where one of them may be missed: a second chance.
+    """Whether pairs satisfy either of eq. 2 and 3, and the other one up to a factor.
 
-    Two views alone are less exact than the joint will be, and fields of limbs that touch weaken each other.
+    Hypotheses from two views are less accurate than the final joint, and fields of touching limbs weaken each other.
 
     Parameters
     ----------
+    score, least, error, tau3
+        See ``fits``.
     is_measured
-        Whether anybody's length is known for the limb: only then it can make up for connectivity.
+        Whether the limb's length is known for any person; only then may connectivity be weaker.
     leniency
-        How many times worse either may be where the other is as it should.
+        Factor by which the other threshold may be missed.
     """
     weakly = fits(score, least / leniency, error, tau3) & is_measured
     return fits(score, least, error, leniency * tau3) | weakly
 
 
 def length_error(
-    parents: Places, points: Places, skeleton: Skeleton, lengths: LimbLengths
+    parents: Points, points: Points, skeleton: Skeleton, lengths: LimbLengths
 ) -> Float[np.ndarray, "parents points"]:
-    """How far a point's distance to a parent is from the length of somebody's bone, as a share of that (eq. 3).
+    """Relative error of a point's distance to a parent against the known bone lengths (eq. 3).
 
     Returns
     -------
-        The smallest over all people; 0 where nobody's length is known; infinite where no human being's can be so, and
-        where no limb leads from the one kind of joint to the other.
+        Smallest error over all people; 0 if no length is known; infinite for a distance that no person's limb has, and
+        for joints without a limb between them.
     """
     error = np.full((len(parents.joint), len(points.joint)), np.inf)
     parent, point = np.nonzero(parents.joint[:, None] == np.array(skeleton.parents)[points.joint])
@@ -69,7 +79,7 @@ def length_error(
 def _relative_error(
     distance_m: Float[np.ndarray, " n"], known_m: Float[np.ndarray, " people"]
 ) -> Float[np.ndarray, " n"]:
-    """Smallest ``|distance - known| / known``: that of the next shorter or the next longer of the known lengths."""
+    """Smallest ``|distance - known| / known`` over the known lengths: the next shorter or the next longer length."""
     ascending_m = np.sort(known_m[~np.isnan(known_m)])
     longer = np.searchsorted(ascending_m, distance_m, side="right")
     error = np.full(len(distance_m), np.inf)

@@ -1,28 +1,28 @@
-"""Limits on the work for one instant, so that its time and memory are bounded whatever the cameras saw.
+"""Limits on the work at one instant, which bound its time and memory for any input.
 
-The limits lie several times above what the simulated scenes need: seven people in 31 cameras, sixteen in 28. Beyond a
-limit the least certain part of a problem is left out, and the instant counts as approximate.
+The limits are several times above the needs of the simulated scenes (seven people in 31 cameras, sixteen in 28). Beyond
+a limit the least certain part of a problem is left out, and the instant counts as approximate.
 """
 
 from dataclasses import dataclass
 
 MAX_CANDIDATES = 128
-"""Candidates of a joint in a view."""
+"""Most candidates of a joint in a view."""
 
 MAX_PAIRS = 100_000
-"""Pairs of a joint's candidates whose rays are intersected; four views of 128 people have fewer."""
+"""Most pairs of a joint's candidates that are triangulated; four views of 128 people have fewer."""
 
 MAX_HYPOTHESES = 12_000
-"""Hypotheses of a joint."""
+"""Most hypotheses of a joint."""
 
 MAX_NEIGHBOURS = 8_000_000
-"""Pairs of hypotheses closer than DBSCAN's eps."""
+"""Most pairs of hypotheses closer than DBSCAN's eps."""
 
 MAX_JOINTS = 512
-"""Joints of one kind."""
+"""Most 3D joints of one kind."""
 
 MAX_DENSE = 2**24
-"""Entries of a matrix over joints of all kinds; beyond it, one matrix is made for each kind."""
+"""Most entries of a matrix over joints of all kinds; beyond it, a matrix is made for each kind."""
 
 _MAX_STEPS = 1_000_000
 _STEPS_A_ROUND = 100
@@ -30,19 +30,19 @@ _STEPS_A_ROUND = 100
 
 @dataclass(slots=True)
 class Effort:
-    """Work on one instant.
+    """Account of the work at one instant.
 
     Parameters
     ----------
     is_exact
-        Whether no limit was met yet.
+        Whether no limit was exceeded so far.
     """
 
     is_exact: bool = True
     _left: int = _MAX_STEPS
 
     def allows(self, size: int, most: int) -> bool:
-        """Return whether a size is within a limit; beyond it the instant is approximate."""
+        """Return whether a size is within a limit; if not, the instant becomes approximate."""
         self.is_exact &= size <= most
         return size <= most
 

@@ -1,6 +1,7 @@
-"""What says that two joints are one person's: part affinity fields, or bodies that a detector found whole.
+"""Evidence that two joints belong to the same person: part affinity fields, or a detector's bodies.
 
-Both give the connectivity score S of a parent and a point in space (eq. 1): the mean over views of what each view says.
+Both give the connectivity score S of a parent joint and a 3D point (eq. 1): the mean over views of a score s in each
+view.
 """
 
 from collections.abc import Sequence
@@ -15,21 +16,21 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
 
 NOWHERE = -1
-"""Stands for a detection or a candidate where there is none."""
+"""Number of a missing detection or candidate."""
 
 
-class Places(NamedTuple):
-    """Points in space that may be joints.
+class Points(NamedTuple):
+    """3D points that may be joints.
 
     Parameters
     ----------
     joint
-        Which joint of the skeleton, (points,).
+        Number of the joint in the skeleton, (points,).
     xyz_m
-        (points, 3).
+        World positions, (points, 3).
     body
-        The detection behind a point in each view, or behind its ancestors where it has none itself, (points, cameras),
-        ``NOWHERE`` where nobody knows.
+        Detection behind a point in each view, else that of its nearest ancestor with a detection, (points, cameras);
+        ``NOWHERE`` if unknown.
     """
 
     joint: np.ndarray
@@ -39,34 +40,34 @@ class Places(NamedTuple):
 
 @runtime_checkable
 class Evidence(Protocol):
-    """What connects points to parents at an instant."""
+    """Evidence for connections between parent joints and points at an instant."""
 
     @property
     def least(self) -> Float[np.ndarray, " joints"]:
-        """The least score of each joint of the skeleton with its parent: tau2 of eq. 2."""
+        """Least score of each joint of the skeleton with its parent: tau2 of eq. 2."""
 
     def connect(
-        self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
-        """Connectivity scores S of wanted pairs (eq. 1); NaN for others, and where no view can tell."""
+        """Connectivity scores S of wanted pairs (eq. 1); NaN for other pairs and for pairs without evidence."""
 
 
 class Membership:
-    """Evidence of whole bodies: in a view that knows the detections behind both points, s is 1 if they are the same.
+    """Evidence from a detector's bodies: in a view with detections behind both points, s is 1 if they are the same.
 
     Parameters
     ----------
     tau2
-        Of all joints.
+        Least score of every joint with its parent (eq. 2).
     """
 
     def __init__(self, skeleton: Skeleton, tau2: float) -> None:
         self.least = np.full(len(skeleton.names), tau2)
 
     def connect(
-        self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
-        """Mean of s over the views that know both; see ``Evidence``."""
+        """Mean of s over the views with detections behind both points; see ``Evidence``."""
         num_known, num_same = np.zeros(wanted.shape, np.int32), np.zeros(wanted.shape, np.int32)
         for parent, point in zip(parents.body.T, points.body.T, strict=True):
             known = (parent[:, None] >= 0) & (point >= 0)
@@ -76,7 +77,7 @@ class Membership:
 
 
 class ViewFields(NamedTuple):
-    """One camera's fields at an instant; see ``data.PafFields``."""
+    """Part affinity fields of one camera at an instant; see ``data.PafFields``."""
 
     camera: Camera
     fields: UInt8[np.ndarray, "limbs 2 height width"]
@@ -84,19 +85,19 @@ class ViewFields(NamedTuple):
 
 
 class AffinityFields:
-    """Evidence of part affinity fields: s is the field's mean along the segment between the two projections.
+    """Evidence from part affinity fields: s is the field's mean along the segment between the two projections.
 
-    The segment is straight in the image as seen. The paper takes the mean over all views; here it is over those whose
-    image shows both ends, which are all of them where cameras look at one place.
+    The segment is straight in the distorted image. The paper takes the mean over all views; here it is taken over the
+    views whose image contains both ends.
 
     Parameters
     ----------
     views
-        Of the cameras that have a frame at the instant.
+        Fields of the cameras that have a frame at the instant.
     limbs
-        Which joints of the detector each field leads from and to.
+        First and second joint of each field's limb, as numbers in the detector's order.
     tau2
-        See ``FieldGrid``; joints that hang on a limb with weak fields take a share of it.
+        Least score of a joint with its parent, see ``FieldGrid``; scaled by ``Limb.field_share``.
     """
 
     def __init__(
@@ -107,9 +108,9 @@ class AffinityFields:
         self.least = tau2 * np.array(skeleton.field_share)
 
     def connect(
-        self, parents: Places, points: Places, wanted: Bool[np.ndarray, "parents points"]
+        self, parents: Points, points: Points, wanted: Bool[np.ndarray, "parents points"]
     ) -> Float[np.ndarray, "parents points"]:
-        """Mean of s over the views that show both; see ``Evidence``."""
+        """Mean of s over the views that contain both projections; see ``Evidence``."""
         limb = self._limb_of[points.joint]
         parent, point = np.nonzero(wanted & (limb >= 0))
         used, number = np.unique(point, return_inverse=True)
@@ -127,7 +128,7 @@ class AffinityFields:
 
 
 def limbs_of(skeleton: Skeleton, limbs: Int[np.ndarray, "limbs 2"]) -> Int[np.ndarray, " joints"]:
-    """The field of each joint's limb, ``NOWHERE`` where a network has none."""
+    """Number of the field of each joint's limb, ``NOWHERE`` if the network has no such field."""
     numbers = {tuple(limb): number for number, limb in enumerate(limbs.tolist())}
     sources = skeleton.sources
     return np.array(

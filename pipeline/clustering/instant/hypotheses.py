@@ -1,4 +1,4 @@
-"""Where two views' candidates meet: all hypotheses of where a joint may be (section 3.2.1)."""
+"""3D hypotheses of joints: candidates of two views, triangulated (section 3.2.1)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,25 +9,25 @@ from jaxtyping import Bool, Float, Int
 from pipeline.clustering.instant.effort import MAX_HYPOTHESES, MAX_PAIRS, Effort
 from pipeline.geometry.triangulation import plane_rows, solve_normal
 
-# Pairs that are triangulated at once: a megabyte a row of their normal equations.
+# Pairs that are triangulated at once; each row of their normal equations takes a megabyte.
 _BLOCK = 2**15
 
 
 class Candidates(NamedTuple):
-    """2D candidates at one instant, of all views.
+    """2D candidates of all views at one instant.
 
     Parameters
     ----------
     joint
-        Which joint of the skeleton, (candidates,).
+        Number of the joint in the skeleton, (candidates,).
     view
         Position of the camera, (candidates,).
     points_px, seen_px
-        Undistorted pixels, and pixels as seen, (candidates, 2).
+        Undistorted and distorted pixels, (candidates, 2).
     score
         The detector's confidence H(x), (candidates,).
     body
-        The detection that each belongs to, (candidates,), -1 where a detector has no bodies.
+        Detection of each candidate, (candidates,); -1 for a detector without bodies.
     """
 
     joint: np.ndarray
@@ -38,26 +38,26 @@ class Candidates(NamedTuple):
     body: np.ndarray
 
     def where(self, chosen: Bool[np.ndarray, " candidates"] | Int[np.ndarray, " chosen"]) -> "Candidates":
-        """Some of them."""
+        """Select candidates by a mask or by rows."""
         return Candidates(*(values[chosen] for values in self))
 
 
 class Hypotheses(NamedTuple):
-    """Points where the rays of two candidates meet.
+    """3D points triangulated from two candidates of different views.
 
     Parameters
     ----------
     xyz_m
-        (hypotheses, 3).
+        World positions, (hypotheses, 3).
     pair
-        The two candidates, (hypotheses, 2), of two views.
+        Rows of the two candidates, (hypotheses, 2).
     """
 
     xyz_m: np.ndarray
     pair: np.ndarray
 
     def where(self, chosen: Bool[np.ndarray, " hypotheses"] | Int[np.ndarray, " chosen"]) -> "Hypotheses":
-        """Some of them."""
+        """Select hypotheses by a mask or by rows."""
         return Hypotheses(self.xyz_m[chosen], self.pair[chosen])
 
 
@@ -66,7 +66,7 @@ def reprojection_px(
     xyz_m: Float[np.ndarray, "*batch 3"],
     points_px: Float[np.ndarray, "*batch 2"],
 ) -> Float[np.ndarray, "*batch"]:
-    """Reprojection error in undistorted pixels; infinite behind the camera and for NaN."""
+    """Reprojection error in undistorted pixels; infinite for points behind the camera and for NaN."""
     in_cam = (image_from_world[..., :3] @ xyz_m[..., None])[..., 0] + image_from_world[..., 3]
     in_front = in_cam[..., 2] > 0
     projected_px = in_cam[..., :2] / np.where(in_front, in_cam[..., 2], 1.0)[..., None]
@@ -76,15 +76,15 @@ def reprojection_px(
 def meet(
     image_from_world: Float[np.ndarray, "cameras 3 4"], candidates: Candidates, tau1_px: float, effort: Effort
 ) -> Hypotheses:
-    """Triangulate all pairs of a joint's candidates in two views; keep those with a small reprojection error.
+    """Triangulate all pairs of a joint's candidates in two views; keep those with a reprojection error up to ``tau1``.
 
-    Of a joint with more than ``MAX_PAIRS`` pairs those of some pairs of views are taken, see ``_views_that_meet``; of
-    more than ``MAX_HYPOTHESES`` hypotheses those with the smallest errors.
+    For a joint with more than ``MAX_PAIRS`` pairs, some pairs of views are left out; see ``_views_that_meet``. Of more
+    than ``MAX_HYPOTHESES`` hypotheses, those with the smallest errors are kept.
     """
     views = image_from_world[candidates.view]
     rows = plane_rows(views, candidates.points_px[:, None])[:, 0]
     normal = rows.swapaxes(-1, -2) @ rows
-    found = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
+    of_joints = [Hypotheses(np.empty((0, 3)), np.empty((0, 2), int))]
     for joint in np.unique(candidates.joint):
         pairs = _pairs(image_from_world, candidates, np.flatnonzero(candidates.joint == joint), effort)
         met, errors_px = [], [np.empty(0)]
@@ -100,8 +100,8 @@ def meet(
         if not effort.allows(len(together.pair), MAX_HYPOTHESES):
             best = np.argsort(np.concatenate(errors_px), kind="stable")[:MAX_HYPOTHESES]
             together = together.where(np.sort(best))
-        found.append(together)
-    return _joined(found)
+        of_joints.append(together)
+    return _joined(of_joints)
 
 
 def _joined(hypotheses: Sequence[Hypotheses]) -> Hypotheses:
@@ -114,7 +114,7 @@ def _pairs(
     of_joint: Int[np.ndarray, " _"],
     effort: Effort,
 ) -> Int[np.ndarray, "pairs 2"]:
-    """Any two candidates of a joint in two views, the first in the view that comes first."""
+    """Rows of all pairs of a joint's candidates in two views, in order of the views."""
     view = candidates.view[of_joint]
     count = np.bincount(view, minlength=len(image_from_world))
     num_pairs = np.triu(np.outer(count, count), 1)
@@ -127,17 +127,17 @@ def _pairs(
 def _views_that_meet(
     image_from_world: Float[np.ndarray, "cameras 3 4"], num_pairs: Int[np.ndarray, "cameras cameras"]
 ) -> Bool[np.ndarray, "cameras cameras"]:
-    """Pairs of views with ``MAX_PAIRS`` pairs of candidates together: each view's best partners first.
+    """Choose pairs of views with at most ``MAX_PAIRS`` pairs of candidates together, each view's best partners first.
 
-    The best partner looks at a right angle: where its rays meet is most exact.
+    The best partner views at a right angle: triangulation with it is most accurate.
     """
     axes = image_from_world[:, 2, :3] / np.linalg.norm(image_from_world[:, 2, :3], axis=-1, keepdims=True)
     along = np.abs(axes @ axes.T)
     np.fill_diagonal(along, np.inf)
     rank = along.argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
-    one, other = np.nonzero(num_pairs)
-    in_order = np.argsort(np.minimum(rank, rank.T)[one, other], kind="stable")
-    kept = in_order[np.cumsum(num_pairs[one, other][in_order]) <= MAX_PAIRS]
+    first, second = np.nonzero(num_pairs)
+    in_order = np.argsort(np.minimum(rank, rank.T)[first, second], kind="stable")
+    kept = in_order[np.cumsum(num_pairs[first, second][in_order]) <= MAX_PAIRS]
     meeting = np.zeros(num_pairs.shape, bool)
-    meeting[one[kept], other[kept]] = True
+    meeting[first[kept], second[kept]] = True
     return meeting

@@ -1,11 +1,11 @@
-"""A joint in space from the 2D candidates that were matched across views (section 3.3)."""
+"""Triangulation of joints from matched 2D candidates by Levenberg-Marquardt (section 3.3, eq. 4)."""
 
 import numpy as np
 from jaxtyping import Float
 
 _NUM_STEPS = 8
 _FIRST_DAMPING = 1e-3
-# Below this a reprojection error counts as this: the norm of eq. 4 has no derivative at zero.
+# Lower limit of reprojection errors in weights: the norm of eq. 4 has no derivative at zero.
 _LEAST_ERROR_PX = 1.0
 
 
@@ -17,16 +17,16 @@ def refine(
 ) -> Float[np.ndarray, "joints 3"]:
     """Minimise the sum of ``H(x_i) || P_i X - x_i ||`` (eq. 4) by Levenberg-Marquardt, all joints at once.
 
-    The norm is not squared: so each step weights a view with its confidence over its error (reweighted least squares).
+    The norm is not squared. So each step weights a view by its confidence over its error (reweighted least squares).
 
     Parameters
     ----------
     xyz_m
-        Where to start.
+        Initial world positions.
     points_px
-        Undistorted pixels.
+        Undistorted pixels; ignored where the confidence is 0.
     confidence
-        0 leaves a view out.
+        Confidence H of each view, 0 for a view that is left out.
     """
     points_px = np.where(confidence[..., None] > 0, points_px, 0.0)
     damping = np.full(len(xyz_m), _FIRST_DAMPING)
@@ -52,10 +52,10 @@ def _linearise(
     xyz_m: Float[np.ndarray, "joints 3"],
     points_px: Float[np.ndarray, "joints cameras 2"],
 ) -> tuple[Float[np.ndarray, "joints cameras 2"], Float[np.ndarray, "joints cameras 2 3"]]:
-    """Reprojection residuals and their Jacobian."""
+    """Reprojection residuals in pixels, and their Jacobian in pixels a metre."""
     linear = image_from_world[:, :, :3]
     in_cam = np.einsum("cij,kj->kci", linear, xyz_m) + image_from_world[:, :, 3]
-    # A camera in whose plane a point lies is none of those that see it.
+    # Avoids a division by zero for points in a camera's plane; such a camera does not see the point.
     depth = np.where(np.abs(in_cam[..., 2:]) > 1e-9, in_cam[..., 2:], 1e-9)
     projected_px = in_cam[..., :2] / depth
     jacobian = (linear[:, :2] - projected_px[..., None] * linear[:, 2:]) / depth[..., None]

@@ -1,4 +1,4 @@
-"""Joints to people: limbs joined greedily in space (section 3.4)."""
+"""Assembly of poses from 3D joints: limbs are joined greedily (section 3.4)."""
 
 from typing import NamedTuple
 
@@ -14,19 +14,19 @@ from pipeline.clustering.instant.evidence import NOWHERE, Evidence
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import Skeleton
 
-# What a view more is worth beside connectivity, so that of two alike the better seen is taken.
+# Value of an additional view relative to connectivity: of similar limbs, the one seen in more views is taken.
 _VIEW_WORTH = 0.01
 
 
 class Poses(NamedTuple):
-    """Everybody at one instant, joints in the skeleton's order.
+    """Poses of all people at one instant, joints in the skeleton's order.
 
     Parameters
     ----------
     xyz_m
-        (people, joints, 3), NaN where a joint was not found.
+        World positions, (people, joints, 3); NaN where a joint was not found.
     candidate
-        The candidate behind a joint in each view, (people, joints, cameras), ``NOWHERE`` where there is none.
+        Row of the candidate behind a joint in each view, (people, joints, cameras); ``NOWHERE`` for no candidate.
     """
 
     xyz_m: np.ndarray
@@ -34,12 +34,16 @@ class Poses(NamedTuple):
 
 
 def parse(
-    found: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
+    joints: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
 ) -> Poses:
-    """Assemble people, each from a root joint on; a joint belongs to one person."""
-    is_small = len(found.places.joint) ** 2 <= MAX_DENSE
-    value = _limb_values(found, found, evidence, skeleton, lengths, parameters) if is_small else None
-    by_joint = [np.flatnonzero(found.places.joint == j) for j in range(len(skeleton.names))]
+    """Assemble poses from the root joints on; a joint belongs to at most one pose.
+
+    Poses with fewer than ``min_joints`` of the paper's joints are left out. Of poses closer than ``duplicate_m``, the
+    pose with the most observations is kept.
+    """
+    is_small = len(joints.points.joint) ** 2 <= MAX_DENSE
+    value = _limb_values(joints, joints, evidence, skeleton, lengths, parameters) if is_small else None
+    by_joint = [np.flatnonzero(joints.points.joint == j) for j in range(len(skeleton.names))]
     shape = len(by_joint[0]), len(by_joint)
     joint_of = np.full(shape, NOWHERE)
     joint_of[:, 0] = by_joint[0]
@@ -47,7 +51,7 @@ def parse(
         holders = np.flatnonzero(joint_of[:, skeleton.parents[j]] >= 0)
         held = joint_of[holders, skeleton.parents[j]]
         of_limb = (
-            _limb_values(found.where(held), found.where(by_joint[j]), evidence, skeleton, lengths, parameters)
+            _limb_values(joints.where(held), joints.where(by_joint[j]), evidence, skeleton, lengths, parameters)
             if value is None
             else value[np.ix_(held, by_joint[j])]
         )
@@ -55,8 +59,8 @@ def parse(
             joint_of[holders[holder], j] = by_joint[j][joint]
     has = joint_of >= 0
     xyz_m = np.full((*shape, 3), np.nan)
-    candidate = np.full((*shape, found.candidate.shape[1]), NOWHERE)
-    xyz_m[has], candidate[has] = found.places.xyz_m[joint_of[has]], found.candidate[joint_of[has]]
+    candidate = np.full((*shape, joints.candidate.shape[1]), NOWHERE)
+    xyz_m[has], candidate[has] = joints.points.xyz_m[joint_of[has]], joints.candidate[joint_of[has]]
     enough = np.flatnonzero(has[:, skeleton.core].sum(-1) >= parameters.min_joints)
     distinct = _distinct(xyz_m[enough], (candidate[enough] >= 0).sum((1, 2)), parameters.duplicate_m)
     return Poses(xyz_m[enough[distinct]], candidate[enough[distinct]])
@@ -64,25 +68,25 @@ def parse(
 
 def _limb_values(
     parents: Joints,
-    found: Joints,
+    joints: Joints,
     evidence: Evidence,
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
 ) -> Float[np.ndarray, "parents joints"]:
-    """What each limb from a joint to another is worth; minus infinity where there can be none."""
-    error = length_error(parents.places, found.places, skeleton, lengths)
+    """Value of a limb between each parent and each joint: connectivity and views; minus infinity if not allowed."""
+    error = length_error(parents.points, joints.points, skeleton, lengths)
     possible = error <= parameters.leniency * parameters.tau3
-    score = evidence.connect(parents.places, found.places, possible)
-    least = evidence.least[found.places.joint] * parameters.use_connectivity
-    measured = lengths.is_measured[found.places.joint]
+    score = evidence.connect(parents.points, joints.points, possible)
+    least = evidence.least[joints.points.joint] * parameters.use_connectivity
+    measured = lengths.is_measured[joints.points.joint]
     allowed = possible & nearly_fits(score, least, error, parameters.tau3, measured, parameters.leniency)
-    value = np.nan_to_num(score, nan=0.0) + _VIEW_WORTH * (found.candidate >= 0).sum(-1)
+    value = np.nan_to_num(score, nan=0.0) + _VIEW_WORTH * (joints.candidate >= 0).sum(-1)
     return np.where(allowed, value, -np.inf)
 
 
 def _join(value: Float[np.ndarray, "holders joints"]) -> list[tuple[int, int]]:
-    """Pairs of a person's parent joint and a joint, the best first, each once."""
+    """Join limbs greedily: pairs of a pose and a joint in order of their value, each pose and joint once."""
     pairs: list[tuple[int, int]] = []
     holders: set[int] = set()
     joints: set[int] = set()
@@ -98,9 +102,9 @@ def _join(value: Float[np.ndarray, "holders joints"]) -> list[tuple[int, int]]:
 def _distinct(
     xyz_m: Float[np.ndarray, "people joints 3"], support: Int[np.ndarray, " people"], duplicate_m: float
 ) -> list[int]:
-    """Of poses in one place the best supported, in their order."""
+    """Positions of the poses that are not duplicates of a pose with more observations, ascending."""
     kept: list[int] = []
-    for one in np.argsort(-support, kind="stable").tolist():
-        if not np.any(mean_distance_m(xyz_m[kept], xyz_m[one]) < duplicate_m):
-            kept.append(one)
+    for pose in np.argsort(-support, kind="stable").tolist():
+        if not np.any(mean_distance_m(xyz_m[kept], xyz_m[pose]) < duplicate_m):
+            kept.append(pose)
     return sorted(kept)

@@ -1,1 +1,1 @@
-"""Networks of other formats to ONNX, without the frameworks that they were made with."""
+"""Conversion of networks of other formats to ONNX, without their frameworks."""

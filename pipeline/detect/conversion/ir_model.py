@@ -1,6 +1,6 @@
-"""Read an OpenVINO IR (version 10) into plain records: layers by number, constants unpacked.
+"""Reader of OpenVINO IR networks (version 10): layers by number, with constants unpacked.
 
-The format: https://docs.openvino.ai, "OpenVINO IR format". Constants lie in a binary file beside the XML.
+Format: https://docs.openvino.ai, "OpenVINO IR format". Constants are in a binary file beside the XML file.
 """
 
 from dataclasses import dataclass
@@ -16,20 +16,20 @@ _DTYPES = {"f16": np.float16, "f32": np.float32, "i8": np.int8, "u8": np.uint8, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """An operation.
+    """Layer of a network.
 
     Parameters
     ----------
     name, kind
-        Such as ``conv1`` and ``Convolution``.
+        Name and type of the operation, such as ``conv1`` and ``Convolution``.
     inputs
-        Numbers of the layers that its input ports are connected to, in order.
+        Numbers of the layers that are connected to the input ports, in order of the ports.
     options
-        Attributes of the kind, as text.
+        Attributes of the operation, as text.
     num_channels
-        Of what it makes, 0 where that is no image.
+        Number of channels of the output, 0 if it has not four axes.
     value
-        Of a constant, half precision widened.
+        Value of a constant, half precision converted to single; ``None`` for other layers.
     """
 
     name: str
@@ -40,17 +40,22 @@ class Layer:
     value: np.ndarray | None
 
     def whole_numbers(self, option: str) -> list[int]:
-        """An option that is a list of whole numbers."""
+        """Parse an option that is a list of whole numbers."""
         return [int(text) for text in self.options[option].split(",")]
 
 
 def read_ir(xml: bytes, weights: bytes) -> dict[str, Layer]:
-    """Layers by number.
+    """Read the layers of a network, by number.
+
+    Parameters
+    ----------
+    xml, weights
+        Contents of the XML file and of the binary file.
 
     Raises
     ------
     ModelError
-        If the files are no IR, are damaged, or don't belong to each other.
+        If the files are damaged, are not an IR, or do not belong together.
     """
     try:
         root = ElementTree.fromstring(xml)
@@ -62,7 +67,7 @@ def read_ir(xml: bytes, weights: bytes) -> dict[str, Layer]:
             for layer in root.iterfind("layers/layer")
         }
     except (ParseError, DefusedXmlException, KeyError, ValueError) as error:
-        raise ModelError("The OpenVINO network is damaged, or is none.") from error
+        raise ModelError("The OpenVINO network is damaged or has another format.") from error
 
 
 def _layer(element: Element, sources: dict[int, str], weights: bytes) -> Layer:

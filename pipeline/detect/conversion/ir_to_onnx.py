@@ -1,7 +1,7 @@
-"""Convert a quantised OpenVINO IR to a float32 ONNX model, without OpenVINO.
+"""Conversion of a quantised OpenVINO IR network to a float32 ONNX model, without OpenVINO.
 
-Weights are unpacked from eight bits. The quantisation of activations is left out: it saves memory on hardware that
-computes with bytes, and costs accuracy elsewhere. What layers do: OpenVINO's specification of operation set 4.
+Weights are unpacked from eight bits. The quantisation of activations is left out: it saves memory on hardware with
+byte arithmetic, and costs accuracy elsewhere. Semantics of layers: OpenVINO's specification of operation set 4.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,30 +9,26 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from pipeline.detect.conversion.ir_model import Layer, read_ir
-from pipeline.detect.conversion.onnx_graph import OnnxGraph
+from pipeline.detect.conversion.onnx_graph import OnDemandConversion
 from pipeline.errors import ModelError
 
 
 def convert(xml: bytes, weights: bytes, input_name: str, outputs: Mapping[str, int]) -> bytes:
-    """Convert a whole network.
+    """Convert a whole network to a serialised ONNX model, float32 and NCHW.
 
     Parameters
     ----------
     xml, weights
-        The two files.
+        Contents of the XML file and of the binary file.
     input_name
-        What the image, of three channels, is called in ONNX.
+        Name in ONNX of the input image, which has three channels.
     outputs
-        Names in ONNX and numbers of channels, which tell them apart.
-
-    Returns
-    -------
-        The ONNX model, float32, NCHW; the same bytes for the same arguments.
+        Number of channels of each output by its name in ONNX; outputs are identified by this number.
 
     Raises
     ------
     ModelError
-        If the network is damaged, lacks an output, or needs a layer that is not supported.
+        If the network is damaged, lacks an output, or has a layer that is not supported.
     """
     layers = read_ir(xml, weights)
     conversion = _Conversion(layers, input_name)
@@ -41,52 +37,47 @@ def convert(xml: bytes, weights: bytes, input_name: str, outputs: Mapping[str, i
     }
     for name, num_channels in outputs.items():
         if num_channels not in made:
-            raise ModelError(f"The OpenVINO network has no output of {num_channels} channels: it is another one.")
+            raise ModelError(f"The OpenVINO network has no output of {num_channels} channels: it is another network.")
         conversion.onnx.emit("Identity", [conversion.activation(made[num_channels])], name)
     return conversion.onnx.encode({input_name: 3}, dict(outputs))
 
 
-class _Conversion:
-    """Layers are converted when something asks for what they make."""
+class _Conversion(OnDemandConversion[str]):
+    """Conversion of layers, by number."""
 
     def __init__(self, layers: Mapping[str, Layer], input_name: str) -> None:
-        self.onnx = OnnxGraph()
+        super().__init__()
         self._layers = layers
         self._input_name = input_name
-        self._made: dict[str, str] = {}
         self._constants: dict[str, np.ndarray | None] = {}
 
-    def activation(self, number: str) -> str:
-        """ONNX name of what a layer makes."""
-        if number not in self._made:
-            layer = self._layers[number]
-            if layer.kind == "Parameter":
-                self._made[number] = self._input_name
-            elif layer.kind == "FakeQuantize":
-                self._made[number] = self.activation(layer.inputs[0])
-            else:
-                handler = _HANDLERS.get(layer.kind)
-                if handler is None:
-                    raise ModelError(f"The OpenVINO network needs {layer.kind}, which is not supported.")
-                self._made[number] = handler(self, layer, f"l{number}")
-        return self._made[number]
+    def convert(self, number: str) -> str:
+        """Convert a layer; a quantisation is replaced by its input."""
+        layer = self._layers[number]
+        if layer.kind == "Parameter":
+            return self._input_name
+        if layer.kind == "FakeQuantize":
+            return self.activation(layer.inputs[0])
+        if (handler := _HANDLERS.get(layer.kind)) is None:
+            raise ModelError(f"The OpenVINO network needs {layer.kind}, which is not supported.")
+        return handler(self, layer, f"l{number}")
 
     def operand(self, number: str) -> str:
-        """ONNX name of an operand of elementwise arithmetic, constant or not."""
+        """ONNX name of an operand of elementwise arithmetic: a constant or an activation."""
         value = self.constant(number)
         if value is None:
             return self.activation(number)
         return self.onnx.add_constant(f"c{number}", value.astype(np.float32))
 
     def weights(self, number: str) -> np.ndarray:
-        """Value of a constant."""
+        """Value of a constant layer; ``ModelError`` if the layer is not constant."""
         value = self.constant(number)
         if value is None:
             raise ModelError("The OpenVINO network has weights of a kind that is not supported.")
         return value
 
     def constant(self, number: str) -> np.ndarray | None:
-        """Value of what depends on constants only; ``None`` for what depends on the image."""
+        """Value of a layer that depends on constants only; ``None`` for a layer that depends on the image."""
         if number not in self._constants:
             self._constants[number] = self._fold(self._layers[number])
         return self._constants[number]
@@ -108,14 +99,14 @@ class _Conversion:
 
 
 def _dequantise(values: list[np.ndarray], levels: int) -> np.ndarray:
-    """FakeQuantize of a constant: from the input's range to the nearest level of the output's."""
-    value, low, high, low_out, high_out = (one.astype(np.float32) for one in values)
+    """Apply FakeQuantize to a constant: map the input range to the nearest level of the output range."""
+    value, low, high, low_out, high_out = (operand.astype(np.float32) for operand in values)
     level = np.round((np.clip(value, low, high) - low) / (high - low) * np.float32(levels - 1))
     return np.asarray(level / np.float32(levels - 1) * (high_out - low_out) + low_out, np.float32)
 
 
 def _convolution(conversion: _Conversion, layer: Layer, name: str) -> str:
-    """Weights: output channels, input channels, height, width; before them groups, if there are any."""
+    """Convert a convolution; weights are (output channels, input channels, height, width), with groups first if any."""
     weights = conversion.weights(layer.inputs[1])
     num_groups = 1
     if layer.kind == "GroupConvolution":

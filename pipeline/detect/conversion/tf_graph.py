@@ -1,7 +1,7 @@
-"""Read a frozen TensorFlow graph into plain records, without TensorFlow.
+"""Reader of frozen TensorFlow graphs, without TensorFlow.
 
-The messages and the numbers of their fields: TensorFlow's ``core/framework/{graph,node_def,attr_value,tensor}.proto``.
-Only what a frozen graph of convolutions holds is declared; protobuf skips the rest.
+Messages and field numbers: TensorFlow's ``core/framework/{graph,node_def,attr_value,tensor}.proto``. Only the fields of
+a frozen graph of convolutions are declared; protobuf skips other fields.
 """
 
 from dataclasses import dataclass
@@ -42,18 +42,18 @@ _SCHEMA: dict[str, dict[str, tuple[int, int | str, bool]]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """An operation.
+    """Node of a graph.
 
     Parameters
     ----------
     name, kind
-        Such as ``conv1/Relu`` and ``Relu``.
+        Name and operation of the node, such as ``conv1/Relu`` and ``Relu``.
     inputs
-        Names of nodes.
+        Names of the input nodes.
     padding, strides, window
-        Of convolutions and pooling: the padding's kind, and height and width.
+        Kind of the padding, strides (height, width) and window (height, width) of a convolution or pooling.
     value
-        Of a constant.
+        Value of a constant; ``None`` for other nodes.
     """
 
     name: str
@@ -66,18 +66,18 @@ class Node:
 
 
 def read_graph(content: bytes) -> dict[str, Node]:
-    """Nodes by name, in the graph's order.
+    """Read the nodes of a serialised ``GraphDef`` by name, in the graph's order.
 
     Raises
     ------
     ModelError
-        If it is no such graph, or is damaged.
+        If the content is damaged or is not such a graph.
     """
     try:
         graph = _graph_class().FromString(content)
         return {node.name: _node(node) for node in graph.node}
     except (DecodeError, ValueError, KeyError) as error:
-        raise ModelError("The TensorFlow graph is damaged, or is none.") from error
+        raise ModelError("The TensorFlow graph is damaged or has another format.") from error
 
 
 def _graph_class() -> Any:
@@ -121,5 +121,5 @@ def _array(tensor: Any) -> np.ndarray:
     if tensor.content:
         return np.frombuffer(tensor.content, dtype).reshape(shape)
     values = np.array(tensor.floats if dtype == np.float32 else tensor.ints, dtype)
-    # A single value stands for all.
+    # A single value stands for all elements.
     return np.full(shape, values[0], dtype) if values.size == 1 else values.reshape(shape)

@@ -1,13 +1,13 @@
-"""Convert a frozen TensorFlow graph of convolutions to ONNX, without TensorFlow.
+"""Conversion of a frozen TensorFlow graph of convolutions to ONNX, without TensorFlow.
 
-Activations change from NHWC to NCHW, weights likewise; a bias that is added to a convolution becomes its own.
+Activations and weights change from NHWC to NCHW. A bias that is added to a convolution becomes part of it.
 """
 
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from pipeline.detect.conversion.onnx_graph import OnnxGraph
+from pipeline.detect.conversion.onnx_graph import OnDemandConversion
 from pipeline.detect.conversion.tf_graph import Node, read_graph
 from pipeline.errors import ModelError
 
@@ -15,66 +15,58 @@ _CHANNELS_LAST = frozenset({3, -1})
 
 
 def convert(content: bytes, input_name: str, source: str, outputs: Mapping[str, int]) -> bytes:
-    """Convert what lies between the graph's placeholder and one of its nodes.
+    """Convert the graph from its placeholder to one of its nodes to a serialised ONNX model, float32 and NCHW.
 
     Parameters
     ----------
     content
-        A serialised ``GraphDef`` whose variables are constants.
+        Serialised ``GraphDef`` whose variables are constants.
     input_name
-        What the image, of three channels, is called in ONNX.
+        Name in ONNX of the input image, which has three channels.
     source, outputs
-        The node whose channels are split into the outputs, and these with their numbers of channels.
-
-    Returns
-    -------
-        The ONNX model, float32, NCHW; the same bytes for the same arguments.
+        Node whose channels are split into the outputs, and the number of channels of each output by name.
 
     Raises
     ------
     ModelError
-        If the graph is damaged, lacks a node, or needs an operation that is not supported.
+        If the graph is damaged, lacks a node, or has an operation that is not supported.
     """
     conversion = _Conversion(read_graph(content), input_name)
     conversion.onnx.emit_split(conversion.activation(source), dict(outputs))
     return conversion.onnx.encode({input_name: 3}, dict(outputs))
 
 
-class _Conversion:
-    """Nodes are converted when something asks for what they make."""
+class _Conversion(OnDemandConversion[str]):
+    """Conversion of nodes, by name."""
 
     def __init__(self, nodes: Mapping[str, Node], input_name: str) -> None:
-        self.onnx = OnnxGraph()
+        super().__init__()
         self._nodes = nodes
         self._input_name = input_name
-        self._made: dict[str, str] = {}
 
-    def activation(self, name: str) -> str:
-        """ONNX name of what a node makes."""
-        if name not in self._made:
-            node = self.node(name)
-            handler = _HANDLERS.get(node.kind)
-            if handler is None:
-                raise ModelError(f"The TensorFlow graph needs {node.kind}, which is not supported.")
-            self._made[name] = self._input_name if node.kind == "Placeholder" else handler(self, node)
-        return self._made[name]
+    def convert(self, name: str) -> str:
+        """Convert a node; the placeholder is the input image."""
+        node = self.node(name)
+        if (handler := _HANDLERS.get(node.kind)) is None:
+            raise ModelError(f"The TensorFlow graph needs {node.kind}, which is not supported.")
+        return self._input_name if node.kind == "Placeholder" else handler(self, node)
 
     def node(self, name: str) -> Node:
-        """A node by its name."""
+        """Node of a name; ``ModelError`` if there is none."""
         if name not in self._nodes:
             raise ModelError(f"The TensorFlow graph has no node {name}: it is not the version that is needed.")
         return self._nodes[name]
 
     def constant(self, name: str) -> np.ndarray:
-        """Value of a constant."""
+        """Value of a constant node; ``ModelError`` if the node is not constant."""
         value = self.node(name).value
         if value is None:
-            raise ModelError(f"The TensorFlow graph is not frozen: {name} is no constant.")
+            raise ModelError(f"The TensorFlow graph is not frozen: {name} is not a constant.")
         return value
 
 
 def _convolution(conversion: _Conversion, node: Node, bias: str | None = None) -> str:
-    """Weights: height, width, input channels, then output channels or, depthwise, a multiplier of 1."""
+    """Convert a convolution; weights are (height, width, input channels, output channels, or 1 if depthwise)."""
     weights = conversion.constant(node.inputs[1])
     is_depthwise = node.kind == "DepthwiseConv2dNative"
     if is_depthwise and weights.shape[3] != 1:
@@ -101,7 +93,7 @@ def _convolution(conversion: _Conversion, node: Node, bias: str | None = None) -
 def _bias(conversion: _Conversion, node: Node) -> str:
     convolution = conversion.node(node.inputs[0])
     if convolution.kind not in {"Conv2D", "DepthwiseConv2dNative"}:
-        raise ModelError("The TensorFlow graph adds a bias to what is no convolution, which is not supported.")
+        raise ModelError(f"The TensorFlow graph adds a bias to {convolution.kind}, which is not supported.")
     return _convolution(conversion, convolution, node.inputs[1])
 
 

@@ -1,4 +1,4 @@
-"""Read a TensorFlow Lite model into plain records: tensors, operators, options."""
+"""Reader of TensorFlow Lite models: tensors, operators and their options."""
 
 import struct
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _OPTION_KINDS = {code: kind for kind, code in vars(tflite.BuiltinOptions).items(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tensor:
-    """A tensor's name, its shape (NHWC; 1 where open) and its value if it is a constant of a known type."""
+    """Tensor of a model: name, shape (NHWC, 1 for an open axis), and value if it is a constant of a known type."""
 
     name: str
     shape: tuple[int, ...]
@@ -30,16 +30,16 @@ class Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """An operator.
+    """Operator of a model.
 
     Parameters
     ----------
     kind
-        Such as ``CONV_2D``.
+        Name of the operation, such as ``CONV_2D``.
     inputs, outputs
-        Indices of tensors; an input that is left out is -1.
+        Indices of tensors; -1 for an omitted input.
     options
-        The schema's table of options for this kind, such as ``tflite.Conv2DOptions``; ``None`` for most kinds.
+        Table of the schema with the operation's options, such as ``tflite.Conv2DOptions``; ``None`` without options.
     """
 
     kind: str
@@ -50,24 +50,24 @@ class Operator:
 
 @dataclass(frozen=True)
 class Graph:
-    """The main graph of a model; operators refer to tensors by index."""
+    """Main graph of a model; operators refer to tensors by index."""
 
     tensors: tuple[Tensor, ...]
     operators: tuple[Operator, ...]
 
     @cached_property
     def producers(self) -> dict[int, Operator]:
-        """The operator that makes a tensor, by the tensor's index."""
+        """Operator that computes a tensor, by the tensor's index."""
         return {index: operator for operator in self.operators for index in operator.outputs}
 
     @cached_property
     def activations(self) -> dict[str, int]:
-        """What depends on the input, by name up to the first semicolon (the rest was fused into it)."""
+        """Tensors that depend on the input, by name up to the first semicolon (fused operators follow it)."""
         variable = [index for index in range(len(self.tensors)) if self.constant(index) is None]
         return {self.tensors[index].name.partition(";")[0]: index for index in variable}
 
     def constant(self, index: int) -> np.ndarray | None:
-        """Value of a constant, half precision widened; ``None`` for what depends on the input."""
+        """Value of a constant, half precision converted to single; ``None`` for tensors that depend on the input."""
         value = self.tensors[index].value
         if value is not None:
             return value.astype(np.float32) if value.dtype == np.float16 else value
@@ -81,7 +81,7 @@ def read_model(model: bytes) -> Graph:
     Raises
     ------
     ModelError
-        If it is none, or is damaged.
+        If the content is damaged or is not such a model.
     """
     try:
         root = tflite.Model.GetRootAs(model)
@@ -91,7 +91,7 @@ def read_model(model: bytes) -> Graph:
             tuple(_operator(root, graph.Operators(k)) for k in range(graph.OperatorsLength())),
         )
     except (struct.error, IndexError, ValueError, TypeError, AttributeError, KeyError) as error:
-        raise ModelError("The TensorFlow Lite model is damaged, or is none.") from error
+        raise ModelError("The TensorFlow Lite model is damaged or has another format.") from error
 
 
 def _tensor(root: tflite.Model, tensor: tflite.Tensor) -> Tensor:
@@ -105,7 +105,7 @@ def _tensor(root: tflite.Model, tensor: tflite.Tensor) -> Tensor:
 
 def _operator(root: tflite.Model, operator: tflite.Operator) -> Operator:
     code = root.OperatorCodes(operator.OpcodeIndex())
-    # Codes below 127 stand in the old field; newer ones have that field saturated.
+    # Codes below 127 are in the deprecated field, which is saturated for other codes.
     kind = _OPERATOR_KINDS[max(code.BuiltinCode(), code.DeprecatedBuiltinCode())]
     return Operator(
         kind,

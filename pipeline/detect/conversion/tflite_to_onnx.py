@@ -1,8 +1,8 @@
-"""Convert the convolutional part of a float TensorFlow Lite model to ONNX, without TensorFlow.
+"""Conversion of the convolutional part of a float TensorFlow Lite model to ONNX, without TensorFlow.
 
-Activations change from NHWC to NCHW, weights from half to single precision, which is exact; height and width stay open.
-Only what lies between the chosen inputs and outputs is converted: a model's own decoding is left out.
-What operators do: the TensorFlow Lite schema, and https://onnx.ai/onnx/operators/.
+Activations change from NHWC to NCHW, weights from half to single precision, which is exact; height and width are open.
+Only the part between the chosen inputs and outputs is converted: the model's own decoding is left out.
+Semantics of operators: the TensorFlow Lite schema, and https://onnx.ai/onnx/operators/.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import tflite
 
-from pipeline.detect.conversion.onnx_graph import OnnxGraph
+from pipeline.detect.conversion.onnx_graph import OnDemandConversion
 from pipeline.detect.conversion.tflite_model import Graph, Operator, read_model
 from pipeline.errors import ModelError
 
@@ -18,29 +18,25 @@ _NCHW_FROM_NHWC = (0, 3, 1, 2)
 
 
 def convert(model: bytes, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> bytes:
-    """Convert the part of a model that lies between some of its tensors.
+    """Convert the part of a model between some of its tensors to a serialised ONNX model, float32 and NCHW.
 
     Parameters
     ----------
     model
-        A TensorFlow Lite flatbuffer.
+        TensorFlow Lite flatbuffer.
     inputs, outputs
         Names in ONNX by names in TensorFlow Lite, up to the first semicolon.
-
-    Returns
-    -------
-        The ONNX model, float32, NCHW; the same bytes for the same arguments.
 
     Raises
     ------
     ModelError
-        If the model is damaged, lacks a tensor, or needs an operator that is not supported.
+        If the model is damaged, lacks a tensor, or has an operator that is not supported.
     """
     return convert_graph(read_model(model), inputs, outputs)
 
 
 def convert_graph(graph: Graph, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> bytes:
-    """Convert the part of a graph that lies between some of its tensors; see ``convert``."""
+    """Convert the part of a graph between some of its tensors; see ``convert``."""
     conversion = _Conversion(graph, {_index(graph, name): onnx_name for name, onnx_name in inputs.items()})
     ends = {_index(graph, name): onnx_name for name, onnx_name in outputs.items()}
     for index, onnx_name in ends.items():
@@ -57,35 +53,32 @@ def _index(graph: Graph, name: str) -> int:
     return graph.activations[name]
 
 
-class _Conversion:
-    """Nodes and constants so far; operators are converted when something asks for what they make."""
+class _Conversion(OnDemandConversion[int]):
+    """Conversion of operators, by the index of their output; ``starts`` holds the inputs' names in ONNX by index."""
 
     def __init__(self, graph: Graph, starts: dict[int, str]) -> None:
+        super().__init__(starts)
         self.graph = graph
         self.starts = starts
-        self.onnx = OnnxGraph()
-        self._names = dict(starts)
 
-    def activation(self, index: int) -> str:
-        """Name of a tensor that depends on the input."""
-        if index not in self._names:
-            operator = self.graph.producers.get(index)
-            handler = _HANDLERS.get(operator.kind) if operator else None
-            if operator is None or handler is None:
-                what = operator.kind if operator else "a tensor that nothing makes"
-                raise ModelError(f"The TensorFlow Lite model needs {what}, which is not supported.")
-            self._names[index] = handler(self, operator, f"t{index}")
-        return self._names[index]
+    def convert(self, index: int) -> str:
+        """Convert the operator that computes a tensor."""
+        operator = self.graph.producers.get(index)
+        handler = _HANDLERS.get(operator.kind) if operator else None
+        if operator is None or handler is None:
+            needed = operator.kind if operator else "a tensor that nothing makes"
+            raise ModelError(f"The TensorFlow Lite model needs {needed}, which is not supported.")
+        return handler(self, operator, f"t{index}")
 
     def weights(self, index: int) -> np.ndarray:
-        """Value of a constant."""
+        """Value of a constant tensor; ``ModelError`` if the tensor is not constant."""
         value = self.graph.constant(index)
         if value is None:
             raise ModelError("The TensorFlow Lite model has weights of a kind that is not supported.")
         return value
 
     def operand(self, index: int) -> str:
-        """Name of an operand of elementwise arithmetic, constant or not."""
+        """ONNX name of an operand of elementwise arithmetic: a constant or an activation."""
         value = self.graph.constant(index)
         if value is None:
             return self.activation(index)
@@ -93,7 +86,7 @@ class _Conversion:
         return self.onnx.add_constant(f"t{index}", four_axes.transpose(_NCHW_FROM_NHWC))
 
     def activate(self, name: str, function: int) -> str:
-        """Apply the activation function that is fused into an operator."""
+        """Apply the activation function that is fused into an operator; return the name of its output."""
         if function == tflite.ActivationFunctionType.NONE:
             return name
         if function == tflite.ActivationFunctionType.RELU:
@@ -108,13 +101,13 @@ class _Conversion:
 
 
 def _convolution(conversion: _Conversion, operator: Operator, name: str) -> str:
-    """Weights: output channels, height, width, input channels."""
+    """Convert a convolution; weights are (output channels, height, width, input channels)."""
     weights = conversion.weights(operator.inputs[1]).transpose(_NCHW_FROM_NHWC)
     return _emit_convolution(conversion, operator, name, weights, num_groups=1)
 
 
 def _depthwise_convolution(conversion: _Conversion, operator: Operator, name: str) -> str:
-    """Weights: 1, height, width, channels."""
+    """Convert a depthwise convolution; weights are (1, height, width, channels)."""
     if operator.options.DepthMultiplier() != 1:
         raise ModelError("The TensorFlow Lite model needs a depth multiplier, which is not supported.")
     weights = conversion.weights(operator.inputs[1]).transpose(3, 0, 1, 2)
@@ -157,7 +150,7 @@ def _sigmoid(conversion: _Conversion, operator: Operator, name: str) -> str:
 
 
 def _resize_bilinear(conversion: _Conversion, operator: Operator, name: str) -> str:
-    """Upsampling by a constant factor: the new size is the old one, times a constant."""
+    """Convert an upsampling by a constant factor: the new size is the old size times a constant."""
     new_size = conversion.graph.producers.get(operator.inputs[1])
     factors = conversion.graph.constant(new_size.inputs[1]) if new_size and new_size.kind == "MUL" else None
     if factors is None or not operator.options.HalfPixelCenters():

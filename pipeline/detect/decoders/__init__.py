@@ -1,1 +1,1 @@
-"""Outputs of detector networks to bodies, or to part affinity fields."""
+"""Decoders of network outputs to bodies, or to peaks and part affinity fields."""

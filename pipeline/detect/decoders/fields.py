@@ -1,7 +1,7 @@
-"""What a network of OpenPose's kind says of one image: peaks of its heatmaps, and part affinity fields.
+"""Heatmap peaks and part affinity fields of one image, for networks of OpenPose's kind.
 
 After Cao et al., "Realtime multi-person 2D pose estimation using part affinity fields" (CVPR 2017). Maps are coarser
-than the network's input: cell 0 is the mean of its first ``stride_px`` pixels.
+than the network's input: cell 0 covers the first ``stride_px`` pixels.
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ from pipeline.detect.letterbox import LetterBox
 from pipeline.geometry.fields import quantise
 
 MIN_PEAK_SCORE = 0.05
-"""Peaks below are noise in any network."""
+"""Least score of a peak; lower peaks are noise in all networks."""
 
-# Maps are looked at this much finer than they are, and smoothed by so much of a cell: where the maximum of a coarse map
-# lies within its cell is known from the cells around.
+# Factor of the upsampling of heatmaps, and standard deviation of their smoothing in cells. The neighbouring cells tell
+# the position of a maximum within its cell.
 _UPSAMPLING = 4
 _SMOOTHING_CELLS = 0.375
 _NEIGHBOURHOOD = np.ones((7, 7), np.uint8)
@@ -26,17 +26,17 @@ _NEIGHBOURHOOD = np.ones((7, 7), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class FieldGrid:
-    """How a network's maps lie on its input, and what its fields are worth.
+    """Grid of a network's maps on its input, and the threshold of its fields.
 
     Parameters
     ----------
     stride_px
-        Pixels of the input a cell.
+        Size of a cell in pixels of the input.
     shift_px
-        How far, in pixels of the input, the network marks things to the right of and below where they are.
+        Offset of the network's maps to the right and downwards, in pixels of the input.
     tau2
-        Least connectivity score of two joints that belong together (Chen et al. 2020, eq. 2): the paper's 0.3 is its
-        network's.
+        Least connectivity score of connected joints (Chen et al. 2020, eq. 2); depends on the network, 0.3 in the
+        paper.
     """
 
     stride_px: int
@@ -44,7 +44,7 @@ class FieldGrid:
     tau2: float
 
     def on_image(self, letterbox: LetterBox) -> MapGrid:
-        """Where the maps' cells lie on an image."""
+        """Make the grid of the maps' cells on an image."""
         scale = letterbox.scale
         offset_px = ((self.stride_px - 1) / 2 - np.array(self.shift_px) + 0.5) / scale - 0.5
         return MapGrid(offset_px=tuple(offset_px.tolist()), pitch_px=tuple((self.stride_px / scale).tolist()))
@@ -57,11 +57,11 @@ class ImageFields:
     Parameters
     ----------
     joint, points_px, score
-        Of each peak: which joint, where in the image, and the heatmap's value, at most 1.
+        Joint of each peak, its position in pixels of the image, and the heatmap's value, at most 1.
     fields
-        A limb's unit vectors (x, y) where it lies, as bytes (``pipeline.data.PafFields``).
+        Unit vectors (x, y) along each limb, as bytes; see ``pipeline.data.PafFields``.
     grid
-        Where the fields' cells lie on the image.
+        Positions of the fields' cells on the image.
     """
 
     joint: Int[np.ndarray, " n"]
@@ -78,14 +78,18 @@ def read_fields(
     image_size_px: tuple[int, int],
     order: Int[np.ndarray, "limbs 2"],
 ) -> ImageFields:
-    """Turn a network's maps into peaks in an image's pixels and compact fields.
+    """Read peaks in pixels of the image, and quantised fields, from a network's maps.
 
     Parameters
     ----------
     heatmaps
-        One a joint, without the background.
+        Heatmap of each joint, without the background.
+    pafs
+        Channels of the part affinity fields.
+    grid
+        Positions of the maps' cells on the image.
     image_size_px
-        Peaks outside, on the padding, are dropped.
+        Width and height of the image; peaks outside of it, in the padding, are left out.
     order
         Channels of each limb's x and y.
     """
@@ -98,16 +102,16 @@ def read_fields(
 def find_peaks(
     heatmaps: Float32[np.ndarray, "joints height width"],
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Local maxima of heatmaps, finer than their cells.
+    """Find the local maxima of heatmaps with subcell accuracy.
 
     Returns
     -------
-        Of each peak the joint, the place (x, y) in cells, and the value, at most 1; in order of joints, rows, columns.
+        Joint, position (x, y) in cells, and value (at most 1) of each peak; in order of joints, rows and columns.
     """
-    found = [_peaks_of(heatmap) for heatmap in heatmaps]
-    joint = np.repeat(np.arange(len(found)), [len(score) for _, score in found])
-    score = np.concatenate([score for _, score in found])
-    return joint, np.concatenate([cells for cells, _ in found]), np.minimum(score, 1.0)
+    peaks = [_peaks_of(heatmap) for heatmap in heatmaps]
+    joint = np.repeat(np.arange(len(peaks)), [len(score) for _, score in peaks])
+    score = np.concatenate([score for _, score in peaks])
+    return joint, np.concatenate([cells for cells, _ in peaks]), np.minimum(score, 1.0)
 
 
 def _peaks_of(heatmap: Float32[np.ndarray, "height width"]) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +119,7 @@ def _peaks_of(heatmap: Float32[np.ndarray, "height width"]) -> tuple[np.ndarray,
     fine = cv2.GaussianBlur(fine, (0, 0), _SMOOTHING_CELLS * _UPSAMPLING)
     highest = (fine > MIN_PEAK_SCORE) & (fine == cv2.dilate(fine, _NEIGHBOURHOOD))
     row, column = np.divmod(np.flatnonzero(highest), fine.shape[1])
-    # Of equal neighbours the first counts.
+    # The first of equal neighbours is the peak.
     near = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column)) <= len(_NEIGHBOURHOOD) // 2
     first = ~np.tril(near, -1).any(-1)
     row, column = row[first], column[first]
@@ -128,6 +132,6 @@ def _peaks_of(heatmap: Float32[np.ndarray, "height width"]) -> tuple[np.ndarray,
 
 
 def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Where the parabola through three neighbours is highest, from the middle one; 0 at the map's border (NaN)."""
+    """Offset of the vertex of a parabola through three neighbours from the middle; 0 at the map's border (NaN)."""
     bend = before - 2 * here + after
     return np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0).clip(-0.5, 0.5)

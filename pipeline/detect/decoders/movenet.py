@@ -1,10 +1,11 @@
-"""Decode the heads of MoveNet MultiPose: bodies by their centres, joints by heat map peaks near where a centre says.
+"""Decoder of MoveNet MultiPose: bodies from centre peaks, joints from heatmap peaks near their regressed positions.
 
-The heads are maps with one cell every 4 pixels of the network's input: ``center`` (1 channel) and ``heatmap`` (one a
-joint) hold confidences; ``regress`` holds, at a body's centre, the way to each of its joints in cells; ``offset``
-holds, at a joint's peak, the way from the cell to the joint. The last two have y and x by turns. As in MoveNet
-(https://blog.tensorflow.org/2021/05/next-generation-pose-detection-with-movenet-and-tensorflowjs.html) a joint is where
-heat divided by the distance to its regressed place is greatest; unlike there, a peak belongs to one body only.
+The heads are maps with one cell for every 4 pixels of the network's input. ``center`` (1 channel) and ``heatmap`` (one
+channel a joint) hold confidences. ``regress`` holds, at a body's centre, the vectors in cells to its joints.
+``offset`` holds, at a joint's peak, the vector from the cell to the joint. The channels of these two alternate y and x.
+As in MoveNet (https://blog.tensorflow.org/2021/05/next-generation-pose-detection-with-movenet-and-tensorflowjs.html), a
+joint is the peak with the greatest heat divided by its distance to the regressed position. Unlike in MoveNet, a peak
+belongs to at most one body.
 """
 
 from collections.abc import Mapping
@@ -18,31 +19,31 @@ from pipeline.detect.bodies import Bodies
 
 _STRIDE_PX = 4
 _MIN_CENTER_SCORE = 0.3
-# Fainter peaks are noise; trackers ask for more anyway.
+# Peaks with less heat are noise; association uses a higher limit.
 _MIN_JOINT_SCORE = 0.05
-# Keeps the arrays small whatever the image; far more people than a network of this size can tell apart.
+# Limits the size of arrays; a network of this size can't tell as many people apart.
 _MAX_BODIES = 200
-# Cells that are added to a distance before a heat is divided by it; MoveNet's own.
+# MoveNet's value: cells that are added to the distance by which the heat is divided.
 _DISTANCE_BIAS = 1.8
-# A peak farther from there than this part of the body's size is someone else's joint.
+# Largest distance of a peak from the regressed position, as a share of the body's size.
 _MAX_DISTANCE = 0.3
-# Two bodies are one if this share of their common joints lies within this part of the body's size.
+# Bodies are duplicates if this share of their common joints is closer than this share of the body's size.
 _DUPLICATE_SHARE = 0.7
 _DUPLICATE_DISTANCE = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Peaks of all joints' heat maps; joints with fewer peaks than others are filled up with heat 0.
+    """Peaks of the heatmaps, padded with heat 0 to the same number for every joint.
 
     Parameters
     ----------
     cell_yx
-        Where a peak's cell is.
+        Row and column of the peak's cell.
     joint_px
-        Where it says that the joint is, x and y.
+        Position (x, y) of the joint in pixels of the network's input.
     heat
-        How sure it is.
+        Confidence of the peak.
     """
 
     cell_yx: Int[np.ndarray, "joints candidates 2"]
@@ -60,14 +61,14 @@ def decode_movenet(outputs: Mapping[str, np.ndarray]) -> Bodies:
 
     Returns
     -------
-        Bodies in pixels of the network's input, no two of them the same one and no two with a common joint.
+        Bodies in pixels of the network's input, without duplicates; each peak is a joint of at most one body.
     """
     center, heatmap, offset, regress = (outputs[head][0] for head in ("center", "heatmap", "offset", "regress"))
     centers_yx, center_score = _find_centers(center)
     candidates = _find_candidates(heatmap, offset)
     affinity = _affinity(candidates, centers_yx, regress)
     nearest_px, _ = _pick(candidates, affinity.argmax(-1), affinity.max(-1) > 0)
-    # Duplicates go first: one that had to leave its joints to its twin would take other people's.
+    # Duplicates are removed before peaks are assigned: else a duplicate would take other people's joints.
     distinct = _without_duplicates(nearest_px)
     keypoints_px, score = _pick(candidates, *_choose_exclusively(affinity[distinct]))
     seen = (score > 0).any(-1)
@@ -83,9 +84,9 @@ def decode_movenet(outputs: Mapping[str, np.ndarray]) -> Bodies:
 def _find_peaks(
     maps: Float[np.ndarray, "channels height width"], min_value: float
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Channel, row and column of all cells above ``min_value`` that are the greatest of 3x3 around them.
+    """Channel, row and column of all cells above ``min_value`` that are the greatest of their 3x3 neighbourhood.
 
-    Of equal neighbours the first counts.
+    The first of equal neighbours is the peak.
     """
     padded = np.pad(maps, ((0, 0), (1, 1), (1, 1)), constant_values=-np.inf)
     width = padded.shape[2]
@@ -101,7 +102,7 @@ def _find_peaks(
 def _find_centers(
     center: Float[np.ndarray, "1 height width"],
 ) -> tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Cells (y, x) of bodies' centres and their scores, the surest first."""
+    """Cells (y, x) of the bodies' centres and their scores, in descending order of the score."""
     _, row, column = _find_peaks(center, _MIN_CENTER_SCORE)
     score = center[0, row, column].astype(np.float64)
     order = np.argsort(-score, kind="stable")[:_MAX_BODIES]
@@ -131,7 +132,7 @@ def _affinity(
     centers_yx: Int[np.ndarray, "n 2"],
     regress: Float[np.ndarray, "coordinates height width"],
 ) -> Float[np.ndarray, "n joints candidates"]:
-    """How well each peak fits each body: its heat, less the farther it is from where the body's centre expects it."""
+    """Affinity of each peak with each body: heat over the distance to the regressed position, 0 if too far away."""
     to_joints = regress[:, centers_yx[:, 0], centers_yx[:, 1]].T.reshape(len(centers_yx), len(candidates.heat), 2)
     expected_yx = centers_yx[:, None] + to_joints
     body_size = np.linalg.norm(np.ptp(expected_yx, axis=1), axis=-1)
@@ -143,20 +144,20 @@ def _affinity(
 def _choose_exclusively(
     affinity: Float[np.ndarray, "n joints candidates"],
 ) -> tuple[Int[np.ndarray, "n joints"], Bool[np.ndarray, "n joints"]]:
-    """Give each peak to at most one body, the one that it fits best; the others take their next best, or none.
+    """Assign each peak to at most one body, in descending order of affinity.
 
-    Where two people overlap, both would claim the same peaks and one of them would become a mixture of the two.
+    Without this rule, overlapping people would share peaks, and one of the bodies would be a mixture of both people.
 
     Returns
     -------
-        The candidate of each joint, and whether there is any.
+        Candidate of each joint, and whether the joint has a candidate.
     """
     num_bodies, num_joints, num_candidates = affinity.shape
     choice = np.zeros((num_bodies, num_joints), np.int64)
     found = np.zeros((num_bodies, num_joints), bool)
     joints = np.arange(num_joints)
     left = affinity.transpose(1, 0, 2).copy()
-    # Each round gives every joint's best remaining peak away; equal ones go to the surer body.
+    # Each round assigns every joint's best remaining peak; ties go to the body with the higher score.
     for _ in range(num_bodies):
         body, peak = np.divmod(left.reshape(num_joints, -1).argmax(-1), num_candidates)
         fits = left[joints, body, peak] > 0
@@ -170,14 +171,14 @@ def _choose_exclusively(
 def _pick(
     candidates: _Candidates, choice: Int[np.ndarray, "n joints"], found: Bool[np.ndarray, "n joints"]
 ) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
-    """Joints in network pixels, NaN where none was found, and their scores."""
+    """Joints in pixels of the network's input, NaN where not found, and their scores, 0 where not found."""
     joints = np.arange(choice.shape[1])
     keypoints_px = np.where(found[..., None], candidates.joint_px[joints, choice], np.nan)
     return keypoints_px, np.where(found, candidates.heat[joints, choice], 0.0)
 
 
 def _without_duplicates(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Int[np.ndarray, " kept"]:
-    """Indices of the bodies that are not the same as a surer one."""
+    """Indices of the bodies that are not duplicates of an earlier body, ascending."""
     box_px = _boxes(keypoints_px)
     size_px = np.linalg.norm(box_px[:, 2:] - box_px[:, :2], axis=-1)
     distance_px = np.linalg.norm(keypoints_px[:, None] - keypoints_px[None], axis=-1)
@@ -192,7 +193,7 @@ def _without_duplicates(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Int[np
 
 
 def _boxes(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, "n 4"]:
-    """x0, y0, x1, y1 around the joints of each body that has any."""
+    """x0, y0, x1, y1 around the joints of each body."""
     seen = np.isfinite(keypoints_px)
     low, high = np.where(seen, keypoints_px, np.inf).min(1), np.where(seen, keypoints_px, -np.inf).max(1)
     return np.concatenate([low, high], axis=-1)

@@ -1,4 +1,4 @@
-"""The two networks of OpenPose's kind: which channel is what, and how their maps become fields."""
+"""Decoder of networks of OpenPose's kind: order of the channels, and maps to peaks and fields."""
 
 from collections.abc import Mapping
 
@@ -8,8 +8,8 @@ from pipeline.data import MapGrid
 from pipeline.detect.decoders.fields import ImageFields, read_fields
 from pipeline.joints import COCO_18
 
-# The joints that a limb leads from and to, and the channel of its x; y is the next one. In an order from the neck on:
-# who groups limb by limb has reached the first joint before. Channels: OpenPose's COCO model.
+# First and second joint of each limb, and the channel of its x component; y is the next channel (OpenPose's COCO
+# model). Limbs are ordered from the neck on, as ``grouping.group`` needs.
 _LIMBS = (
     ("neck", "right_shoulder", 12),
     ("neck", "left_shoulder", 20),
@@ -32,11 +32,21 @@ _LIMBS = (
     ("left_shoulder", "left_ear", 26),
 )
 LIMBS = np.array([COCO_18.indices((first, second)) for first, second, _ in _LIMBS])
-"""Joints of ``COCO_18`` that each field leads from and to."""
+"""First and second joint of each field's limb, as numbers of ``COCO_18``."""
 _CHANNELS = np.array([[channel, channel + 1] for _, _, channel in _LIMBS])
 
 
 def decode_openpose(outputs: Mapping[str, np.ndarray], grid: MapGrid, image_size_px: tuple[int, int]) -> ImageFields:
-    """Read a network's outputs ``heatmaps`` (1, 19, height, width; the last is the background) and ``pafs``."""
+    """Decode a network's outputs to peaks in pixels of the image and fields.
+
+    Parameters
+    ----------
+    outputs
+        ``heatmaps`` (1, 19, height, width), whose last channel is the background, and ``pafs`` (1, 38, height, width).
+    grid
+        Positions of the maps' cells on the image.
+    image_size_px
+        Width and height of the image.
+    """
     heatmaps = outputs["heatmaps"][0, : len(COCO_18.names)]
     return read_fields(heatmaps, outputs["pafs"][0], grid, image_size_px, _CHANNELS)

@@ -1,1 +1,1 @@
-"""Readers of captures with a known truth, and their scores."""
+"""Data sets with ground truth: readers and scores of the Shelf benchmark and of rendered captures."""

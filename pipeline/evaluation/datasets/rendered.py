@@ -1,4 +1,4 @@
-"""Rendered captures with exact truth: a folder with ``videos/``, ``calibration.toml`` and ``gt.npz``."""
+"""Rendered captures with exact ground truth: folders with ``videos/``, ``calibration.toml`` and ``gt.npz``."""
 
 import zipfile
 import zlib
@@ -17,22 +17,22 @@ from pipeline.joints import JointSet
 
 _TRUTH_FILE = "gt.npz"
 _KEYS = ("joints", "names", "time")
-# An hour of ten people at 50 frames a second; more is no such capture.
+# Limit of the arrays' size: an hour of ten people at 50 frames a second.
 _MAX_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedTruth:
-    """Where everybody's joints are.
+    """Ground truth of a rendered capture.
 
     Parameters
     ----------
     names
-        Of the joints.
+        Names of the joints.
     time_s
-        Instants of the truth on the session's clock, ascending.
+        Times of the truth on the session's clock, ascending.
     xyz_m
-        World positions, NaN where somebody is absent.
+        World positions of the joints, NaN where a person is absent.
     """
 
     names: tuple[str, ...]
@@ -46,7 +46,7 @@ def load_rendered(folder: Path) -> RenderedTruth:
     Raises
     ------
     InputError
-        If a part of the folder is missing, or the truth is incomplete or contradicts itself.
+        If a part of the folder is missing, or the truth is incomplete or inconsistent.
     """
     problems = [
         Problem("dataset_incomplete", "A part of the rendered capture is missing.", file=name, hint=hint)
@@ -59,8 +59,8 @@ def load_rendered(folder: Path) -> RenderedTruth:
     ]
     arrays: dict[str, np.ndarray] = {}
     if (folder / _TRUTH_FILE).is_file():
-        arrays, found = _read_arrays(folder / _TRUTH_FILE)
-        problems += found or _contradictions(arrays)
+        arrays, unreadable = _read_arrays(folder / _TRUTH_FILE)
+        problems += unreadable or _contradictions(arrays)
     if problems:
         raise InputError(problems)
     return RenderedTruth(
@@ -73,14 +73,14 @@ def load_rendered(folder: Path) -> RenderedTruth:
 def score_rendered(
     tracks: Sequence[Track3D], joints: JointSet, timebase: Timebase, truth: RenderedTruth
 ) -> dict[str, Any]:
-    """Score tracks on the twelve body joints, as ``pipeline.evaluation.mpjpe`` defines it.
+    """Score tracks on the twelve body joints by the metrics of ``pipeline.evaluation.mpjpe``.
 
-    The truth's instants are scored, each against the nearest output frame within half a period; one without such a
+    Each instant of the truth is compared with the nearest output frame within half a period. An instant without such a
     frame has no predictions.
 
     Returns
     -------
-        ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; ``None`` where there is no data.
+        ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; ``None`` for a figure without data.
     """
     position = np.rint((truth.time_s - timebase.start_time_s) * timebase.frame_rate_hz)
     inside = (position >= 0) & (position < timebase.num_frames)
@@ -91,7 +91,7 @@ def score_rendered(
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, np.ndarray], list[Problem]]:
-    """Arrays of the archive, and what keeps them from being read."""
+    """Read the arrays of the archive, or return the problems that prevent it."""
     try:
         with zipfile.ZipFile(path) as archive:
             sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
@@ -107,7 +107,7 @@ def _read_arrays(path: Path) -> tuple[dict[str, np.ndarray], list[Problem]]:
 
 
 def _contradictions(arrays: Mapping[str, np.ndarray]) -> list[Problem]:
-    """Everything that is wrong with the arrays' kinds, shapes and values."""
+    """Problems of the arrays' types, shapes and values."""
     xyz, names, time = (arrays[key] for key in _KEYS)
     problems = []
     if xyz.ndim != 4 or xyz.shape[-1:] != (3,) or xyz.dtype.kind != "f" or np.isinf(xyz).any():

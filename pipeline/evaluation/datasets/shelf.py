@@ -1,7 +1,8 @@
-"""The Shelf benchmark (Belagiannis et al., CVPR 2014): calibration, 2D keypoints of a real detector, annotations.
+"""Shelf benchmark (Belagiannis et al., CVPR 2014): reader of calibration, 2D keypoints and annotations, and scores.
 
-A folder of ``calibration.json``, ``gt.npz`` (``gt``: actors x images x 14 joints x 3 metres, NaN where not annotated)
-and ``detections_*.npz`` (``cam``, ``frame`` = image number, ``kps``: bodies x 17 or 25 joints x (x, y, score)).
+The folder of the benchmark has ``calibration.json``, ``gt.npz`` (``gt``: actors x images x 14 joints x 3 metres, NaN
+where not annotated) and ``detections_*.npz`` (``cam``, ``frame`` = image number, ``kps``: bodies x 17 or 25 joints x
+(x, y, score)).
 """
 
 import zipfile
@@ -25,13 +26,23 @@ NUM_SCORED_ACTORS = 3
 
 DEFAULT_DETECTIONS = "detections_openpose_coco17.npz"
 
-# OpenPose's BODY_25 in the order of COCO-17.
+# Joints of OpenPose's BODY_25 in the order of COCO-17.
 _COCO_17_IN_BODY_25 = (0, 16, 15, 18, 17, 5, 2, 6, 3, 7, 4, 12, 9, 13, 10, 14, 11)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShelfBenchmark:
-    """The test sequence, from image 300 to 599; output frame k is image 300 + k."""
+    """Test sequence, images 300 to 599; output frame k is image 300 + k.
+
+    Parameters
+    ----------
+    cameras, timebase
+        Cameras of the benchmark, and times of the output frames.
+    times, detections
+        Frame times and detections by camera name.
+    truth_m
+        Annotated joints in world coordinates, NaN where not annotated.
+    """
 
     cameras: tuple[Camera, ...]
     times: Mapping[str, FrameTimes]
@@ -41,12 +52,17 @@ class ShelfBenchmark:
 
 
 def load_shelf(folder: Path, detections: Path | None = None) -> ShelfBenchmark:
-    """Read the benchmark, with the folder's detections or with others of the same images.
+    """Read the benchmark from a folder.
+
+    Parameters
+    ----------
+    detections
+        File of other detections of the same images; ``None`` for the folder's file.
 
     Raises
     ------
     InputError
-        With everything that is missing or does not fit.
+        If a file is missing or has wrong contents; lists all problems.
     """
     problems: list[Problem] = []
     arrays: dict[str, np.ndarray] = {}
@@ -112,21 +128,25 @@ def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBe
     Returns
     -------
     thinned
-        What is left, as of cameras of a lower frame rate that are not synchronised; the truth at its output frames.
+        Benchmark of unsynchronised cameras with a lower frame rate; the truth at its output frames.
     kept
-        The same detections, with the numbers and the truth of all images.
+        Benchmark with the same detections, and with the frame numbers and the truth of all images.
     """
     num_frames = benchmark.timebase.num_frames
     times, thinned, kept = {}, {}, {}
     for number, camera in enumerate(benchmark.cameras):
         phase = number * every // len(benchmark.cameras)
         times[camera.name] = FrameTimes(benchmark.times[camera.name].time_s[phase::every])
-        one = benchmark.detections[camera.name]
-        rows = np.flatnonzero(one.frame % every == phase)
+        every_image = benchmark.detections[camera.name]
+        rows = np.flatnonzero(every_image.frame % every == phase)
         kept[camera.name] = Detections(
-            one.camera, one.frame[rows], one.keypoints_px[rows], one.score[rows], one.box_px[rows]
+            camera=camera.name,
+            frame=every_image.frame[rows],
+            keypoints_px=every_image.keypoints_px[rows],
+            score=every_image.score[rows],
+            box_px=every_image.box_px[rows],
         )
-        thinned[camera.name] = replace(kept[camera.name], frame=one.frame[rows] // every)
+        thinned[camera.name] = replace(kept[camera.name], frame=kept[camera.name].frame // every)
     timebase = Timebase(0.0, FRAME_RATE_HZ / every, -(-num_frames // every))
     return (
         ShelfBenchmark(benchmark.cameras, times, thinned, timebase, benchmark.truth_m[:, ::every]),
@@ -139,9 +159,13 @@ def score_shelf(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[st
 
     Returns
     -------
-        ``pcp`` with ``average`` (plain mean of actors 1-3), ``actors`` and ``parts`` by the head rule ``crossview``,
-        and the average ``by_head_rule``; ``mpjpe_mm`` an actor; ``switches``: how often an annotated actor's nearest
-        track is another than at the actor's last annotation.
+    pcp
+        ``average`` (mean of actors 1-3), ``actors`` and ``parts`` for the head rule ``crossview``, and the average
+        ``by_head_rule``.
+    mpjpe_mm
+        Mean joint error of each actor.
+    switches
+        Number of changes of an annotated actor's nearest track since the actor's previous annotation.
     """
     alive = [
         [track for track in tracks if 0 <= frame - track.start_frame < track.num_frames]

@@ -1,4 +1,4 @@
-"""What the parts of cross-view tracking are worth on Shelf: the paper's figures 3 and 4, tables 3, 4 and S1."""
+"""Ablation of cross-view tracking on Shelf (Chen et al. 2020, figures 3 and 4, tables 3, 4 and S1)."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,17 +23,17 @@ _EVERY = (1, 2, 3, 4, 5, 6, 8, 10)
 
 
 def ablate(benchmark: ShelfBenchmark) -> dict[str, Any]:
-    """All of it.
+    """Run the whole ablation.
 
     Returns
     -------
     association
-        Accuracy by camera of ours and of matching in pairs of views (figure 3; the paper's other baselines need an
-        appearance network that can't be had), both matched frame by frame.
+        Association accuracy by camera of cross-view tracking and of matching in pairs of views, identities matched
+        frame by frame (figure 3; the paper's other baselines need an appearance network that is not available).
     weights
         Association accuracy and PCP by the weights of 2D and 3D correspondence (table S1).
     triangulation
-        PCP of torso, upper and lower arms and the average, by triangulation of the same association (table 3).
+        PCP of torso, upper arms and lower arms, and average, by triangulation of the same association (table 3).
     every
         PCP by the share of images kept, cameras at different phases (figure 4).
     single_view
@@ -58,7 +58,7 @@ def _association(benchmark: ShelfBenchmark) -> dict[str, dict[str, float | None]
 
 
 def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
-    found = []
+    rows = []
     for weight_2d in _WEIGHTS_2D:
         parameters = replace(
             derive_parameters(benchmark.cameras, FRAME_RATE_HZ), weight_2d=weight_2d, weight_3d=1.0 - weight_2d
@@ -66,7 +66,7 @@ def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
         identities = associate(*views, parameters)
         tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
-        found.append(
+        rows.append(
             {
                 "weight_2d": weight_2d,
                 "weight_3d": 1.0 - weight_2d,
@@ -74,20 +74,20 @@ def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
                 "pcp": score_shelf(tracks, benchmark)["pcp"]["average"],
             }
         )
-    return found
+    return rows
 
 
 def _triangulations(benchmark: ShelfBenchmark) -> dict[str, dict[str, float]]:
-    """By kind of triangulation, the whole track's included."""
+    """PCP by kind of triangulation; ``robust`` is the triangulation of whole tracks."""
     parameters = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
     views = (benchmark.cameras, benchmark.times, benchmark.detections)
     identities = associate(*views, parameters)
-    found = {}
+    by_kind = {}
     for kind in Triangulation:
         tracks, _ = locate_incrementally(*views, identities, benchmark.timebase, parameters, kind)
-        found[kind.value] = _parts(score_shelf(tracks, benchmark))
+        by_kind[kind.value] = _parts(score_shelf(tracks, benchmark))
     tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
-    return {**found, "robust": _parts(score_shelf(tracks, benchmark))}
+    return {**by_kind, "robust": _parts(score_shelf(tracks, benchmark))}
 
 
 def _parts(scores: dict[str, Any]) -> dict[str, float]:

@@ -1,16 +1,16 @@
-"""Tracking on the Shelf benchmark: association accuracy, MOTA and IDF1 a camera, ghosts.
+"""Tracking metrics on the Shelf benchmark: association accuracy, MOTA and IDF1 of each camera, and ghost tracks.
 
-Its truth is partial: actors are annotated in some of the frames only. So a person whom nobody annotated must not count
+The truth is partial: actors are annotated in some of the frames only. So people without annotation must not count
 against a tracker:
 
-- *MOTA, IDF1*: in every camera, boxes around the projected joints of annotated actors and of tracks; a pair matches
-  with an overlap (IoU) of at least 0.5. An actor counts in a camera that sees at least half of the joints. A track that
-  is not matched counts as a false positive only within 0.5 m of an actor: as a duplicate. One that only overlaps an
-  actor's box, whom another track is near, is somebody in front or behind.
-- *Association accuracy*: in every camera's frame, detections and annotated actors are paired one to one by the mean
-  distance of the limbs' joints, at most a quarter of the height of the actor's box; the share of paired detections
-  that went to the actor's identity. Identities belong to actors one to one, so that as many as possible are right.
-- *Ghost tracks*: longer than 1 s, and within 0.5 m of no annotated actor in any frame.
+- *MOTA, IDF1*: in each camera, boxes around the projected joints of annotated actors and of tracks; a pair matches
+  with an overlap (IoU) of at least 0.5. An actor counts in a camera that sees at least half of the joints. An unmatched
+  track counts as a false positive (a duplicate) only within 0.5 m of an actor. A track that overlaps the box of an
+  actor with another track nearby is a person in front or behind.
+- *Association accuracy*: in each frame of a camera, detections and annotated actors are paired one to one by the mean
+  distance of the limbs' joints, at most a quarter of the height of the actor's box. The accuracy is the share of paired
+  detections with the actor's identity. Identities and actors are matched one to one for the largest accuracy.
+- *Ghost tracks*: tracks longer than 1 s that are not within 0.5 m of an annotated actor in any frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,14 +35,15 @@ _GHOST_S = 1.0
 
 
 def score_tracking(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[str, Any]:
-    """Score tracks.
+    """Score tracks by the metrics of the module.
 
     Returns
     -------
-        ``mota``, ``idf1``, ``false_positives`` and ``missed`` by camera, ``ghost_tracks``; fractions of 1 and numbers.
+        ``mota``, ``idf1`` (fractions of 1), ``false_positives`` and ``missed`` (numbers) by camera name, and the number
+        of ``ghost_tracks``.
     """
     predicted_m = _on_frames(tracks, benchmark)
-    # Mean joint distance of every track to every actor in every frame; NaN where one of the two is not there.
+    # Mean joint distance of each track to each actor in each frame, NaN where either is absent.
     distance_m = np.stack([_mean_distance(truth_m, predicted_m) for truth_m in benchmark.truth_m])
     by_camera = {
         camera.name: score_mot(_mot_frames(camera, predicted_m, distance_m, benchmark)) for camera in benchmark.cameras
@@ -59,7 +60,7 @@ def score_tracking(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict
 
 
 def _on_frames(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> Float[np.ndarray, "tracks frames 14 3"]:
-    """The benchmark's joints of all tracks in all frames, NaN while a track is not there."""
+    """Benchmark joints of all tracks in all frames, NaN outside of a track."""
     taken = np.full((len(tracks), benchmark.timebase.num_frames, len(COCO_17.names), 3), np.nan)
     for row, track in enumerate(tracks):
         taken[row, track.start_frame : track.start_frame + track.num_frames] = track.xyz_m
@@ -69,14 +70,14 @@ def _on_frames(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> Float[np
 def _mean_distance(
     truth_m: Float[np.ndarray, "frames 14 3"], predicted_m: Float[np.ndarray, "tracks frames 14 3"]
 ) -> Float[np.ndarray, "tracks frames"]:
-    """Over the joints that both have; NaN where there is none."""
+    """Mean distance of shared joints, NaN without any."""
     distance_m = np.linalg.norm(predicted_m - truth_m, axis=-1)
     count = np.isfinite(distance_m).sum(-1)
     return np.where(count > 0, np.nansum(distance_m, axis=-1) / np.maximum(count, 1), np.nan)
 
 
 def _boxes(camera: Camera, points_m: Float[np.ndarray, "*batch 14 3"]) -> Float[np.ndarray, "*batch 4"]:
-    """Boxes around projected joints, NaN where there is none."""
+    """Boxes around projected joints, NaN without joints."""
     points_px = project(camera, points_m)
     known = np.isfinite(points_px)
     low, high = np.where(known, points_px, np.inf).min(-2), np.where(known, points_px, -np.inf).max(-2)
@@ -85,7 +86,7 @@ def _boxes(camera: Camera, points_m: Float[np.ndarray, "*batch 14 3"]) -> Float[
 
 
 def _is_seen(camera: Camera, points_m: Float[np.ndarray, "*batch 14 3"]) -> Bool[np.ndarray, "*batch"]:
-    """Whether at least half of the joints lie in the image."""
+    """Whether at least half of the joints are in the image."""
     points_px = project(camera, points_m)
     with np.errstate(invalid="ignore"):
         inside = ((points_px >= 0) & (points_px <= np.array(camera.size_px) - 1)).all(-1)
@@ -100,10 +101,10 @@ def _mot_frames(
 ) -> list[MotFrame]:
     truth_px, predicted_px = _boxes(camera, benchmark.truth_m), _boxes(camera, predicted_m)
     seen = _is_seen(camera, benchmark.truth_m)
-    found = np.isfinite(predicted_px).all(-1)
+    present = np.isfinite(predicted_px).all(-1)
     frames = []
     for frame in range(benchmark.timebase.num_frames):
-        people, tracks = np.flatnonzero(seen[:, frame]), np.flatnonzero(found[:, frame])
+        people, tracks = np.flatnonzero(seen[:, frame]), np.flatnonzero(present[:, frame])
         overlap = box_overlap(truth_px[people, frame], predicted_px[tracks, frame])
         near = distance_m[people[:, None], tracks, frame] <= _NEAR_M
         without = ~near.any(1, keepdims=True)
@@ -115,18 +116,19 @@ def _mot_frames(
 def association_accuracy(
     identities: Mapping[str, Int[np.ndarray, " _"]], benchmark: ShelfBenchmark, by_frame: bool = False
 ) -> dict[str, float | None]:
-    """Share of the detections of annotated actors that went to the actor, by camera and over ``all`` of them.
+    """Association accuracy by camera name, and over ``all`` cameras.
 
     Parameters
     ----------
     identities
-        By camera one a detection, negative for none; as of ``tracking.associate.associate``.
+        Identity of each detection by camera name, negative for none; see ``tracking.associate.associate``.
     by_frame
-        Match identities to actors anew in every frame, for methods that know nothing of the frame before.
+        Whether identities are matched to actors in each frame separately, for methods without identities over time.
 
     Returns
     -------
-        ``None`` if no detection is near an actor.
+        Share of the detections of annotated actors with the actor's identity; ``None`` if no detection is near an
+        actor.
     """
     actors, given, cameras, frames = [], [], [], []
     for number, camera in enumerate(benchmark.cameras):
@@ -143,17 +145,17 @@ def association_accuracy(
     for number in np.unique(group):
         rows = np.flatnonzero(group == number)
         is_right[rows] = _went_to_actor(actor[rows], identity[rows], len(benchmark.truth_m))
-    found = {
+    by_camera = {
         camera.name: float(is_right[camera_number == number].mean()) if (camera_number == number).any() else None
         for number, camera in enumerate(benchmark.cameras)
     }
-    return {"all": float(is_right.mean()) if len(actor) else None, **found}
+    return {"all": float(is_right.mean()) if len(actor) else None, **by_camera}
 
 
 def _went_to_actor(
     actor: Int[np.ndarray, " n"], identity: Int[np.ndarray, " n"], num_actors: int
 ) -> Bool[np.ndarray, " n"]:
-    """Whether each identity is its actor's, actors and identities matched one to one for as many as possible."""
+    """Whether each identity is its actor's, with actors and identities matched one to one for the largest number."""
     names, columns = np.unique(identity, return_inverse=True)
     counts = np.zeros((num_actors, len(names)))
     np.add.at(counts, (actor, columns), 1)
@@ -165,30 +167,30 @@ def _went_to_actor(
 
 
 def score_single_view(benchmark: ShelfBenchmark) -> dict[str, dict[str, Any]]:
-    """MOTA and IDF1 of a tracker that sees one camera only (table 4 of the paper); see ``single_view``.
+    """MOTA, IDF1 and switches of a single-view tracker by camera (Chen et al. 2020, table 4); see ``single_view``.
 
-    A detection that is not matched counts as a false positive only if it is near an annotated actor.
+    An unmatched detection counts as a false positive only if it is near an annotated actor.
     """
     scores: dict[str, dict[str, Any]] = {"mota": {}, "idf1": {}, "switches": {}}
     truth = benchmark.truth_m
     for camera in benchmark.cameras:
-        one = benchmark.detections[camera.name]
-        limbs_px = one.keypoints_px[:, COCO_17.indices(LIMB_JOINTS)]
+        detections = benchmark.detections[camera.name]
+        limbs_px = detections.keypoints_px[:, COCO_17.indices(LIMB_JOINTS)]
         known = np.isfinite(limbs_px).any((1, 2))
         box_px = np.full((len(limbs_px), 4), np.nan)
         box_px[known] = np.concatenate([np.nanmin(limbs_px[known], axis=1), np.nanmax(limbs_px[known], axis=1)], axis=1)
-        identity = track_boxes(one.frame, np.nan_to_num(box_px))
-        near = _actor_of(camera, one.frame, one.keypoints_px, benchmark) >= 0
+        identity = track_boxes(detections.frame, np.nan_to_num(box_px))
+        near = _actor_of(camera, detections.frame, detections.keypoints_px, benchmark) >= 0
         truth_px, seen = _boxes(camera, truth), _is_seen(camera, truth)
         frames = []
         for frame in range(benchmark.timebase.num_frames):
-            people, rows = np.flatnonzero(seen[:, frame]), np.flatnonzero((one.frame == frame) & known)
+            people, rows = np.flatnonzero(seen[:, frame]), np.flatnonzero((detections.frame == frame) & known)
             overlap = box_overlap(truth_px[people, frame], box_px[rows])
             counts = near[rows] | (overlap >= _OVERLAP).any(0)
             frames.append(MotFrame(people, identity[rows[counts]], overlap[:, counts]))
-        found = score_mot(frames)
+        of_camera = score_mot(frames)
         for name, by_camera in scores.items():
-            by_camera[camera.name] = getattr(found, name)
+            by_camera[camera.name] = getattr(of_camera, name)
     return scores
 
 
@@ -198,7 +200,7 @@ def _actor_of(
     keypoints_px: Float[np.ndarray, "n 17 2"],
     benchmark: ShelfBenchmark,
 ) -> Int[np.ndarray, " n"]:
-    """The actor whom a detection shows, -1 for none."""
+    """Number of the actor of each detection, -1 for none."""
     num_limb_joints = len(LIMB_JOINTS)
     limbs_px = keypoints_px[:, COCO_17.indices(LIMB_JOINTS)]
     truth_px = project(camera, benchmark.truth_m[:, :, :num_limb_joints])[:, frame]
@@ -211,7 +213,7 @@ def _actor_of(
     actor = np.full(len(frame), -1)
     for number in np.unique(frame):
         rows = np.flatnonzero(frame == number)
-        # Pairs beyond the gate cost more than all pairs within it together, and are dropped.
+        # A pair beyond the gate costs more than all pairs within the gate together, and is left out.
         cost = np.minimum(relative[:, rows], 1.0 + _NEAR_BOX_HEIGHT * len(relative))
         people, columns = linear_sum_assignment(cost)
         near = cost[people, columns] <= _NEAR_BOX_HEIGHT

@@ -1,1 +1,1 @@
-"""Result files: each module encodes a motion or tracks into pieces of a file, and reads positions back out of it."""
+"""Formats of result files: each module encodes a motion or tracks, and reads the positions back."""

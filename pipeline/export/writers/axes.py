@@ -1,9 +1,9 @@
-"""Axes that files have."""
+"""Axes of files."""
 
 import numpy as np
 
 WORLD = np.eye(3)
-"""The world's own: Z up, facing -Y in the rest pose."""
+"""World axes: Z up, facing -Y in the rest pose."""
 
 Y_UP_FROM_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""x, y, z with Y up are the world's x, z, -y; the rest pose faces +Z."""
+"""Axes with Y up: x, y, z are the world's x, z, -y, and the rest pose faces +Z."""

@@ -1,4 +1,4 @@
-"""Frames in blocks, and numbers as text: what keeps the writers of long captures small and fast."""
+"""Blocks of frames, and numbers as text, so that writing a long capture needs little memory."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 BLOCK_FRAMES = 512
-"""So many frames are in memory as text at a time."""
+"""Number of frames that are converted to text at once."""
 
 
 def frame_blocks(num_frames: int) -> Iterator[slice]:
@@ -18,12 +18,13 @@ def frame_blocks(num_frames: int) -> Iterator[slice]:
 
 
 def fixed(values: Float[np.ndarray, "rows columns"], decimals: int, separator: str = " ") -> list[str]:
-    """Rows as text with so many decimals. Adding zero turns -0.0 into 0.0; NaN is ``nan``."""
+    """Format rows as text with a fixed number of decimals; -0.0 becomes 0.0, NaN becomes ``nan``."""
     template = separator.join([f"%.{decimals}f"] * values.shape[1])
+    # Adding zero turns -0.0 into 0.0.
     return [template % tuple(row) for row in (np.round(values, decimals) + 0.0).tolist()]
 
 
 def read_rows(file: TextIO, separator: str) -> Iterator[Float[np.ndarray, "rows columns"]]:
-    """Numbers of a text file's rows from here on, some of them at a time; an empty cell is NaN."""
+    """Read the remaining rows of a text file as numbers, block by block; an empty cell is NaN."""
     while lines := list(islice(file, BLOCK_FRAMES)):
         yield np.array([[cell or "nan" for cell in line.strip("\r\n").split(separator)] for line in lines], dtype=float)

@@ -1,4 +1,4 @@
-"""A body for the skeleton, an egg about every bone: what viewers show of a GLB file. Each is rigid with its joint."""
+"""Mesh of a body for GLB files: an ellipsoid around each bone, rigidly attached to the bone's joint."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,7 +8,8 @@ from jaxtyping import Float, Int
 
 from pipeline.skeleton.model import INDEX, SKELETON
 
-# Half widths (to the side, to the front) of the flesh about a bone as shares of the bone's length, by its end's kind.
+# Half widths (to the side, to the front) of the ellipsoid around a bone, as shares of the bone's length, by the kind of
+# the bone's end.
 _HALF_WIDTHS = {
     "Spine": (1.35, 1.0),
     "Chest": (0.65, 0.45),
@@ -24,27 +25,27 @@ _HALF_WIDTHS = {
     "Foot": (0.14, 0.14),
     "FootEnd": (0.22, 0.18),
 }
-# Flesh that reaches as far behind its joint as ahead of it.
+# Kinds of bones whose ellipsoid is centred on the joint.
 _CENTRED = frozenset({"HeadEnd"})
-# How far it reaches to both sides of its bone's middle or, centred, of its joint, as a share of the bone's length.
+# Half length of an ellipsoid, as a share of the bone's length: around the middle of the bone, or around its joint.
 _HALF_LENGTH, _CENTRED_HALF_LENGTH = 0.55, 1.0
-# Between 2, an ellipse, and infinity, a cylinder (Lamé's curve).
+# Exponent of the profile (Lamé's curve), between 2 for an ellipse and infinity for a cylinder.
 _FULLNESS = 2.6
 _NUM_RINGS, _NUM_SPOKES = 9, 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMesh:
-    """Triangles about a skeleton in its rest pose.
+    """Triangle mesh of a skeleton in its rest pose.
 
     Parameters
     ----------
     vertices, normals
-        In the units and on the axes of the offsets that it was made of.
+        Positions and unit normals, in the unit and axes of the skeleton's offsets.
     joint
-        The joint of ``SKELETON`` that carries each vertex.
+        Index in ``SKELETON`` of the joint that moves each vertex.
     triangles
-        Rows of ``vertices``, counterclockwise from outside.
+        Indices of ``vertices``, counterclockwise from outside.
     """
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -55,7 +56,7 @@ class BodyMesh:
 
 @cache
 def _egg() -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices 3"], Int[np.ndarray, "triangles 3"]]:
-    """Points of a rounded unit cylinder in rings about its third axis, pole to pole, their normals, and triangles."""
+    """Vertices, normals and triangles of a rounded unit cylinder, in rings around its third axis."""
     polar = np.linspace(0.0, np.pi, _NUM_RINGS)
     around = np.linspace(0.0, 2.0 * np.pi, _NUM_SPOKES, endpoint=False)
     wide = np.abs(np.sin(polar)) ** (2.0 / _FULLNESS)
@@ -70,20 +71,20 @@ def _egg() -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices
             following = (spoke + 1) % _NUM_SPOKES
             a, b = ring * _NUM_SPOKES + spoke, ring * _NUM_SPOKES + following
             c, d = a + _NUM_SPOKES, b + _NUM_SPOKES
-            # At the poles one of the two has no area.
+            # At the poles, one of the two triangles has no area and is left out.
             triangles += [(a, c, d)] * (ring < _NUM_RINGS - 2) + [(a, d, b)] * (ring > 0)
     return points.reshape(-1, 3), normals.reshape(-1, 3), np.array(triangles)
 
 
 def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "joints 3"]) -> BodyMesh:
-    """Put an egg about every bone.
+    """Build the mesh with an ellipsoid around each bone.
 
     Parameters
     ----------
     offsets
-        Of all joints from their parents in the rest pose.
+        Offsets of all joints from their parents in the rest pose.
     rest
-        Where they are in it.
+        Positions of all joints in the rest pose.
     """
     egg, egg_normals, triangles = _egg()
     vertices, normals, carriers = [], [], []

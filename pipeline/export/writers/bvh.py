@@ -1,6 +1,6 @@
 """BVH files: six channels at the hips, three rotations at every other joint.
 
-Names, axes, unit, rest pose and order of rotations are those of a preset. Lengths are rounded to 0.01 mm and angles to
+A preset defines names, axes, unit, rest pose and order of rotations. Lengths are rounded to 0.01 mm and angles to
 0.0001 degrees; the frame time has full precision. The file begins at the person's first frame.
 """
 
@@ -16,7 +16,7 @@ from pipeline.export.presets import Convention
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
 from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON
 
-# Cosine of the middle angle below which the others turn about the same axis, so that only their sum is known.
+# Gimbal lock: cosine of the middle angle below which the other two rotations have the same axis.
 _GIMBAL_LOCK = 1e-6
 _ANGLE_DECIMALS = 4
 
@@ -26,18 +26,22 @@ def euler_deg(
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Angles of intrinsic rotations about three different axes: R = R1(a) R2(b) R3(c).
 
-    As continuous as the rotations are: of all triples that make the same rotation each frame takes the one closest to
-    the frame before, so angles may leave [-180, 180]. In gimbal lock the last angle stays as it was, and the first
-    takes up the rest.
+    Angles are continuous if the rotations are: of all triples for the same rotation, each frame has the triple closest
+    to the previous frame. So angles may leave [-180, 180]. In gimbal lock the last angle is kept, and the first angle
+    is computed from it.
 
     Parameters
     ----------
     order
-        The axes, such as ``ZXY``.
+        Axes of the rotations, such as ``ZXY``.
     before_deg
-        Angles of the frame before the first.
+        Angles of the frame before the first frame.
+
+    Returns
+    -------
+        Angles a, b, c in degrees.
     """
-    # The axes are renamed so that the order is Z X Y; as a reflection this changes all signs.
+    # Rename the axes so that the order is Z X Y. If the renaming is a reflection, all signs change.
     rename = np.zeros((3, 3))
     rename[[2, 0, 1], ["XYZ".index(axis) for axis in order]] = 1.0
     rotations = rename @ rotations @ rename.T
@@ -71,7 +75,7 @@ def _decimals(convention: Convention) -> int:
 
 
 def _depth_first(name: str) -> Iterator[str]:
-    """Names of the joints that have channels, in the order of their channels."""
+    """Names of the joints with channels, in depth-first order."""
     if CHILDREN[name]:
         yield name
         for child in CHILDREN[name]:
@@ -85,7 +89,7 @@ _ORDER = [INDEX[name] for name in _depth_first(_ROOT)]
 def encode(motion: SkeletonMotion, convention: Convention) -> Iterator[bytes]:
     """Write a motion as BVH, piece by piece.
 
-    The same motion always gives the same bytes.
+    Equal motions give equal bytes.
     """
     yield "".join(f"{line}\n" for line in _head(motion, convention)).encode("utf-8")
     decimals = _decimals(convention)
@@ -109,7 +113,7 @@ def _head(motion: SkeletonMotion, convention: Convention) -> Iterator[str]:
 
 
 def _hierarchy(joint: str, offsets: list[str], convention: Convention, depth: int) -> Iterator[str]:
-    """Lines of a joint and all below it."""
+    """Lines of a joint and its descendants."""
     indent = "\t" * depth
     children = CHILDREN[joint]
     kind = "JOINT" if depth else "ROOT"
@@ -126,7 +130,7 @@ def _hierarchy(joint: str, offsets: list[str], convention: Convention, depth: in
 
 
 def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of the joints of ``SKELETON`` in a file that ``encode`` wrote, some frames at a time."""
+    """Read world positions (metres) of the joints of ``SKELETON`` from a file of ``encode``, block by block."""
     offsets = np.zeros((len(SKELETON), 3))
     index_of = {convention.name(joint.name): index for index, joint in enumerate(SKELETON)}
     above: list[int] = []

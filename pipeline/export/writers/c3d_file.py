@@ -1,7 +1,7 @@
-"""C3D files, as motion capture systems write them: positions of a person's joints as points, millimetres, Z up.
+"""C3D files: positions of a person's joints as points, in millimetres and world axes (Z up).
 
-The world's axes are kept; a joint that is unknown in a frame is invalid there (a residual below 0). The file begins at
-the person's first frame. Numbers are of single precision, as the format has them.
+A joint that is unknown in a frame is invalid there (residual -1). The file begins at the person's first frame. Numbers
+have single precision.
 """
 
 import tempfile
@@ -26,7 +26,7 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[byt
     Parameters
     ----------
     joints
-        Of the track.
+        Joint set of the track.
     """
     content = ezc3d.c3d()
     point = content["parameters"]["POINT"]
@@ -37,7 +37,7 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[byt
     content["data"]["points"] = np.concatenate([position_mm, np.ones((1, *position_mm.shape[1:]))])
     unknown = np.isnan(position_mm).any(0, keepdims=True)
     content["data"]["meta_points"]["residuals"] = np.where(unknown, -1.0, 0.0)
-    # The library writes to a path only.
+    # ezc3d can only write to a path.
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         path = Path(folder) / "person.c3d"
         content.write(str(path))
@@ -46,6 +46,6 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[byt
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of the joints in a file that ``encode`` wrote, NaN where unknown."""
+    """Read world positions (metres) of the joints from a file of ``encode``; NaN where unknown."""
     points = ezc3d.c3d(str(path))["data"]["points"][:3]
     yield np.transpose(points, (2, 1, 0)) / _MM_PER_M

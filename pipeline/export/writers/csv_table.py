@@ -1,7 +1,7 @@
-"""CSV files: positions of a person's joints in the world, a row a frame, for spreadsheets and statistics.
+"""CSV files: world positions of a person's joints, a row a frame, for spreadsheets and statistics.
 
-Columns are ``frame`` (the session's output frame), ``time_s`` (on its clock), and x, y and z of each joint in metres, Z
-up. Empty cells are unknown. Numbers are rounded to 0.1 mm and 1 us.
+Columns are ``frame`` (output frame of the session), ``time_s`` (on the session's clock), and x, y and z of each joint
+in metres, Z up. Cells of unknown joints are empty. Numbers are rounded to 0.1 mm and 1 us.
 """
 
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[byt
     Parameters
     ----------
     joints
-        Of the track.
+        Joint set of the track.
     """
     names = [f"{name}_{axis}_m" for name in joints.names for axis in "xyz"]
     yield (",".join(["frame", "time_s", *names]) + "\r\n").encode("ascii")
@@ -35,7 +35,7 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase) -> Iterator[byt
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of the joints in a file that ``encode`` wrote, some frames at a time."""
+    """Read world positions (metres) of the joints from a file of ``encode``, block by block; NaN where empty."""
     with path.open(encoding="ascii") as file:
         file.readline()
         for values in read_rows(file, ","):

@@ -1,9 +1,8 @@
-"""GLB files (glTF 2.0, binary): the skeleton with a body as its skin, and the motion as an animation.
+"""GLB files (glTF 2.0, binary): the skeleton with a body mesh, and the motion as an animation.
 
-Y up, facing +Z, metres, as glTF prescribes; the rest pose is a T-pose that stands on the floor at the origin. Joints
-have
-the skeleton's names, ends of bones included. The animation begins at 0 s with the person's first frame; its ``extras``
-say which frame of the session that is. Numbers are of single precision.
+Axes and unit are those of glTF: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
+origin. Joints have the skeleton's names, ends of bones included. The animation begins at 0 s with the person's first
+frame; its ``extras`` contain the number of that output frame. Numbers have single precision.
 """
 
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from pipeline.export.presets import GLTF
 from pipeline.export.writers.body_mesh import BodyMesh, body_mesh
 from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON
 
-# Of components, in the files and in numpy.
+# NumPy types of the components of accessors.
 _COMPONENTS: dict[int, np.dtype[Any]] = {
     gltf.FLOAT: np.dtype("<f4"),
     gltf.UNSIGNED_BYTE: np.dtype("u1"),
@@ -30,13 +29,13 @@ _COMPONENTS: dict[int, np.dtype[Any]] = {
 _NUM_COMPONENTS = {gltf.SCALAR: 1, gltf.VEC3: 3, gltf.VEC4: 4, gltf.MAT4: 16}
 _ALIGNMENT = 4
 _ROOT = 0
-# The skeleton's joints come after the node that holds them.
+# Number of the first joint's node; the node before it is the parent of the skeleton.
 _FIRST_JOINT = 1
 _GAMMA = 2.2
 
 
 class _Buffer:
-    """A file's one buffer, and the accessors that find arrays in it."""
+    """Buffer of a file, and the accessors of its arrays."""
 
     def __init__(self) -> None:
         self.accessors: list[gltf.Accessor] = []
@@ -50,7 +49,7 @@ class _Buffer:
         component: int = gltf.FLOAT,
         target: int | None = None,
     ) -> int:
-        """Append an array; returns its accessor's number."""
+        """Append an array and return the number of its accessor."""
         values = np.ascontiguousarray(array, _COMPONENTS[component]).reshape(-1, _NUM_COMPONENTS[kind])
         content = values.tobytes()
         self.views.append(
@@ -73,7 +72,7 @@ class _Buffer:
 def encode(motion: SkeletonMotion) -> Iterator[bytes]:
     """Write a motion as GLB, piece by piece.
 
-    The same motion always gives the same bytes.
+    Equal motions give equal bytes.
     """
     offsets_m = GLTF.rest_offsets(motion.bone_length_m)
     rest_m = np.zeros_like(offsets_m)
@@ -131,7 +130,7 @@ def _primitive(mesh: BodyMesh, buffer: _Buffer) -> gltf.Primitive:
 
 
 def _material(track_id: int) -> gltf.Material:
-    """Matt, in the person's colour."""
+    """Matt material in the person's colour."""
     linear = (np.array(color_rgb(track_id)) / 255.0) ** _GAMMA
     surface = gltf.PbrMetallicRoughness(
         baseColorFactor=[*np.round(linear, 4).tolist(), 1.0], metallicFactor=0.0, roughnessFactor=0.8
@@ -140,7 +139,7 @@ def _material(track_id: int) -> gltf.Material:
 
 
 def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer) -> gltf.Skin:
-    """Joints of which each has its axes along the file's in the rest pose."""
+    """Skin whose joints are aligned with the file's axes in the rest pose."""
     joint_from_file = np.tile(np.eye(4), (len(rest_m), 1, 1))
     joint_from_file[:, :3, 3] = -rest_m
     # Matrices are stored column by column.
@@ -150,7 +149,7 @@ def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer) -> gltf.Skin:
 
 
 def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
-    """Keys at every frame: where the root is, and how every joint with a bone after it is turned."""
+    """Animation with a key for each frame: position of the root, and rotation of each joint with children."""
     times = buffer.add(np.arange(len(motion.root_m)) / motion.frame_rate_hz, gltf.SCALAR)
     paths = [(_ROOT, gltf.TRANSLATION, buffer.add(GLTF.file_from_xyz_m(motion.root_m), gltf.VEC3))]
     quat_xyzw = GLTF.parent_from_joint(motion.parent_from_joint)
@@ -173,7 +172,7 @@ def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of the joints of ``SKELETON`` in the animation of a file that ``encode`` wrote."""
+    """Read world positions (metres) of the joints of ``SKELETON`` from the animation in a file of ``encode``."""
     file = gltf.GLTF2.load_binary(str(path))
     content = file.binary_blob()
 

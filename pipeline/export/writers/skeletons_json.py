@@ -1,7 +1,7 @@
-"""``skeletons.json``: all people's joint positions, frame by frame, in the world.
+"""``skeletons.json``: world positions of the joints of all people, frame by frame.
 
-Positions are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN becomes null. The bytes are strict JSON and
-always the same for the same reconstruction; each track stands on a line of its own.
+Positions are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN becomes null. The file is strict JSON with a
+line a track. Equal reconstructions give equal bytes.
 """
 
 import json
@@ -26,8 +26,9 @@ def _dumps(value: object) -> str:
 
 
 def _joints_or_null(values: Float[np.ndarray, "frames joints *values"], decimals: int) -> list[list[object]]:
-    """Some frames' values; null where any of a joint's values is NaN. Adding zero turns -0.0 into 0.0."""
+    """Round the values of a block of frames; null where a value of a joint is NaN."""
     known = np.isfinite(values).reshape(*values.shape[:2], -1).all(-1)
+    # Adding zero turns -0.0 into 0.0.
     rounded = (np.round(values, decimals) + 0.0).tolist()
     return [
         [value if is_known else None for value, is_known in zip(*frame, strict=True)]
@@ -36,7 +37,7 @@ def _joints_or_null(values: Float[np.ndarray, "frames joints *values"], decimals
 
 
 def _track_parts(track: Track3D) -> Iterator[str]:
-    """One track's object, some frames at a time: a long capture's numbers never stand in memory as Python objects."""
+    """JSON object of a track, block by block: all numbers as Python objects would need too much memory."""
     head = {"id": track.track_id, "name": f"person-{track.track_id}", "start_frame": track.start_frame}
     yield _dumps(head).removesuffix("}")
     series: dict[str, Callable[[slice], Sequence[object]]] = {
@@ -73,9 +74,9 @@ def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of each track in a file that ``encode`` wrote, NaN where null, a person at a time.
+    """Read world positions (metres) from a file of ``encode``, a track at a time; NaN where null.
 
-    The other series are decoded too, so that a damaged one is noticed.
+    The other series are decoded too, to detect damage.
     """
     with path.open(encoding="ascii") as file:
         file.readline()
@@ -94,7 +95,7 @@ def _as_array(frames: Sequence[Any]) -> Float[np.ndarray, "frames joints 3"]:
 
 
 def _blocks(line: str, name: str) -> Iterator[list[Any]]:
-    """A series of a track's line, some frames at a time: as Python objects all of them would take some GiB."""
+    """Decode a series in a track's line, block by block: all values as Python objects could need several GiB."""
     start = f'"{name}":['
     values = _values(line, line.index(start) + len(start))
     while block := list(islice(values, BLOCK_FRAMES)):
@@ -102,7 +103,7 @@ def _blocks(line: str, name: str) -> Iterator[list[Any]]:
 
 
 def _values(line: str, place: int) -> Iterator[Any]:
-    """Values of the JSON list that begins before a place in the line."""
+    """Decode the values of a JSON list; ``place`` is the position after its bracket."""
     decoder = json.JSONDecoder()
     while line[place - 1 : place] != "]":
         value, place = decoder.raw_decode(line, place)

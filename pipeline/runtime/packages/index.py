@@ -1,4 +1,4 @@
-"""Find the file of a pinned package where pip would look for it, and fetch it without building or running it."""
+"""Search and download of a pinned package's file with pip's settings, without a build or run of the package."""
 
 import ast
 import hashlib
@@ -24,22 +24,22 @@ from pipeline.runtime.packages.download import OnBytes, download, silent
 from pipeline.runtime.packages.storage import home, sha256_of
 
 _TIMEOUT_S = 30.0
-# Without a handler, Python prints the finder's remarks about every index, with its address, to stderr.
+# Without a handler, Python prints the finder's messages, which contain the indexes' addresses, to stderr.
 logging.getLogger("unearth").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, slots=True)
 class PinnedFile:
-    """One file of one version of a package: a wheel or a source archive.
+    """File of one version of a package: a wheel or a source archive.
 
     Parameters
     ----------
     name, version
-        Of the package, as in ``name==version``.
+        Name and version of the package, as in ``name==version``.
     filename
-        Of the file on the index.
+        Name of the file on the index.
     sha256, num_bytes
-        What the file must be.
+        Checksum and size of the file.
     """
 
     name: str
@@ -54,20 +54,20 @@ class PinnedFile:
 
 @dataclass(frozen=True, slots=True)
 class PipSettings:
-    """What pip is told, by its files and the environment, about where packages are.
+    """Settings of pip, from its files and the environment, for the search of packages.
 
     Parameters
     ----------
     index_url
-        ``None`` for the default index.
+        URL of the index; ``None`` for the default index.
     extra_index_urls, find_links, trusted_hosts
-        As pip's options of these names.
+        See pip's options of these names.
     no_index
-        Look at ``find_links`` only.
+        Whether only ``find_links`` is searched.
     ca_file
-        Certificates to trust instead of the system's.
+        File of trusted certificates; ``None`` for the system's certificates.
     proxy
-        ``None`` for what the environment says.
+        URL of the proxy; ``None`` for that of the environment.
     """
 
     index_url: str | None = None
@@ -80,17 +80,19 @@ class PipSettings:
 
 
 def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipSettings | None = None) -> Path:
-    """Find and download a package's file unless it is in ``downloads/`` already.
+    """Find and download a package's file, unless it is in ``downloads/``; return its path.
 
     Parameters
     ----------
+    on_bytes
+        Called with the progress of the download.
     settings
-        Where to look; pip's own settings by default.
+        Settings of the search; pip's settings by default.
 
     Raises
     ------
     ModelError
-        If no index can be reached, none has the file, or as ``download`` says.
+        If an index can't be reached, no index has the file, or the download fails; see ``download``.
     """
     target = _downloads() / pinned.filename
     if target.is_file() and sha256_of(target) == pinned.sha256:
@@ -102,7 +104,7 @@ def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipS
 
 
 def fetch_url(url: str, sha256: Collection[str], max_bytes: int, on_bytes: OnBytes = silent) -> Path:
-    """Download a file that must have one of some checksums into ``downloads/``; errors as ``download``'s."""
+    """Download a file from a URL into ``downloads/``; return its path. See ``download``."""
     target = _downloads() / hashlib.sha256(url.encode()).hexdigest()[:16] / (Link(url).filename or "file")
     with _open_client(pip_settings()) as client:
         return download(client, url, target, sha256, max_bytes, on_bytes)
@@ -113,7 +115,13 @@ def _downloads() -> Path:
 
 
 def pip_settings() -> PipSettings:
-    """Pip's settings as ``pip download`` would see them; the default ones where pip is not installed."""
+    """Read the settings of ``pip download``; the default settings if pip is not installed.
+
+    Raises
+    ------
+    ModelError
+        If pip fails to list its settings.
+    """
     options = _pip_options()
     return PipSettings(
         index_url=options.get("index-url"),
@@ -131,7 +139,7 @@ def _pip_options() -> dict[str, str]:
         return {}
     command = python_command("-m", "pip", "--disable-pip-version-check", "config", "list")
     try:
-        listing = subprocess.run(  # noqa: S603 (nothing in the command comes from outside)
+        listing = subprocess.run(  # noqa: S603 (no part of the command is input)
             command, capture_output=True, text=True, check=True, timeout=_TIMEOUT_S
         ).stdout
     except (OSError, subprocess.SubprocessError) as error:
@@ -140,7 +148,7 @@ def _pip_options() -> dict[str, str]:
 
 
 def _parse_pip_options(listing: str) -> dict[str, str]:
-    """Options out of lines such as ``global.index-url='...'``, the stronger section winning."""
+    """Parse options from lines such as ``global.index-url='...'``; later sections override earlier ones."""
     found = re.findall(r"^(global|download|:env:)\.([\w-]+)=(.+)$", listing, flags=re.MULTILINE)
     return {
         option: ast.literal_eval(value)
@@ -151,7 +159,7 @@ def _parse_pip_options(listing: str) -> dict[str, str]:
 
 
 def _open_client(settings: PipSettings) -> PyPIClient:
-    """HTTP client with the user's certificates, proxy and stored credentials; it reads ``file:`` URLs too."""
+    """Open an HTTP client with the user's certificates, proxy and stored credentials; it also reads ``file:`` URLs."""
     try:
         return PyPIClient(
             trusted_hosts=settings.trusted_hosts,
@@ -162,7 +170,7 @@ def _open_client(settings: PipSettings) -> PyPIClient:
             auth=MultiDomainBasicAuth(prompting=False, index_urls=_index_urls(settings)),
         )
     except (OSError, ValueError) as error:
-        raise ModelError("pip's setting 'cert' or 'proxy' is of no use; see what 'pip config list' says.") from error
+        raise ModelError("pip's setting 'cert' or 'proxy' can't be used; see what 'pip config list' says.") from error
 
 
 def _index_urls(settings: PipSettings) -> tuple[str, ...]:
@@ -170,7 +178,7 @@ def _index_urls(settings: PipSettings) -> tuple[str, ...]:
 
 
 def _find(client: PyPIClient, settings: PipSettings, pinned: PinnedFile) -> Link:
-    """Link of the pinned file at the first place that has it; a place that can't be reached is passed over."""
+    """Find the link of the pinned file at the first index that has it; unreachable indexes are skipped."""
     unreachable = False
     for finder in _finders(client, settings):
         try:
@@ -193,14 +201,14 @@ def _find(client: PyPIClient, settings: PipSettings, pinned: PinnedFile) -> Link
 
 
 def _finders(client: PyPIClient, settings: PipSettings) -> Iterator[PackageFinder]:
-    """One finder a place, the nearest first."""
-    # The files are read, not installed: whatever platform or Python they were made for.
+    """Make a finder for each location of packages, local links first."""
+    # Files are read, not installed, so that those of other platforms and Python versions are accepted.
     finder = partial(PackageFinder, cast(Fetcher, client), ignore_compatibility=True)
     for link in settings.find_links:
         yield finder(find_links=[link])
     if settings.no_index:
         return
-    # Without an index URL the finder takes the default one.
+    # Without an index URL the finder searches the default index.
     yield finder(index_urls=filter(None, [settings.index_url]))
     for url in settings.extra_index_urls:
         yield finder(index_urls=[url])

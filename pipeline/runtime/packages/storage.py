@@ -1,4 +1,4 @@
-"""Where downloaded things live, and how they get there: whole or not at all."""
+"""Storage folder of downloads and models: location, locks, checksums and atomic writes."""
 
 import contextlib
 import errno
@@ -12,25 +12,25 @@ from filelock import FileLock, Timeout
 
 from pipeline.errors import ModelError
 
-# Longer than any download that is still alive.
+# Longer than any download in progress.
 _LOCK_TIMEOUT_S = 1800
 
 
 def home() -> Path:
-    """Root of ``models/``, ``samples/`` and ``downloads/``: ``MULTICAP_HOME``, else the user's data folder."""
+    """Root folder of ``models/``, ``samples/`` and ``downloads/``: ``MULTICAP_HOME``, else the user's data folder."""
     chosen = os.environ.get("MULTICAP_HOME")
     return Path(chosen).expanduser() if chosen else platformdirs.user_data_path("multicap", appauthor=False)
 
 
 def sha256_of(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
+    """SHA-256 of a file in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextlib.contextmanager
 def storage_errors() -> Iterator[None]:
-    """Turn what a file system refuses into a ``ModelError`` that says what to do."""
+    """Turn an ``OSError`` in the block into a ``ModelError`` with advice for the user."""
     try:
         yield
     except OSError as error:
@@ -42,12 +42,12 @@ def storage_errors() -> Iterator[None]:
 
 @contextlib.contextmanager
 def exclusive(target: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[None]:
-    """Hold the right to make ``target`` against all other processes; its folder exists from then on.
+    """Lock the creation of ``target`` against other processes; creates the folder of ``target``.
 
     Raises
     ------
     ModelError
-        If another process holds it for longer than ``timeout_s``, or the folder can't be written.
+        If another process holds the lock for longer than ``timeout_s``, or the folder can't be written.
     """
     with contextlib.ExitStack() as stack:
         with storage_errors():
@@ -60,14 +60,14 @@ def exclusive(target: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[None
 
 
 def part_of(target: Path) -> Path:
-    """Name that a file bears until it is whole."""
+    """Path of an incomplete file."""
     return target.with_name(f"{target.name}.part")
 
 
 def write_file(target: Path, content: bytes) -> None:
-    """Write a file under its temporary name and rename it, so that a crash leaves no half of it.
+    """Write a file under its temporary name and rename it, so that a crash leaves no incomplete file.
 
-    The caller holds ``exclusive(target)``, or writes into a folder of its own.
+    The caller holds ``exclusive(target)``, or owns the folder.
 
     Raises
     ------

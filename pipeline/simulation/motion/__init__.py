@@ -1,1 +1,1 @@
-"""Simulated people: scripts, and where every joint is at any time."""
+"""Motion of simulated people: scripts, walking, gestures and joint positions over time."""

@@ -1,8 +1,8 @@
-"""A small articulated body: segment lengths, and joints from a pose.
+"""Articulated body model: segment lengths of a person, and joint positions from a pose.
 
-Trunk and head are rigid and turned by angles, arms and legs reach for wrist and ankle targets with two segments. So
-bone lengths are constant by construction, and a foot that is told to stand stays where it stands. Lengths are shares
-of stature (Drillis and Contini 1966, table of body segment lengths; the face after adult means).
+Trunk and head are rigid and rotated by angles; arms and legs reach for wrist and ankle targets with two segments. So
+bone lengths are constant, and a standing foot does not move. Lengths are shares of stature (Drillis and Contini 1966,
+table of body segment lengths; the face after adult means).
 """
 
 from dataclasses import dataclass
@@ -11,22 +11,23 @@ import numpy as np
 from jaxtyping import Float
 
 STANDING_LEG = 0.985
-"""Height of the hips above the ankles in standing, as a share of the leg's length."""
+"""Height of the hips above the ankles of a standing person, as a share of the leg's length."""
 
-# Knees and elbows never lock, nor fold up altogether: there the bend would have no direction.
+# Limits of the distance from shoulder to wrist and from hip to ankle, as shares of the limb's length: the bend of a
+# straight or folded limb would have no direction.
 _STRAIGHTEST = 0.995
 _MOST_BENT = 0.25
-# Which way elbows and knees point, in the trunk's axes (ahead, left, up) of the left side.
+# Directions of the left elbow and the left knee in the trunk's axes (ahead, left, up).
 _ELBOW_POLE = np.array([-0.4, 0.5, -0.75])
 _KNEE_POLE = np.array([1.0, 0.15, 0.0])
-# The neck takes part of a bow back, so that people look ahead.
+# Share of the trunk's lean that the head keeps, so that people look ahead.
 _HEAD_LEAN = 0.4
 _SIDES = np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class Proportions:
-    """Segment lengths of one person in metres; joint centres, as detectors mark them."""
+    """Segment lengths of a person in metres, between joint centres as detectors mark them."""
 
     stature_m: float
     shin_m: float
@@ -41,22 +42,22 @@ class Proportions:
 
     @property
     def leg_m(self) -> float:
-        """Length of a stretched leg."""
+        """Length of a straight leg."""
         return self.thigh_m + self.shin_m
 
     @property
     def arm_m(self) -> float:
-        """Length of a stretched arm."""
+        """Length of a straight arm."""
         return self.upper_arm_m + self.forearm_m
 
     @property
     def shoulder_height_m(self) -> float:
-        """Height of the shoulders of somebody who stands."""
+        """Height of the shoulders of the standing person."""
         return self.ankle_height_m + STANDING_LEG * self.leg_m + self.trunk_m
 
 
 def random_proportions(rng: np.random.Generator) -> Proportions:
-    """Somebody between 1.50 m and 1.95 m tall, whose segments differ from the mean by a few percent."""
+    """Draw a stature between 1.50 m and 1.95 m, and segments that differ from the mean by a few percent."""
     stature_m = float(np.clip(rng.normal(1.72, 0.10), 1.50, 1.95))
 
     def segment(share: float) -> float:
@@ -78,25 +79,25 @@ def random_proportions(rng: np.random.Generator) -> Proportions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """What a body does, over time.
+    """Pose of a body over time.
 
     Parameters
     ----------
     hips_m
         Centre of the hips in the world.
     yaw_rad
-        Where the hips face; 0 is along X, positive to the left.
+        Heading of the hips; 0 is along X, positive to the left.
     lean_rad
-        The trunk's bow forward.
+        Lean of the trunk forward.
     twist_rad
-        How far the shoulders are turned to the left of the hips.
+        Rotation of the shoulders to the left, relative to the hips.
     gaze_rad
-        The head's turn to the left, and its nod.
+        Rotation of the head to the left, and its nod, relative to the shoulders.
     ankles_m
-        Where the left and the right ankle shall be in the world.
+        Targets of the left and the right ankle in the world.
     wrists
-        Where the left and the right wrist shall be, from the shoulder, in lengths of the arm, along the upright axes
-        (ahead, left, up) of somebody who faces as the shoulders do.
+        Targets of the left and the right wrist relative to the shoulder, in lengths of the arm, along upright axes
+        (ahead, left, up) with the heading of the shoulders.
     """
 
     hips_m: Float[np.ndarray, "times 3"]
@@ -109,7 +110,7 @@ class Pose:
 
 
 def turned(yaw_rad: Float[np.ndarray, " times"], pitch_rad: Float[np.ndarray, " times"]) -> np.ndarray:
-    """Rotations (times, 3, 3) that turn left about Z after bowing forward about Y."""
+    """Rotation matrices (times, 3, 3) of a pitch forward about Y, followed by a yaw to the left about Z."""
     cos_yaw, sin_yaw, cos_pitch, sin_pitch = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
     zero = np.zeros_like(cos_yaw)
     return np.stack(
@@ -129,9 +130,11 @@ def reach(
     lower_m: float,
     pole: Float[np.ndarray, "*batch 3"],
 ) -> tuple[Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch 3"]]:
-    """Middle and end of two segments that reach from an origin for a target and bend towards a pole.
+    """Inverse kinematics of two segments from an origin to a target, bent towards a pole.
 
-    A target out of reach is pointed at.
+    Returns
+    -------
+        World positions of the middle joint and of the end; for a target out of reach the end is in its direction.
     """
     towards = target_m - origin_m
     length_m = upper_m + lower_m
@@ -146,7 +149,7 @@ def reach(
 
 
 def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
-    """World positions of the joints of ``COCO_17``."""
+    """World positions of the joints of ``COCO_17`` in metres."""
     heading_rad = pose.yaw_rad + pose.twist_rad
     pelvis = turned(pose.yaw_rad, np.zeros_like(pose.yaw_rad))
     upright = turned(heading_rad, np.zeros_like(heading_rad))
@@ -175,11 +178,11 @@ def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
 
 
 def _both_sides(center_m: np.ndarray, axes: np.ndarray, width_m: float) -> Float[np.ndarray, "times 2 3"]:
-    """Points half a width to the left and to the right."""
+    """Points half a width to the left and to the right of a centre."""
     return center_m[:, None] + width_m / 2 * _SIDES[:, None] * axes[:, None, :, 1]
 
 
 def _mirrored(axes: np.ndarray, left_pole: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
-    """A direction in the body's axes, for the left side and mirrored for the right."""
+    """Convert a direction in the body's axes to world directions, for the left side and mirrored for the right side."""
     poles = left_pole * np.stack([np.ones(2), _SIDES, np.ones(2)], axis=-1)
     return np.einsum("tab,sb->tsa", axes, poles)

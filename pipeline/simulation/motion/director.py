@@ -1,6 +1,6 @@
-"""Scripts for people who go about a place without running into each other.
+"""Random scripts for people who move in an area without collisions.
 
-One person after the other is planned through time and space around those planned before.
+People are planned one after the other, each around the routes of the people planned before.
 """
 
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from pipeline.simulation.motion.script import Away, Cue, Gesture, Role, Stay, Tu
 from pipeline.simulation.views.occlusion import Box
 
 _STEP = 10
-"""Every so many rows of the grid are looked at."""
+"""Distance in rows of the grid between two checks for collisions."""
 _NUM_CANDIDATES = 40
-# Nobody ends an act where somebody is about to pass.
+# A cue must not end where another person passes within this time.
 _LOOKAHEAD_S = 2.0
 _BOX_CLEARANCE_M = 0.45
 _SHORTEST_WALK_M = 0.6
@@ -26,22 +26,22 @@ Way = Float[np.ndarray, "times 2"]
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """People who find something to do.
+    """People who act at random.
 
     Parameters
     ----------
     num_people
-        How many.
+        Number of people.
     area_m
-        Where they go: width along X and depth along Y, around the origin.
+        Size of their area around the origin: width along X and depth along Y.
     gap_m
-        Distance that they keep, from centre to centre.
+        Least distance between two people, from centre to centre.
     walking
-        Share of walks among what they do.
+        Share of walks among the cues.
     gestures
-        What else they do.
+        Gestures of the other cues.
     doors_m
-        Where they come in and leave; without doors everybody is there all the time.
+        Places at which people enter and leave; without doors all people are present all the time.
     """
 
     num_people: int
@@ -53,9 +53,9 @@ class Cast:
 
 
 def improvise(cast: Cast, boxes: Sequence[Box], duration_s: float, rng: np.random.Generator) -> tuple[Role, ...]:
-    """Write everybody's script.
+    """Draw the script of each person.
 
-    Where the place is too full to keep the gap, the best of the tried cues is taken.
+    If no tried cue keeps the gap, the cue with the largest clearance is taken.
     """
     num_looks = -(-round(duration_s * GRID_HZ) // _STEP) + 1
     others = np.zeros((0, num_looks, 2))
@@ -63,7 +63,7 @@ def improvise(cast: Cast, boxes: Sequence[Box], duration_s: float, rng: np.rando
     for _ in range(cast.num_people):
         role = _improvise_role(cast, boxes, duration_s, others, rng)
         route, _, _ = lay_out(role, (num_looks - 1) * _STEP / GRID_HZ)
-        others = np.concatenate([others, _seen([route])[None, ::_STEP]])
+        others = np.concatenate([others, _positions([route])[None, ::_STEP]])
         roles.append(role)
     return tuple(roles)
 
@@ -84,11 +84,11 @@ def _improvise_role(
         for _ in range(_NUM_CANDIDATES):
             candidate = _candidate(cast, stance, acts_left, is_first=not cues, rng=rng)
             routes = _follow_all(candidate, stance)
-            clearance = _clearance(_seen(routes), num_rows, others, boxes, cast.gap_m)
+            clearance = _clearance(_positions(routes), num_rows, others, boxes, cast.gap_m)
             tried.append((clearance, candidate, routes))
             if clearance >= 1:
                 break
-        _, chosen, routes = max(tried, key=lambda one: one[0])
+        _, chosen, routes = max(tried, key=lambda attempt: attempt[0])
         cues += chosen
         stance = routes[-1].end
         num_rows += sum(len(route.steps) for route in routes)
@@ -100,7 +100,7 @@ def _improvise_role(
 def _start(
     cast: Cast, boxes: Sequence[Box], others: Float[np.ndarray, "people looks 2"], rng: np.random.Generator
 ) -> Role:
-    """Somewhere in the area, or behind a door."""
+    """Draw a start in the area, or at a door."""
     if cast.doors_m:
         door = cast.doors_m[rng.integers(len(cast.doors_m))]
         return Role(door, _towards_center(door), ())
@@ -112,11 +112,11 @@ def _start(
 def _candidate(
     cast: Cast, stance: Stance, acts_left: int, *, is_first: bool, rng: np.random.Generator
 ) -> tuple[Cue, ...]:
-    """Something to do next."""
+    """Draw the next cues."""
     if cast.doors_m and acts_left <= 0:
         leave, enter = (cast.doors_m[rng.integers(len(cast.doors_m))] for _ in range(2))
         duration_s = float(rng.uniform(1.0, 8.0) if is_first else rng.uniform(4.0, 8.0))
-        # With the way in, so that nobody stands in the door then.
+        # Includes the walk into the area, so that the door stays free.
         coming = (Away(duration_s, enter, _towards_center(enter)), Walk(_place(cast, rng)))
         return coming if is_first else (Walk(leave, float(rng.uniform(1.0, 1.5))), *coming)
     place = _place(cast, rng)
@@ -143,15 +143,15 @@ def _follow_all(cues: Sequence[Cue], stance: Stance) -> list[Route]:
     return routes
 
 
-def _seen(routes: Sequence[Route]) -> Way:
-    """Where somebody is, NaN while absent."""
+def _positions(routes: Sequence[Route]) -> Way:
+    """Positions on routes in metres, NaN while the person is absent."""
     return np.concatenate([np.where(route.present[:, None], route.xy_m, np.nan) for route in routes])
 
 
 def _clearance(
     way: Way, first_row: int, others: Float[np.ndarray, "people looks 2"], boxes: Sequence[Box], gap_m: float
 ) -> float:
-    """Smallest distance to others as a share of the gap; 0 in a box. From 1 on all is well."""
+    """Smallest distance to other people as a share of the gap, 1 or more for a clear way; 0 in a box."""
     looks = way[-first_row % _STEP :: _STEP]
     looks = np.concatenate([looks, np.tile(way[-1], (round(_LOOKAHEAD_S * GRID_HZ / _STEP), 1))])
     for box in boxes:

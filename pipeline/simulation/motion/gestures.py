@@ -1,6 +1,6 @@
-"""What people do with their arms and trunk while they stay in place.
+"""Gestures: motion of arms, trunk and hips of people who stay in place.
 
-Wrist targets are in lengths of the arm from the shoulder, along (ahead, left, up) of the upright trunk.
+Wrist targets are relative to the shoulder, in lengths of the arm, along the upright trunk's axes (ahead, left, up).
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from pipeline.simulation.motion.locomotion import smoothstep
 from pipeline.simulation.motion.script import Gesture
 
 BLEND_S = 0.35
-"""Time in which somebody takes up a gesture, and lets go of it."""
+"""Time of the transition into a gesture and out of it."""
 
 _GRAVITY_M_S2 = 9.81
 _LEFT = np.array([1.0, -1.0])
@@ -20,20 +20,20 @@ _LEFT = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """A gesture over time, from rest to rest.
+    """Gesture over time, from rest to rest.
 
     Parameters
     ----------
     wrists
         Wrist targets.
     arms
-        How far each arm takes part, from 0 to 1.
+        Weight of each arm's target, from 0 to 1.
     drop
-        How far the hips sink, in lengths of the leg.
+        Drop of the hips, in lengths of the leg.
     hop_m
         Height of the feet above the floor.
     lean_rad, twist_rad
-        The trunk's bow and turn.
+        Lean of the trunk forward, and its rotation to the left.
     """
 
     wrists: Float[np.ndarray, "times 2 3"]
@@ -47,16 +47,16 @@ class Overlay:
 def overlay(
     gesture: Gesture, time_s: Float[np.ndarray, " times"], hand: Float[np.ndarray, " 3"], rng: np.random.Generator
 ) -> Overlay:
-    """What a gesture does to the body.
+    """Compute a gesture over time.
 
     Parameters
     ----------
     time_s
-        Since it began; it ends with the last.
+        Time since the start of the gesture, which ends at the last entry.
     hand
-        Where right hands meet.
+        Wrist target at which right hands meet.
     rng
-        No two people wave alike.
+        Source of individual variation.
     """
     zero = np.zeros_like(time_s)
     blend = smoothstep(time_s / BLEND_S) * smoothstep((time_s[-1] - time_s) / BLEND_S)
@@ -84,7 +84,7 @@ def overlay(
             back = 0.2 * (1 - np.cos(2 * np.pi * 1.5 * time_s))
             wrists = np.tile(hand, (len(time_s), 2, 1)) - back[:, None, None] * np.array([1.0, 0.0, 0.0])
         case Gesture.HUG:
-            # Around somebody who stands as close as to touch.
+            # Arms around another person at touching distance.
             arms = np.ones(2)
             wrists = _both(0.75 + zero, -0.12 + zero, -0.15 + 0.03 * np.sin(2 * np.pi * 0.7 * time_s))
         case Gesture.PUNCH:
@@ -112,7 +112,7 @@ def smooth_noise(
 
 
 def _both(ahead: np.ndarray, outward: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
-    """The same for both arms, mirrored."""
+    """Targets of both arms, the right arm's mirrored."""
     sides = outward[:, None] * _LEFT
     return np.stack([np.stack([ahead] * 2, axis=-1), sides, np.stack([up] * 2, axis=-1)], axis=-1)
 
@@ -122,10 +122,10 @@ def _share(blend: np.ndarray, arms: np.ndarray) -> Float[np.ndarray, "times 2"]:
 
 
 def _punch(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
-    """Left and right straight punches in turn out of a guard, 0.1 s to the target."""
+    """Alternating straight punches out of a guard, 0.1 s to the target."""
     cycle_s, stroke_s = 0.9, 0.2
     zero = np.zeros_like(time_s)
-    # The stroke of the left arm, and half a cycle later that of the right.
+    # The right arm's stroke is half a cycle later than the left arm's.
     since_s = np.stack([time_s % cycle_s, (time_s + cycle_s / 2) % cycle_s], axis=-1)
     stroke = np.where(since_s < stroke_s, np.sin(np.pi * since_s / stroke_s) ** 2, 0.0)
     guard, hit = _both(0.3 + zero, -0.05 + zero, 0.0 + zero), _both(0.98 + zero, -0.1 + zero, 0.1 + zero)
@@ -134,23 +134,23 @@ def _punch(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
 
 
 def _swing(time_s: np.ndarray, blend: np.ndarray) -> Overlay:
-    """Both hands strike from above the right shoulder to the left hip in 0.25 s, and come back in 0.8 s."""
+    """Strikes of both hands from above the right shoulder to the left hip in 0.25 s, back in 0.8 s."""
     since_s = time_s % 1.4
     done = smoothstep(since_s / 0.25) - smoothstep((since_s - 0.45) / 0.8)
     up, left = 1.0 - 1.6 * done, -0.7 + 1.4 * done
     wrist = 0.85 * np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=-1)
-    # The hands meet in front of the chest: each is a third of an arm aside of its shoulder's own frame.
+    # The hands meet in front of the chest, about a third of an arm inwards of each shoulder.
     wrists = wrist[:, None] - 0.3 * _LEFT[:, None] * np.array([0.0, 1.0, 0.0])
     zero = np.zeros_like(time_s)
     return Overlay(wrists, _share(blend, np.ones(2)), 0.05 * blend, zero, 0.1 * blend, blend * (0.5 * done - 0.25))
 
 
 def _jump(time_s: np.ndarray, blend: np.ndarray, rng: np.random.Generator) -> Overlay:
-    """Jump off, fly and land; again and again."""
+    """Repeated jumps: squat, flight and landing."""
     takeoff_m_s = rng.uniform(1.8, 2.7)
     flight_s, squat_s, land_s = 2 * takeoff_m_s / _GRAVITY_M_S2, 0.5, 0.45
     cycle_s = squat_s + flight_s + land_s
-    # Only whole jumps: nobody is left in the air.
+    # Only complete jumps.
     num_jumps = np.floor(time_s[-1] / cycle_s)
     since_s = np.where(time_s < num_jumps * cycle_s, time_s % cycle_s, 0.0)
     air_s = np.clip(since_s - squat_s, 0.0, flight_s)

@@ -1,7 +1,7 @@
-"""Where people go, and where they set their feet.
+"""Locomotion: routes of people on the floor, and positions of their ankles.
 
-A route counts steps: it is a whole number whenever somebody stands, so both feet are on the floor then. A foot lands
-where the body will be in the middle of the foot's stance, or where the walk ends; it does not move until it is lifted.
+A route counts steps. The count is a whole number when a person stands: both feet are on the floor then. A foot lands
+where the body will be in the middle of the foot's stance, or where the walk ends, and stays there until it is lifted.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from pipeline.simulation.motion.body import Proportions, turned
 from pipeline.simulation.motion.script import Away, Cue, Role, Stay, Turn, Walk
 
 GRID_HZ = 200.0
-"""Rate at which motion is laid out; in between it is linear."""
+"""Rate of the grid of motion; positions between rows are interpolated linearly."""
 
-# Share of a stride (two steps) that a foot stands, in walking and in running; half-way the body is above the foot.
-# In running it is less than half: neither foot is on the floor in between.
+# Share of a stride (two steps) for which a foot stands, in walking and in running; in the middle the body is above the
+# foot. In running the share is less than half, with both feet off the floor in between.
 _STANCE_WALKING, _STANCE_RUNNING = 0.6, 0.35
-# Who is faster begins to run, and runs altogether.
+# Speeds at which walking starts to change into running, and at which it is running.
 _RUN_FROM_M_S, _RUN_M_S = 2.2, 2.7
-# The body leaves once the first foot swings, and arrives before the trailing foot is drawn up.
+# The body starts to move when the first foot swings, and stops before the last step ends; in steps.
 _OPENING_STEPS = 0.6
 _CLOSING_STEPS = 0.4
 _RAMP_S = 0.6
@@ -38,7 +38,7 @@ _SMOOTH_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Stance:
-    """Where somebody stands, and after how many steps."""
+    """Position and heading of a standing person, and the number of steps so far."""
 
     xy_m: tuple[float, float]
     yaw_rad: float
@@ -47,16 +47,16 @@ class Stance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """A way on the grid.
+    """Route of a person on the grid of ``GRID_HZ``.
 
     Parameters
     ----------
     xy_m, yaw_rad
-        Place and facing of the hips.
+        Position and heading of the hips.
     steps
-        Steps taken so far.
+        Number of steps so far.
     present
-        Whether the person is there at all.
+        Whether the person is present.
     """
 
     xy_m: Float[np.ndarray, "times 2"]
@@ -66,25 +66,25 @@ class Route:
 
     @property
     def end(self) -> Stance:
-        """Where it leads."""
+        """Stance at the end of the route."""
         return Stance((float(self.xy_m[-1, 0]), float(self.xy_m[-1, 1])), float(self.yaw_rad[-1]), self.steps[-1])
 
 
 def smoothstep(x: np.ndarray) -> np.ndarray:
-    """0 before 0, 1 after 1, and a smooth rise in between."""
+    """Smoothstep function ``3 x^2 - 2 x^3``, 0 for x below 0 and 1 for x above 1."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3 - 2 * x)
 
 
 def follow(cue: Cue, start: Stance) -> tuple[Route, ...]:
-    """Ways that a cue takes somebody, each from rest to rest."""
+    """Lay out the routes of a cue, each from rest to rest."""
     match cue:
         case Stay(duration_s=duration_s):
             return (_rest(start, duration_s),)
         case Turn(facing_rad=facing_rad):
             return (_turn(start, facing_rad),)
         case Away(duration_s=duration_s, to_m=to_m, facing_rad=facing_rad):
-            # Feet are set anew after the way, unseen.
+            # Two unseen steps let the feet land at the new place.
             leaving = _on_the_spot(start, duration_s / 2)
             arriving = _on_the_spot(Stance(to_m, facing_rad, leaving.steps[-1]), duration_s / 2)
             return leaving, arriving
@@ -98,11 +98,11 @@ def follow(cue: Cue, start: Stance) -> tuple[Route, ...]:
 
 
 def lay_out(role: Role, duration_s: float) -> tuple[Route, Float[np.ndarray, " rests"], list[slice]]:
-    """The whole way of a role, from time 0 on.
+    """Lay out the route of a whole role, from time 0 on.
 
     Returns
     -------
-        The route, the numbers of steps at which the person comes to rest, and the rows of every cue.
+        Smoothed route, numbers of steps at which the person comes to rest, and rows of each cue.
     """
     num_rows = round(duration_s * GRID_HZ) + 1
     stance = Stance(role.start_m, role.facing_rad, 0.0)
@@ -136,7 +136,7 @@ def ankles(route: Route, rests: Float[np.ndarray, " rests"], body: Proportions) 
 def _ankle(
     route: Route, rests: Float[np.ndarray, " rests"], body: Proportions, side: int
 ) -> Float[np.ndarray, "times 3"]:
-    # The right foot is half a stride, one step, behind the left.
+    # The right foot is half a stride, one step, behind the left foot.
     strides = route.steps / 2 + side / 2
     number = np.floor(strides).astype(int)
     share = strides - number
@@ -145,7 +145,7 @@ def _ankle(
     rest = rests[np.minimum(np.searchsorted(rests, landing_steps - 1e-6), len(rests) - 1)]
     run = _running(route)
     stance = _STANCE_WALKING + run * (_STANCE_RUNNING - _STANCE_WALKING)
-    # The body is above the foot half-way through the stance that it lands for.
+    # The body is above the foot in the middle of the foot's next stance.
     landing_stance = np.interp(landing_steps, route.steps, stance)
     middle_steps = np.minimum(landing_steps + landing_stance, rest)
     row = np.interp(middle_steps, route.steps, np.arange(len(route.steps)))
@@ -158,7 +158,7 @@ def _ankle(
 
 
 def _running(route: Route) -> Float[np.ndarray, " times"]:
-    """How much of a run the way is, from 0 to 1."""
+    """Share of running in the gait, from 0 (walking) to 1 (running)."""
     speed_m_s = np.linalg.norm(np.gradient(route.xy_m, axis=0), axis=-1) * GRID_HZ
     run = smoothstep((speed_m_s - _RUN_FROM_M_S) / (_RUN_M_S - _RUN_FROM_M_S))
     return np.asarray(gaussian_filter1d(run, _CHANGE_OF_GAIT_S * GRID_HZ, mode="nearest"))
@@ -189,7 +189,7 @@ def _rest(start: Stance, duration_s: float) -> Route:
 
 
 def _on_the_spot(start: Stance, duration_s: float) -> Route:
-    """Two steps without moving, unseen."""
+    """Two unseen steps on the spot."""
     num_rows = _num_rows(duration_s)
     steps = start.steps + 2 * np.arange(1, num_rows + 1) / num_rows
     return Route(*_constant(start, num_rows), steps, np.zeros(num_rows, dtype=bool))

@@ -1,11 +1,11 @@
-"""What simulated people are told to do: scripts are data."""
+"""Scripts of simulated people: roles, cues and gestures as data."""
 
 from dataclasses import dataclass
 from enum import Enum
 
 
 class Gesture(Enum):
-    """What somebody does who stays in place."""
+    """Gesture of a person who stays in place."""
 
     IDLE = "idle"
     WAVE = "wave"
@@ -22,7 +22,7 @@ class Gesture(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """Walk to a place on the floor, or run there from 2.7 m/s on, in a curve that begins where the person faces."""
+    """Walk, or run from 2.7 m/s on, to a point on the floor, in a curve that starts in the person's heading."""
 
     to_m: tuple[float, float]
     speed_m_s: float = 1.2
@@ -30,14 +30,14 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """Turn on the spot, the shorter way; 0 faces along X, positive angles are to the left."""
+    """Turn on the spot, the shorter way, to a heading; 0 is along X, positive angles are to the left."""
 
     facing_rad: float
 
 
 @dataclass(frozen=True, slots=True)
 class Stay:
-    """Stay in place and do something; ``hand_m`` is where hands meet in the world (``SHAKE_HANDS``, ``CLAP``)."""
+    """Stay in place with a gesture; ``hand_m`` is the world position where hands meet (``SHAKE_HANDS``, ``CLAP``)."""
 
     duration_s: float
     gesture: Gesture = Gesture.IDLE
@@ -46,7 +46,7 @@ class Stay:
 
 @dataclass(frozen=True, slots=True)
 class Away:
-    """Be absent for at least a second, and come back elsewhere."""
+    """Be absent for at least a second, and return at another point."""
 
     duration_s: float
     to_m: tuple[float, float]
@@ -58,7 +58,7 @@ Cue = Walk | Turn | Stay | Away
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """A person's start and cues; whoever has no cue left stays in place."""
+    """Start and cues of a person, who stays in place after the last cue."""
 
     start_m: tuple[float, float]
     facing_rad: float

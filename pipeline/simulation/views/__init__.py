@@ -1,1 +1,1 @@
-"""Simulated detections: occlusion, noise, faults, heatmaps and fields."""
+"""Simulated 2D detection: occlusion, noise, faults, heatmaps and part affinity fields."""

@@ -1,4 +1,4 @@
-"""What a 2D pose detector makes of people: its noise, its scores and its faults."""
+"""Simulated 2D pose detector: noise, scores and faults of its detections."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,14 +15,13 @@ from pipeline.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by
 NOBODY = -1
 """Identity of a false positive."""
 
-# How much harder a joint is to mark than the average one: the deviations among annotators of COCO (its key point
-# evaluation, OKS), relative to their mean.
+# Difficulty of each joint relative to the mean: standard deviations of COCO's annotators (keypoint evaluation, OKS).
 _DEVIATIONS = np.array([26, 25, 25, 35, 35, 79, 79, 72, 72, 62, 62, 107, 107, 87, 87, 89, 89], dtype=float)
 _DIFFICULTY = _DEVIATIONS / _DEVIATIONS.mean()
 BEST_SCORE = 0.92
-"""Of a joint that nothing hides and that is marked exactly."""
+"""Score of a visible joint without error."""
 
-# An error of so much on the body lets the score fall to 0.6 of the best.
+# Error on the body at which the score falls to 0.6 of the best score.
 _SCORE_SCALE_M = 0.10
 _HIDDEN_SCORE = 0.45
 _DUPLICATE_SCORE = 0.7
@@ -31,25 +30,25 @@ _DUPLICATE_MISSING = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """How well a detector works.
+    """Accuracy of a simulated detector.
 
     Parameters
     ----------
     noise_m
-        Standard deviation of the average joint at the person's distance, so a fixed share of the body's size in the
-        image. Half of its variance lasts for ``noise_memory_s``, half is new in every frame and has heavy tails.
+        Standard deviation of the average joint in metres at the person's distance: a fixed share of the body's size in
+        the image. Half of the variance lasts for ``noise_memory_s``; half is drawn for every frame with heavy tails.
     noise_px
-        The same in pixels, whatever the body's size; both add up.
+        Standard deviation in pixels, independent of the body's size, added to ``noise_m``.
     tail
         Degrees of freedom of the heavy-tailed half (Student's t), above 2.
     noise_memory_s
-        How long the lasting half is remembered.
+        Correlation time of the lasting half.
     hidden_noise
-        Factor of the noise of joints that are hidden from the camera.
+        Factor of the noise of hidden joints.
     hidden_missing
-        Share of hidden joints that are not found at all.
+        Share of hidden joints that are not found.
     faults
-        What else goes wrong.
+        Rates of further faults.
     """
 
     noise_m: float = 0.012
@@ -62,12 +61,12 @@ class Detector:
 
 
 PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS)
-"""Finds every joint in the image exactly, hidden or not; hidden ones still score less."""
+"""Detector that finds every joint in the image exactly; hidden joints have lower scores."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What one camera could show."""
+    """Projection of people to a camera: pixels, image scale, and whether joints are in the image or hidden."""
 
     points_px: Float[np.ndarray, "people frames joints 2"]
     px_per_m: Float[np.ndarray, "people frames joints"]
@@ -77,7 +76,7 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bodies:
-    """Detected bodies in rows."""
+    """Detected bodies as rows of arrays."""
 
     frame: Int[np.ndarray, " n"]
     keypoints_px: Float[np.ndarray, "n joints 2"]
@@ -100,14 +99,14 @@ def detect(
     period_s
         Time between two frames.
     people_m
-        True joints of ``COCO_17`` in the world at the camera's frames, NaN for who is absent.
+        True joints of ``COCO_17`` in the world at the camera's frames, NaN for absent people.
     boxes
-        What else hides joints.
+        Furniture that hides joints.
 
     Returns
     -------
-        The detections, in random order within a frame, and the person that each is, ``NOBODY`` for false positives.
-        A body that takes limbs of another is still the body that took them.
+        Detections, in random order within a frame, and the person of each detection, ``NOBODY`` for false positives.
+        A body with limbs of another person keeps its identity.
     """
     faults = detector.faults
     memory_frames = faults.memory_s / period_s
@@ -124,7 +123,7 @@ def detect(
 
 
 def look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]) -> View:
-    """What a camera could show of people; see ``detect``."""
+    """Project people to a camera and determine hidden joints; see ``detect``."""
     in_cam_m = camera.cam_from_world.apply(people_m)
     points_px = project(camera, people_m)
     focal_px = np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
@@ -144,7 +143,7 @@ def _mark(
     noise_frames: float,
     rng: np.random.Generator,
 ) -> _Bodies:
-    """Mark the joints of the bodies that are found."""
+    """Detect the joints of the bodies that are found."""
     points_px, score = see_joints(view, confusion.who, confusion.which, detector, noise_frames, rng)
     people, rows = np.nonzero(found)
     bodies = _Bodies(rows, points_px[people, rows], score[people, rows], people)
@@ -159,14 +158,14 @@ def see_joints(
     noise_frames: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
-    """Where joints seem to be, and their scores; 0 for those that are hidden too well, missed or not in the image.
+    """Draw the detected positions and scores of joints; the score is 0 for missed joints and outside of the image.
 
     Parameters
     ----------
     who, which
-        Whose and which joint each shows.
+        Person and joint behind each detected joint; see ``faults``.
     noise_frames
-        How long the lasting half of the noise is remembered.
+        Correlation time of the lasting half of the noise, in frames.
     """
     source = who, np.arange(who.shape[1])[:, None], which
     hidden, px_per_m = view.hidden[source], view.px_per_m[source]
@@ -187,7 +186,7 @@ def see_joints(
 
 
 def _keep(bodies: _Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> _Bodies:
-    """Bodies without some of their joints, and with lower scores."""
+    """Remove joints of bodies, and scale the scores of the others."""
     return _Bodies(
         bodies.frame,
         np.where(kept[..., None], bodies.keypoints_px, np.nan),
@@ -197,7 +196,7 @@ def _keep(bodies: _Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1
 
 
 def _collect(camera: str, kinds: Sequence[_Bodies], rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
-    """All bodies by frame, in random order within each; without those that have no joint."""
+    """Sort bodies by frame, in random order within a frame; bodies without joints are left out."""
     frame, keypoints_px, score, identity = (
         np.concatenate([getattr(kind, name) for kind in kinds])
         for name in ("frame", "keypoints_px", "score", "identity")

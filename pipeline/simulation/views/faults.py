@@ -1,7 +1,7 @@
-"""Faults of a 2D pose detector: misses, exchanged limbs, mixed people, ghosts.
+"""Faults of a simulated 2D pose detector: misses, swapped sides, mixed people and false positives.
 
-Mix-ups are a choice of source: body ``p`` shows at its joint ``j`` the point of person ``who[p, f, j]`` and joint
-``which[p, f, j]``. Without faults these are ``p`` and ``j``.
+A confusion selects sources: joint ``j`` of body ``p`` in frame ``f`` shows joint ``which[p, f, j]`` of person
+``who[p, f, j]``. Without faults these are ``j`` and ``p``.
 """
 
 from dataclasses import dataclass
@@ -14,36 +14,36 @@ from pipeline.simulation.views.noise import lasting_events
 
 _ARMS = (("left_shoulder", "left_elbow", "left_wrist"), ("right_shoulder", "right_elbow", "right_wrist"))
 _LEGS = (("left_hip", "left_knee", "left_ankle"), ("right_hip", "right_knee", "right_ankle"))
-# Limbs that a body can take from another: all but the joint at the trunk.
+# Limbs that a body can take from another body: arms and legs without the joint at the trunk.
 _LIMBS = tuple(COCO_17.indices(names[1:]) for names in (*_ARMS, *_LEGS))
 _SHOULDERS = COCO_17.indices(("left_shoulder", "right_shoulder"))
 _HIPS = COCO_17.indices(("left_hip", "right_hip"))
 _MIN_SEEN_JOINTS = 4
-# Objects in a camera's view that may be taken for people.
+# Number of objects in a camera's view that may be detected as people.
 _NUM_GHOSTS = 3
 _NOT_NEAR = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """How often a detector goes wrong; rates are fractions of 1.
+    """Rates of a detector's faults, as fractions of 1.
 
     Parameters
     ----------
     miss_joint, miss_body
-        Share of joints and of bodies in sight that are not found. A body with fewer than four joints in sight never
-        is.
+        Share of visible joints and of visible bodies that are not found. A body with fewer than four visible joints is
+        never found.
     swap
-        Share of bodies whose left and right arms, legs or both are exchanged.
+        Share of bodies whose left and right arms, legs or both are swapped.
     mix
-        Share of bodies near another one in the image that take an arm or a leg from it. Half of the time the other
-        body is not found then: the two have merged.
+        Share of bodies near another body in the image that take an arm or a leg from it. In half of the cases the other
+        body is not found.
     duplicate
         Share of bodies that are found twice.
     false_positives
-        Mean number of bodies a frame that nobody is, at most 3.
+        Mean number of false bodies in a frame, at most 3.
     memory_s
-        Misses, mix-ups and ghosts come in runs: after so long they are forgotten.
+        Correlation time of misses, confusions and false positives, which last over several frames.
     """
 
     miss_joint: float = 0.02
@@ -60,7 +60,7 @@ NO_FAULTS = Faults(miss_joint=0.0, miss_body=0.0, swap=0.0, mix=0.0, duplicate=0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Confusion:
-    """Which bodies are found, and whose joints they show."""
+    """Found bodies, and the sources of their joints: person (``who``) and joint (``which``)."""
 
     found: Bool[np.ndarray, "people frames"]
     who: Int[np.ndarray, "people frames joints"]
@@ -79,9 +79,11 @@ def confuse(
     Parameters
     ----------
     points_px
-        True joints in the image, NaN for who is not before the camera.
+        True joints in pixels, NaN for people who are absent or behind the camera.
     seen
-        Joints that are in the image and not hidden.
+        Whether joints are in the image and not hidden.
+    memory_frames
+        ``Faults.memory_s`` in frames.
     """
     num_people, num_frames, num_joints = seen.shape
     bodies = (num_people, num_frames)
@@ -108,14 +110,14 @@ def confuse(
     people, frames = np.nonzero(merged)
     lost = np.zeros_like(found)
     lost[near[people, frames], frames] = True
-    # Of two that take from each other both stay.
+    # Two bodies that take limbs from each other are both found.
     return Confusion(found & ~(lost & ~mixed), who, which)
 
 
 def neighbours(
     points_px: Float[np.ndarray, "people frames joints 2"], in_sight: Bool[np.ndarray, "people frames"]
 ) -> Int[np.ndarray, "people frames"]:
-    """The body next to each in the image, -1 where no trunk is within the height of the own trunk."""
+    """Nearest body of each body in the image, -1 if no other trunk is within the height of the body's trunk."""
     shoulders_px, hips_px = points_px[:, :, _SHOULDERS].mean(2), points_px[:, :, _HIPS].mean(2)
     trunk_px = np.linalg.norm(shoulders_px - hips_px, axis=-1)
     middle_px = np.where(in_sight[..., None], (shoulders_px + hips_px) / 2, np.nan)
@@ -128,15 +130,15 @@ def neighbours(
 def ghosts(
     size_px: tuple[int, int], num_frames: int, faults: Faults, memory_frames: float, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints"]]:
-    """Frames, joints and scores of false positives: things that look like a body for a while.
+    """Draw false positives: objects that are detected as a body over several frames.
 
     Returns
     -------
-        Frames; joints in pixels, NaN where there is none; scores, 0 there.
+        Frames, joints in pixels (NaN where missing), and scores (0 where missing).
     """
     shape = (_NUM_GHOSTS, num_frames)
     there = lasting_events(rng, shape, faults.false_positives / _NUM_GHOSTS, memory_frames)
-    # Each run of frames is another thing at another place.
+    # Each run of frames is a different object at a different position.
     run = np.cumsum(np.diff(there, axis=1, prepend=False) & there, axis=1)
     things, frames = np.nonzero(there)
     number = things * (num_frames + 1) + run[things, frames]
@@ -157,7 +159,7 @@ def ghosts(
     return frames, np.where(score[..., None] > 0, keypoints_px, np.nan), score
 
 
-# A person who stands and is seen from the front, of height 1, from the upper left corner of the box around.
+# Joints of a standing person from the front, relative to the upper left corner of the bounding box, with height 1.
 _STANDING = np.array(
     [
         [0.25, 0.07], [0.27, 0.05], [0.23, 0.05], [0.30, 0.06], [0.20, 0.06], [0.36, 0.19], [0.14, 0.19], [0.40, 0.35],

@@ -1,4 +1,4 @@
-"""Heatmaps and part affinity fields drawn from points, compiled."""
+"""Compiled loops that draw heatmaps and part affinity fields from points."""
 
 from typing import no_type_check
 
@@ -10,16 +10,16 @@ from pipeline.runtime.jit import kernel
 @kernel
 @no_type_check
 def draw_peaks(joint, cells, amplitude, sigma, maps):
-    """Draw a Gaussian for each point; where several overlap, the highest counts, as networks are trained to do.
+    """Draw a Gaussian for each point; overlapping Gaussians give their maximum, as in OpenPose's training.
 
     Parameters
     ----------
     joint, cells, amplitude
-        Of each point, (n,), (n, 2), (n,).
+        Joint, position (x, y) in cells, and height of each peak: (n,), (n, 2), (n,).
     sigma
-        In cells.
+        Standard deviation in cells.
     maps
-        (joints, height, width); changed.
+        Heatmaps (joints, height, width), changed in place.
     """
     height, width = maps.shape[1], maps.shape[2]
     reach = 4.0 * sigma
@@ -37,18 +37,18 @@ def draw_peaks(joint, cells, amplitude, sigma, maps):
 @kernel
 @no_type_check
 def draw_limbs(limb, begin, end, amplitude, radius, fields, count):
-    """Draw each limb's unit vector where it lies; where several overlap, their mean counts.
+    """Draw the unit vector of each limb along the limb; overlapping limbs give their mean.
 
     Parameters
     ----------
     limb, begin, end, amplitude
-        Of each limb, (n,), (n, 2), (n, 2), (n,); ends in cells.
+        Field, end points (x, y) in cells, and strength of each limb: (n,), (n, 2), (n, 2), (n,).
     radius
         Half of a limb's width, in cells.
     fields
-        (limbs, 2, height, width) of zeros; changed.
+        Zeros (limbs, 2, height, width), changed in place.
     count
-        Room to work in, (limbs, height, width) of zeros.
+        Work array, zeros (limbs, height, width).
     """
     height, width = fields.shape[2], fields.shape[3]
     for k in range(len(limb)):

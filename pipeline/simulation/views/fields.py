@@ -1,8 +1,8 @@
-"""What a network with part affinity fields makes of people: heatmaps and fields, drawn from the truth with its faults.
+"""Simulated network with part affinity fields: heatmaps and fields, drawn from the truth with a network's faults.
 
-Nothing of the truth reaches the method but through the maps: peaks are found in them as in a network's. Joints that are
-near each other in the image merge to one peak, hidden ones are weak, displaced or missing, a left one shows on the
-right as well, things look like joints, and all of it is noisy.
+Peaks are found in the maps as in those of a network; the method gets no other information of the truth. Joints close
+to each other merge to one peak, hidden joints are weak, displaced or missing, left joints also appear as right joints,
+objects look like joints, and the maps are noisy.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,19 +24,19 @@ from pipeline.simulation.views.noise import lasting_events
 from pipeline.simulation.views.occlusion import Box
 
 GRID = FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3)
-"""Of the simulated network, which takes images ``_HEIGHT_PX`` high."""
+"""Grid of the simulated network, whose input is ``_HEIGHT_PX`` high."""
 
 _HEIGHT_PX = 480
-# A peak's standard deviation and half of a limb's width, as OpenPose draws them to train: 7 px and 8 px of its input,
-# whose maps have cells of 8 px.
+# Standard deviation of a peak and half of a limb's width, as in OpenPose's training: 7 px and 8 px of its input, with
+# cells of 8 px.
 _SIGMA_CELLS = 7 / 8
 _LIMB_RADIUS_CELLS = 1.0
-# How well a limb shows beside its weaker end, and the noise of maps.
+# Strength of a limb relative to its weaker end, and standard deviation of the maps' noise.
 _LIMB_AMPLITUDE = 0.85
 _MAP_NOISE = 0.015
-# A left joint shows on the right too, so much weaker.
+# Share of joints that appear on the other side, too, and their strength there.
 _CONFUSED_RATE, _CONFUSED_SHARE = 0.15, 0.5
-# Things that look like a joint: so many a joint and image, and how strong.
+# False peaks: mean number for each joint and image, and range of their strengths.
 _CLUTTER_RATE, _CLUTTER_SCORES = 0.3, (0.08, 0.35)
 
 
@@ -57,18 +57,18 @@ _IN_COCO_17 = COCO_17.indices(tuple(COCO_18.names[j] for j in _BESIDE_NECK))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sketch:
-    """What one camera's maps are drawn from.
+    """Content of one camera's maps.
 
     Parameters
     ----------
     camera
-        Whose.
+        Camera of the maps.
     points_px, amplitude
-        Where each joint of ``COCO_18`` seems to be, and how strong, 0 where it does not show.
+        Position of each joint of ``COCO_18`` with noise, and its strength, 0 for a missing joint.
     confused
-        Joints of the left that show on the right as well, and the other way round.
+        Whether the joint also appears on the other side.
     seed
-        Of what is new in every frame.
+        Seed of the noise of single frames.
     """
 
     camera: Camera
@@ -86,9 +86,9 @@ def sketch(
     detector: Detector,
     rng: np.random.Generator,
 ) -> Sketch:
-    """Let a camera look at people; arguments as of ``detector.detect``.
+    """Draw the content of a camera's maps; for the arguments see ``detector.detect``.
 
-    Of the detector's faults those count that a network has before it groups joints to bodies.
+    Faults of the detector that occur after the grouping of joints to bodies do not apply.
     """
     view = look(camera, people_m, boxes)
     shape, noise_frames = view.hidden.shape, detector.noise_memory_s / period_s
@@ -110,7 +110,7 @@ def sketch(
 
 
 def _with_neck(values: Float[np.ndarray, "people frames 17 axes"]) -> Float[np.ndarray, "people frames 18 axes"]:
-    """Joints of ``COCO_18``, the neck between the shoulders."""
+    """Convert values of ``COCO_17`` to ``COCO_18``; the neck is the mean of the shoulders."""
     every = np.empty((*values.shape[:2], len(COCO_18.names), values.shape[3]))
     every[:, :, _BESIDE_NECK] = values[:, :, _IN_COCO_17]
     every[:, :, _NECK] = values[:, :, _SHOULDERS].mean(2)
@@ -120,35 +120,39 @@ def _with_neck(values: Float[np.ndarray, "people frames 17 axes"]) -> Float[np.n
 def render(
     sketches: Sequence[Sketch], times: Mapping[str, FrameTimes], span_s: tuple[float, float]
 ) -> dict[str, PafFields]:
-    """Draw all cameras' maps of a range of time, and read them as a network's.
+    """Draw the maps of all cameras for a range of time, and read peaks and fields from them.
 
     Parameters
     ----------
     times
-        Of each camera's frames, by name.
+        Frame times by camera name.
     span_s
-        ``[t0, t1)``.
+        Range ``[t0, t1)``.
+
+    Returns
+    -------
+        Peaks and fields by camera name.
     """
-    found = {}
-    for one in sketches:
-        first, stop = np.searchsorted(times[one.camera.name].time_s, span_s)
-        found[one.camera.name] = stack_fields(
-            one.camera.name, [(frame, _draw(one, frame)) for frame in range(int(first), int(stop))]
+    rendered = {}
+    for content in sketches:
+        first, stop = np.searchsorted(times[content.camera.name].time_s, span_s)
+        rendered[content.camera.name] = stack_fields(
+            content.camera.name, [(frame, _draw(content, frame)) for frame in range(int(first), int(stop))]
         )
-    return found
+    return rendered
 
 
-def _draw(one: Sketch, frame: int) -> ImageFields:
-    """The maps of one image."""
-    rng = np.random.default_rng([one.seed, frame])
-    letterbox = fit_letterbox(one.camera.size_px, _HEIGHT_PX / one.camera.size_px[1], GRID.stride_px)
+def _draw(content: Sketch, frame: int) -> ImageFields:
+    """Draw the maps of one image, and read peaks and fields from them."""
+    rng = np.random.default_rng([content.seed, frame])
+    letterbox = fit_letterbox(content.camera.size_px, _HEIGHT_PX / content.camera.size_px[1], GRID.stride_px)
     width, height = (side // GRID.stride_px for side in letterbox.padded_size_px)
     grid = GRID.on_image(letterbox)
     heatmaps = np.zeros((len(COCO_18.names), height, width), np.float32)
     fields, count = np.zeros((len(LIMBS), 2, height, width), np.float32), np.zeros((len(LIMBS), height, width))
 
-    cells, amplitude = grid.map_from_image(one.points_px[:, frame]), one.amplitude[:, frame]
-    for joint, points, strength in _peaks(cells, amplitude, one.confused[:, frame], (width, height), rng):
+    cells, amplitude = grid.map_from_image(content.points_px[:, frame]), content.amplitude[:, frame]
+    for joint, points, strength in _peaks(cells, amplitude, content.confused[:, frame], (width, height), rng):
         draw_peaks(joint, points, strength, _SIGMA_CELLS, heatmaps)
     person, limb = np.nonzero((amplitude[:, LIMBS] > 0).all(-1))
     ends = cells[person[:, None], LIMBS[limb]]
@@ -167,7 +171,7 @@ def _peaks(
     size: tuple[int, int],
     rng: np.random.Generator,
 ) -> Iterator[tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]]:
-    """Joints, places and strengths of all that shows in the heatmaps: joints, those on the wrong side, and clutter."""
+    """Joints, positions and strengths of the peaks: true joints, joints on the wrong side, and clutter."""
     person, joint = np.nonzero(amplitude > 0)
     yield joint, cells[person, joint], amplitude[person, joint]
     person, joint = np.nonzero((amplitude > 0) & confused)

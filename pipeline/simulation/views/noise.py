@@ -1,4 +1,4 @@
-"""Random processes that last longer than a frame, as a detector's faults do."""
+"""Random processes of detector noise: correlated over frames, in runs, and heavy-tailed."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,21 +9,21 @@ from scipy.stats import norm
 def lasting_noise(
     rng: np.random.Generator, shape: tuple[int, ...], memory_frames: float
 ) -> Float[np.ndarray, "*batch frames"]:
-    """Gaussian noise of unit variance along the last axis, a stationary process of first order.
+    """Gaussian noise of unit variance along the last axis: a stationary autoregressive process of first order.
 
     Parameters
     ----------
     shape
-        Of the result, frames last.
+        Shape of the result; frames are the last axis.
     memory_frames
-        Correlation falls to 1 / e in so many frames; 0 for independent frames.
+        Number of frames in which the correlation falls to 1 / e; 0 for independent frames.
     """
     white = rng.standard_normal(shape)
     if memory_frames <= 0 or shape[-1] == 0:
         return white
     rho = np.exp(-1 / memory_frames)
     gain = np.sqrt(1 - rho**2)
-    # The state before the first frame, drawn from the stationary distribution as well.
+    # The state before the first frame has the stationary distribution, too.
     before = rho * rng.standard_normal((*shape[:-1], 1))
     noise, _ = lfilter([gain], [1.0, -rho], white, axis=-1, zi=before)
     return np.asarray(noise)
@@ -32,7 +32,7 @@ def lasting_noise(
 def lasting_events(
     rng: np.random.Generator, shape: tuple[int, ...], rate: float, memory_frames: float
 ) -> Bool[np.ndarray, "*batch frames"]:
-    """Events that hold in a share ``rate`` of all frames and come in runs of consecutive frames."""
+    """Draw events that are true in a share ``rate`` of all frames, in runs; see ``lasting_noise``."""
     return lasting_noise(rng, shape, memory_frames) > norm.isf(rate)
 
 

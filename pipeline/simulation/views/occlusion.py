@@ -1,7 +1,7 @@
-"""What hides what from a camera: bodies and boxes.
+"""Occlusion of joints from a camera by bodies and boxes.
 
-Bodies are a trunk, a head, thighs and shins, each a capsule: a segment with a radius. The test is made on the image
-plane, where a capsule is a segment with a width.
+A body consists of capsules, which are segments with a radius: trunk, head, thighs and shins. The test is made on the
+image plane, where a capsule is a segment with a width.
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ _CAPSULES = (
     (("left_knee",), ("left_ankle",), 0.05),
     (("right_knee",), ("right_ankle",), 0.05),
 )
-"""Ends (the mean of joints) and radius in metres; the trunk first."""
+"""Ends of each capsule (means of joints) and radius in metres; the trunk first."""
 _TRUNK = _CAPSULES[:1]
 _FREE_JOINTS = COCO_17.indices(("left_elbow", "right_elbow", "left_wrist", "right_wrist"))
-# Narrower than for others: an arm that hangs at one's side is not hidden by it.
+# Narrower than for other people: the trunk does not hide an arm that hangs beside it.
 _OWN_TRUNK_RADIUS = 0.75
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A piece of furniture between two opposite corners in the world."""
+    """Box of furniture between two opposite corners in the world, in metres."""
 
     min_m: tuple[float, float, float]
     max_m: tuple[float, float, float]
@@ -41,7 +41,7 @@ def hidden_by_boxes(
     """Whether the line from a camera's centre to a point meets a box (slab method); false for NaN."""
     hidden = np.zeros(points_m.shape[:-1], dtype=bool)
     towards = points_m - center_m
-    # A line along a wall is as good as one just beside it.
+    # Avoids a division by zero for lines parallel to a wall.
     towards = np.where(np.abs(towards) < 1e-9, 1e-9, towards)
     for box in boxes:
         first, second = (np.asarray(box.min_m) - center_m) / towards, (np.asarray(box.max_m) - center_m) / towards
@@ -51,12 +51,12 @@ def hidden_by_boxes(
 
 
 def hidden_by_bodies(in_cam_m: Float[np.ndarray, "people frames joints 3"]) -> Bool[np.ndarray, "people frames joints"]:
-    """Whether a joint lies behind somebody else's body, or an arm behind the own trunk.
+    """Whether a joint is behind another person's body, or an arm behind the person's trunk.
 
     Parameters
     ----------
     in_cam_m
-        Joints in the camera's coordinates, NaN for who is absent.
+        Joints in camera coordinates, NaN for absent people.
     """
     num_people = len(in_cam_m)
     hidden = np.zeros(in_cam_m.shape[:3], dtype=bool)
@@ -79,7 +79,7 @@ def hidden_by_bodies(in_cam_m: Float[np.ndarray, "people frames joints 3"]) -> B
 
 
 def _bounds(plane: Float[np.ndarray, "people frames joints 2"]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners around each body on the image plane, with room for its flesh; NaN where nobody is."""
+    """Corners of a box around each body on the image plane, with a margin for its volume; NaN for absent people."""
     low, high = np.fmin.reduce(plane, axis=2), np.fmax.reduce(plane, axis=2)
     margin = 0.15 * (high - low).max(-1, keepdims=True)
     return low - margin, high + margin
@@ -96,14 +96,14 @@ def _behind(
     hidden = np.zeros(depth_m.shape, dtype=bool)
     for first, second, radius_m in capsules:
         begin_m, end_m = (body_m[:, COCO_17.indices(names)].mean(1) for names in (first, second))
-        begin, end = (one[:, None, :2] / np.maximum(one[:, None, 2:], 0.1) for one in (begin_m, end_m))
+        begin, end = (point_m[:, None, :2] / np.maximum(point_m[:, None, 2:], 0.1) for point_m in (begin_m, end_m))
         along = end - begin
         share = ((plane - begin) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
         share = np.clip(share, 0.0, 1.0)
         distance = np.linalg.norm(plane - begin - share[..., None] * along, axis=-1)
         capsule_depth_m = begin_m[:, None, 2] + share * (end_m - begin_m)[:, None, 2]
         radius = scale * radius_m
-        # Comparisons with NaN, somebody absent or beside the camera, are false.
+        # Comparisons are false for NaN: absent people and people beside the camera.
         hidden |= (
             (distance * capsule_depth_m < radius) & (capsule_depth_m + radius / 2 < depth_m) & (capsule_depth_m > 0.1)
         )

@@ -1,14 +1,14 @@
-"""Rotations of a window of frames that explain what was seen: Gauss and Newton on the skeleton's degrees of freedom.
+"""Fit the skeleton's degrees of freedom to the evidence in a window of frames, by the Gauss-Newton method.
 
-What is minimised, over the root's place and all rotations of ``articulation.FREEDOMS``:
+The energy, a function of the root's position and all rotations of ``articulation.FREEDOMS``, is the sum of:
 
-- what says where landmarks are: rays of all views, or positions (``Evidence``);
-- Cauchy's function of landmarks' second differences (``positions.tie_weight``);
-- what no landmark shows: bends of spine, neck and collar bones are drawn to rest; the twist of upper arms and thighs
-  about themselves is drawn to rest, changes as little as it can from frame to frame, and is kept within its limits.
+- the evidence for landmarks: rays of all views, or positions (``Evidence``);
+- Cauchy's function of the landmarks' second differences (``positions.tie_weight``);
+- priors for unobservable rotations: the rest pose for bends of spine, neck and collar bones; for the twist of upper
+  arms and thighs the rest pose, small changes between frames, and limits.
 
-Bones have one length and elbows and knees one axis and a range of angles by construction: a hinge at its end stays
-there while the energy would push it on.
+The parametrisation keeps bone lengths constant, and gives elbows and knees one axis and a range of angles. A hinge at
+its limit stays there while the gradient points outwards.
 """
 
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ from pipeline.skeleton.fitting.positions import tie_weight
 from pipeline.skeleton.model import INDEX, SKELETON
 from pipeline.skeleton.rotations import continuous_quat_xyzw
 
-# Twist: how far from rest it usually is, how fast it usually changes, and how steep its limits are.
+# Twist: standard deviations from the rest pose, of the speed, and beyond the limits.
 _TWIST_RAD, _TWIST_RAD_S, _TWIST_LIMIT_RAD = 1.5, 4.0, 0.05
-# No rotation is further in a step: what is minimised is far from a parabola there. And what holds one that nothing
-# else holds, as the variance of a step.
+# Longest step of a rotation: beyond it, the quadratic approximation of the energy is poor. And the weight that keeps a
+# rotation in place if no other term does.
 _LONGEST_STEP_RAD = 0.3
 _INERTIA = 1.0
 _AT_END_RAD = 1e-9
@@ -39,27 +39,27 @@ _LIBRARIES = ThreadpoolController()
 
 @runtime_checkable
 class Evidence(Protocol):
-    """What says where landmarks are."""
+    """Evidence for the positions of landmarks."""
 
     def normal_equations(
         self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
     ) -> tuple[Float[np.ndarray, "frames landmarks 3 3"], Float[np.ndarray, "frames landmarks 3"]]:
-        """Curvature of the energy where landmarks are now, and its negative gradient."""
+        """Curvature and negative gradient of the energy at the current positions of landmarks (metres)."""
         ...
 
 
 @dataclass(slots=True, eq=False)
 class Bodies:
-    """A person in every frame of a window: what the fit changes.
+    """Pose of a person in each frame of a window; changed by the fit.
 
     Parameters
     ----------
     root_m
         World position of the root.
     local
-        Rotation of every joint to its parent.
+        Rotation matrix of each joint to its parent.
     angle_rad
-        Angle of every hinge, on the axis of degrees of freedom; 0 for other rotations.
+        Angle of each hinge, by degree of freedom; 0 for other rotations.
     """
 
     root_m: Float[np.ndarray, "frames 3"]
@@ -67,7 +67,7 @@ class Bodies:
     angle_rad: Float[np.ndarray, "frames freedoms"]
 
     def quat_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
-        """Rotation of every joint to its parent, as quaternions that are continuous in time."""
+        """Rotations of all joints to their parents as quaternions (x, y, z, w), continuous in time."""
         joints = range(self.local.shape[1])
         return np.stack([continuous_quat_xyzw(Rotation.from_matrix(self.local[:, joint])) for joint in joints], axis=1)
 
@@ -77,7 +77,7 @@ def start_from(
     parent_from_joint: Float[np.ndarray, "frames joints 4"],
     skeleton: Articulation,
 ) -> Bodies:
-    """Bodies in any pose, with hinges made hinges: what is not about their axis is dropped."""
+    """Build bodies from any pose. Rotations of hinges are reduced to their axis and clipped to their limits."""
     num_frames = len(root_m)
     local = Rotation.from_quat(parent_from_joint.reshape(-1, 4)).as_matrix().reshape(num_frames, -1, 3, 3)
     angle_rad = np.zeros((num_frames, skeleton.num_freedoms))
@@ -91,12 +91,12 @@ def start_from(
 
 
 def landmarks_of(bodies: Bodies, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
-    """Where bodies have their landmarks, in the world (metres)."""
+    """World positions of landmarks (metres)."""
     return _Posed(bodies, skeleton).landmark_m
 
 
 class _Posed:
-    """All places and orientations of bodies."""
+    """World positions and orientations of all joints, and positions of landmarks."""
 
     def __init__(self, bodies: Bodies, skeleton: Articulation) -> None:
         self._skeleton = skeleton
@@ -117,7 +117,7 @@ class _Posed:
         )
 
     def jacobian(self) -> Float[np.ndarray, "frames landmarks most 3"]:
-        """How each landmark moves with each degree of freedom that moves it (``Articulation.moved_by``)."""
+        """Derivatives of landmarks by the degrees of freedom that move them (``Articulation.moved_by``)."""
         skeleton = self._skeleton
         result = np.empty((len(self.world), *skeleton.moved_by.shape, 3))
         differentiate(
@@ -134,7 +134,7 @@ class _Posed:
 
 
 def move(bodies: Bodies, skeleton: Articulation, step: Float[np.ndarray, "frames freedoms"]) -> None:
-    """Take a step of all degrees of freedom, in place: no rotation too far at once, no hinge past its end."""
+    """Apply a step to all degrees of freedom in place; rotations are limited a step, and hinges to their range."""
     turn(
         step,
         skeleton.freedom_joint,
@@ -156,17 +156,19 @@ def refine(
     frame_rate_hz: float,
     num_steps: int,
 ) -> None:
-    """Change bodies so that they explain the evidence better, in place.
+    """Refine bodies by Gauss-Newton steps, in place.
 
     Parameters
     ----------
+    evidence
+        Evidence for the positions of landmarks.
     usual_m
-        What landmarks' second differences usually are; infinite where they don't tie frames together.
+        Usual second differences of landmarks in metres; infinite for landmarks without this term.
     num_steps
-        Of Gauss and Newton.
+        Number of Gauss-Newton steps.
     """
     for _ in range(num_steps):
-        # Several threads would only wait for each other in a band so narrow, and could round differently.
+        # One thread: in such a narrow band, several threads would mostly wait, and could round differently.
         with _LIBRARIES.limit(limits=1, user_api="blas"):
             step = _step(bodies, skeleton, evidence, usual_m, frame_rate_hz)
         move(bodies, skeleton, step)
@@ -205,7 +207,7 @@ def _draw_to_rest(
     lower: Float[np.ndarray, "frames freedoms below"],
     force: Float[np.ndarray, "frames freedoms"],
 ) -> None:
-    """Add what draws joints to rest, in place."""
+    """Add the priors for the rest pose, in place."""
     drawn = [(n, freedom) for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if np.isfinite(freedom.usual_rad)]
     joints = sorted({INDEX[freedom.joints[0]] for _, freedom in drawn})
     local = bodies.local[:, joints]
@@ -223,7 +225,7 @@ def _steady_twist(
     lower: Float[np.ndarray, "frames freedoms below"],
     force: Float[np.ndarray, "frames freedoms"],
 ) -> None:
-    """Add what steadies the twist of upper arms and thighs, in place."""
+    """Add the priors for the twist of upper arms and thighs, in place."""
     num_freedoms = force.shape[1]
     usual_change_rad = _TWIST_RAD_S / frame_rate_hz
     for twist in TWISTS:
@@ -235,7 +237,7 @@ def _steady_twist(
         beyond_rad = angle_rad - np.clip(angle_rad, *twist.limits_rad)
         weight = 1.0 / _TWIST_RAD**2 + (beyond_rad != 0.0) / _TWIST_LIMIT_RAD**2
         force_rad = -(angle_rad / _TWIST_RAD**2 + beyond_rad / _TWIST_LIMIT_RAD**2)
-        # From a frame to the next the joint turns, in its own axes, by this; what of it is about the bone is twist.
+        # Rotation from each frame to the next in the joint's axes; its component along the bone is the change of twist.
         relative = np.einsum("fba,fbc->fac", local[:-1], local[1:])
         change_rad = Rotation.from_matrix(relative).as_rotvec() @ bone
         before = -relative @ bone
@@ -255,10 +257,10 @@ def _steady_twist(
 def _twist(
     quat_xyzw: Float[np.ndarray, "frames 4"], bone: Float[np.ndarray, " 3"]
 ) -> tuple[Float[np.ndarray, " frames"], Float[np.ndarray, "frames 3"]]:
-    """Twist about a bone that precedes a swing without twist, and its gradient by a small turn in the joint's axes.
+    """Twist about a bone before a swing without twist, and its gradient by a small rotation in the joint's axes.
 
-    With q = (v, w): 2 atan2(v b, w), and (w^2 b + w b x v + (v b) v) / (w^2 + (v b)^2). A half turn of the bone has no
-    twist: its gradient is cut off there.
+    With q = (v, w), the twist is 2 atan2(v b, w), and its gradient (w^2 b + w b x v + (v b) v) / (w^2 + (v b)^2). The
+    twist is undefined for a half turn of the bone, so the gradient is bounded there.
     """
     vector, w = quat_xyzw[:, :3], quat_xyzw[:, 3]
     along = vector @ bone

@@ -1,4 +1,4 @@
-"""The skeleton as the fit turns it: its degrees of freedom, their limits, and the landmarks that hang on its joints."""
+"""Articulation of the skeleton for the fit: degrees of freedom, their limits, and landmarks on joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,30 +10,29 @@ from pipeline.joints import JointSet
 from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
 
 ARM_HINGES: Mapping[str, tuple[float, float, float]] = {"Left": (0.0, 0.0, -1.0), "Right": (0.0, 0.0, 1.0)}
-"""Axes about which a positive rotation bends an elbow of the T-pose, to the front."""
+"""Axes about which a positive rotation bends the elbow of a T-pose to the front."""
 KNEE_HINGE = (1.0, 0.0, 0.0)
-"""Axis about which a positive rotation bends a knee, to the back."""
+"""Axis about which a positive rotation bends a knee to the back."""
 
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 NUM_ROOT = 3
-"""The first degrees of freedom: the root's place in the world."""
+"""Number of the first degrees of freedom, the world position of the root."""
 
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """A rotation about an axis that is fixed in a joint.
+    """Degree of freedom: a rotation about an axis that is fixed in a joint.
 
     Parameters
     ----------
     joints
-        Names of what turns; where they are two, both turn by the same angle.
+        Names of one or two joints; two joints rotate by the same angle.
     axis
-        Unit vector, in the joint.
+        Unit vector in the frame of the joint.
     usual_rad
-        How far from rest it usually is. What observations don't say is drawn to rest with this standard deviation;
-        infinite where nothing is drawn.
+        Standard deviation of the prior for the rest pose; infinite without a prior.
     limits_rad
-        Angles that a hinge can have.
+        Smallest and largest angle of a hinge; ``None`` for other rotations.
     """
 
     joints: tuple[str, ...]
@@ -44,14 +43,14 @@ class Freedom:
 
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """The twist of a ball joint about the bone that hangs on it, which a straight limb does not show.
+    """Twist of a ball joint about the bone to its child, which is not observable for a straight limb.
 
     Parameters
     ----------
     joint, child
         Names of the ball joint and of the bone's end.
     limits_rad
-        How far it can be twisted from rest.
+        Smallest and largest twist from the rest pose.
     """
 
     joint: str
@@ -64,8 +63,8 @@ def _ball(*joints: str, usual_rad: float = np.inf) -> tuple[Freedom, ...]:
 
 
 def _side(side: str) -> tuple[Freedom, ...]:
-    # Ranges after the American Academy of Orthopaedic Surgeons, rounded up; without hyperextension, which detectors'
-    # noise can't be told from.
+    # Ranges of the American Academy of Orthopaedic Surgeons, rounded up; without hyperextension, which can't be
+    # distinguished from the noise of detectors.
     return (
         *(Freedom((f"{side}Shoulder",), axis, 0.12) for axis in _AXES[1:]),
         *_ball(f"{side}Arm"),
@@ -85,7 +84,7 @@ FREEDOMS = (
     *_side("Right"),
 )
 FEET = (*_ball("LeftFoot", usual_rad=0.5), *_ball("RightFoot", usual_rad=0.5))
-"""Only where toes or heels are seen."""
+"""Degrees of freedom of feet, used only if toes or heels are known."""
 
 TWISTS = tuple(
     Twist(f"{side}{joint}", f"{side}{child}", (-np.radians(limit_deg), np.radians(limit_deg)))
@@ -98,7 +97,7 @@ _FOOT = ("heel", "big_toe", "small_toe")
 
 
 def joint_of_landmark(name: str) -> str | None:
-    """The skeleton's joint that carries a detector's joint; ``None`` for one that it doesn't know."""
+    """Joint of the skeleton that carries a joint of the detector; ``None`` for an unknown joint."""
     if name in _FACE:
         return "Head"
     if name.endswith(_FOOT):
@@ -117,21 +116,21 @@ class Articulation:
     Parameters
     ----------
     freedoms
-        All rotations; the root's place comes before them.
+        All rotations; the position of the root comes before them.
     parent
         Number of each joint's parent, -1 for the root.
     offset_m
-        Of each joint from its parent, in the parent.
+        Offset of each joint from its parent, in the frame of the parent.
     landmark
-        Numbers on the detector's joint axis of the landmarks that the skeleton carries.
+        Indices of the carried landmarks in the joint set of the detector.
     landmark_joint, landmark_offset_m
-        The joint that carries each, and where in it.
+        Joint that carries each landmark, and offset in the frame of the joint.
     freedom_joint, freedom_axis
-        What each degree of freedom turns (-1 for nothing), and about which axis.
+        Joints that each degree of freedom rotates (-1 for none), and the axis.
     lowest_rad, highest_rad
-        Ends of hinges; infinite for other rotations.
+        Limits of hinges; infinite for other rotations.
     moved_by, num_moved_by
-        The degrees of freedom that move each landmark, ascending, and how many they are.
+        Degrees of freedom that move each landmark, ascending and padded with -1, and their number.
     """
 
     freedoms: tuple[Freedom, ...]
@@ -149,7 +148,7 @@ class Articulation:
 
     @property
     def num_freedoms(self) -> int:
-        """With the root's place."""
+        """Number of degrees of freedom, including the position of the root."""
         return NUM_ROOT + len(self.freedoms)
 
 
@@ -158,15 +157,17 @@ def articulate(
     joints: JointSet,
     offsets_m: Mapping[str, Float[np.ndarray, " 3"]],
 ) -> Articulation:
-    """Lay out a person's skeleton.
+    """Build the arrays of a person's skeleton.
 
     Parameters
     ----------
+    bone_length_m
+        Length of each bone of ``SKELETON``.
     joints
-        The detector's.
+        Joint set of the detector.
     offsets_m
-        Where landmarks of face and feet lie in head and feet; feet turn if one of theirs is among them. A landmark of
-        head or feet that is not among them is not carried.
+        Offsets of landmarks in head and feet, by name. Landmarks of head and feet without an offset are ignored. Feet
+        can rotate only if a landmark of feet has an offset.
     """
     on_foot = [name for name in offsets_m if str(joint_of_landmark(name)).endswith("Foot")]
     freedoms = (*FREEDOMS, *(FEET if on_foot else ()))
@@ -193,15 +194,17 @@ def articulate(
         freedom_axis=np.array([*np.zeros((NUM_ROOT, 3)), *(freedom.axis for freedom in freedoms)]),
         lowest_rad=np.array([*[-np.inf] * NUM_ROOT, *(lowest for lowest, _ in limits)]),
         highest_rad=np.array([*[np.inf] * NUM_ROOT, *(highest for _, highest in limits)]),
-        moved_by=np.array([[*one, *[-1] * (most - len(one))] for one in moved_by], dtype=int).reshape(-1, most),
-        num_moved_by=np.array([len(one) for one in moved_by], dtype=int),
+        moved_by=np.array([[*moving, *[-1] * (most - len(moving))] for moving in moved_by], dtype=int).reshape(
+            -1, most
+        ),
+        num_moved_by=np.array([len(moving) for moving in moved_by], dtype=int),
     )
 
 
 def _moved_by(
     joint: int, beside: bool, parent: Int[np.ndarray, " joints"], freedom_joint: Int[np.ndarray, "freedoms 2"]
 ) -> list[int]:
-    """Degrees of freedom that move a landmark at a joint, or ``beside`` it."""
+    """Degrees of freedom that move a landmark at the centre of a joint, or ``beside`` it."""
     turning: set[int] = set()
     above = joint if beside else int(parent[joint])
     while above >= 0:

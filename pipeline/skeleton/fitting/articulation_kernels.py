@@ -1,7 +1,7 @@
-"""Forward kinematics of a window of frames, its Jacobian, and the normal equations of a fit, compiled.
+"""Compiled forward kinematics of a window of frames, its Jacobian, and the normal equations of the fit.
 
-``articulation.py`` says what the tables are. ``local`` are rotations from a joint to its parent, ``world`` from a joint
-to the world; the first ``NUM_ROOT`` degrees of freedom are the root's place.
+``articulation.Articulation`` documents the tables. ``local`` are rotations from a joint to its parent, ``world`` from a
+joint to the world. The first ``NUM_ROOT`` degrees of freedom are the position of the root.
 """
 
 from typing import no_type_check
@@ -11,14 +11,14 @@ import numpy as np
 from pipeline.runtime.jit import kernel
 
 _NUM_ROOT = 3
-# Below this angle a rotation is its vector to the last bit that matters.
+# Squared angle below which sine and cosine of a rotation are replaced by their first terms.
 _TINY_RAD2 = 1e-12
 
 
 @kernel
 @no_type_check
 def pose(root_m, local, parent, offset_m, landmark_joint, landmark_offset_m, world, joint_m, landmark_m):
-    """Place joints and landmarks: ``world``, ``joint_m`` and ``landmark_m`` are the results."""
+    """Compute poses of joints and positions of landmarks; ``world``, ``joint_m``, ``landmark_m`` are outputs."""
     for frame in range(len(root_m)):
         for joint in range(len(parent)):
             above = parent[joint]
@@ -49,10 +49,9 @@ def pose(root_m, local, parent, offset_m, landmark_joint, landmark_offset_m, wor
 @kernel
 @no_type_check
 def differentiate(world, joint_m, landmark_m, freedom_joint, freedom_axis, moved_by, num_moved_by, jacobian):
-    """How each landmark moves with each degree of freedom that moves it: ``jacobian`` is the result.
+    """Compute the derivatives of landmarks by the degrees of freedom that move them; ``jacobian`` is the output.
 
-    A rotation by a small angle about an axis of a joint moves what hangs on it at a right angle to the axis and to the
-    lever from the joint.
+    The derivative by a rotation of a joint is the cross product of the axis and the vector from joint to landmark.
     """
     for frame in range(len(world)):
         for landmark in range(len(num_moved_by)):
@@ -82,10 +81,10 @@ def differentiate(world, joint_m, landmark_m, freedom_joint, freedom_axis, moved
 @kernel
 @no_type_check
 def assemble(jacobian, moved_by, num_moved_by, curvature, pull, tie, second_m, lower, right):
-    """Add what landmarks say to the normal equations: ``lower`` and ``right`` are the results.
+    """Add the terms of landmarks to the normal equations; ``lower`` and ``right`` are outputs.
 
-    ``lower[i, k]`` is the element k rows below the diagonal of column i; a frame's degrees of freedom follow each
-    other. ``curvature`` and ``pull`` are the second and the negative first derivative of a landmark's own energy;
+    ``lower[i, k]`` is the element k rows below the diagonal of column i. The degrees of freedom of a frame are
+    consecutive. ``curvature`` and ``pull`` are the second and the negative first derivative of a landmark's own energy;
     ``tie`` is the weight of its second difference ``second_m`` over three frames.
     """
     num_frames, num_freedoms = len(jacobian), len(right) // len(jacobian)
@@ -139,9 +138,10 @@ def assemble(jacobian, moved_by, num_moved_by, curvature, pull, tie, second_m, l
 @kernel
 @no_type_check
 def turn(step, freedom_joint, freedom_axis, lowest_rad, highest_rad, longest_rad, root_m, angle_rad, local):
-    """Take a step of all degrees of freedom, in place: no rotation by more than ``longest_rad``, no hinge past its end.
+    """Apply a step to all degrees of freedom in place.
 
-    ``angle_rad`` are the angles of hinges; of other rotations it says nothing.
+    Rotations are limited to ``longest_rad``, and hinges to their range. ``angle_rad`` are the angles of hinges; entries
+    of other rotations are unused.
     """
     num_joints = local.shape[1]
     num_freedoms = step.shape[1]

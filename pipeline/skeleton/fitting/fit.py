@@ -1,4 +1,4 @@
-"""Skeletons that follow what was seen of people: bones of constant length, hinges that bend one way, fit over time."""
+"""Skeleton fit of a person over time, with bones of constant length and hinges that bend one way."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,13 +24,13 @@ from pipeline.skeleton.rotations import continuous_quat_xyzw
 from pipeline.skeleton.solve import solve_pose
 
 MAX_GAP_S = 1.0
-"""Gaps between two measured instants up to this long are filled."""
+"""Longest gap between two measurements of a joint that is filled."""
 
 _NUM_STEPS = 6
 _NUM_STEPS_PINNED = 3
-# Standard deviations of what draws landmarks: smoothed positions, the way across a gap, and places where feet stand.
+# Standard deviations of positions as evidence: smoothed positions, positions in gaps, and positions of held feet.
 _PLACED_M, _BRIDGE_M, _PIN_M = 0.01, 0.10, 0.001
-# Smoothed positions farther than this from where the fit starts are wild, and not followed.
+# Smoothed positions farther than this from the start of the fit are outliers and ignored.
 _REACH_M = 0.15
 
 _RaysOf = Callable[[slice], Rays]
@@ -38,7 +38,7 @@ _RaysOf = Callable[[slice], Rays]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Evidence:
-    """Rays, if there are any, and places that draw landmarks with a strength along each axis."""
+    """Rays, if available, and target positions of landmarks with a weight (1 / variance) along each axis."""
 
     rays: Rays | None
     landmark: Int[np.ndarray, " landmarks"]
@@ -60,16 +60,20 @@ class _Evidence:
 
 
 class SkeletonFit:
-    """One person's skeleton, and how it is fit.
+    """Skeleton fit of a person.
 
     Parameters
     ----------
     track
-        Joints' positions, NaN in gaps.
+        Joint positions, NaN in gaps.
     joints
-        Of the track.
+        Joint set of the track.
+    timebase
+        Output frames of the session.
+    name
+        Name of the motion.
     rays_of
-        Rays of a window of frames, where the fit is to follow them; else it follows the positions.
+        Returns the rays in a window of frames, which the fit follows. ``None``: the fit follows the positions.
     """
 
     def __init__(
@@ -84,22 +88,22 @@ class SkeletonFit:
 
     @property
     def track(self) -> Track3D:
-        """The positions that the fit began with."""
+        """Positions at the start of the fit."""
         return self._track
 
     @property
     def sees_feet(self) -> bool:
-        """Whether toes or heels say how feet are turned."""
+        """Whether toes or heels determine the rotation of feet."""
         return len(self._skeleton.freedoms) > len(FREEDOMS)
 
     @property
     def has_torso(self) -> bool:
-        """Whether a hip or a shoulder was ever located; else the skeleton hangs in the air."""
+        """Whether a hip or a shoulder was ever located; without them, the skeleton's position is arbitrary."""
         girdles = [index for index, name in enumerate(self._joints.names) if name.endswith(("_hip", "_shoulder"))]
         return bool(np.isfinite(self._track.xyz_m[:, girdles]).any())
 
     def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:
-        """Fit the skeleton, from the rotations that the positions suggest."""
+        """Fit the skeleton, starting from rotations computed from the positions."""
         num_frames = self._track.num_frames
         self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
 
@@ -120,9 +124,14 @@ class SkeletonFit:
         )
 
     def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
-        """Fit the motion on, with landmarks that are drawn to places; NaN where and along which axes they are not.
+        """Refine the motion with landmarks held at given positions.
 
-        The motion changes in place: two of a long take would be large.
+        The motion is changed in place, because two motions of a long session would need too much memory.
+
+        Parameters
+        ----------
+        places_m
+            World positions (metres) by landmark; NaN in frames and along axes in which the landmark is free.
         """
 
         def start(rows: slice) -> Bodies:
@@ -131,11 +140,11 @@ class SkeletonFit:
         self._fit(start, places_m, _NUM_STEPS_PINNED, on_share)
 
     def turn(self, name: str, rotation: Rotation) -> None:
-        """Turn a joint of the skeleton to its parent, in all frames of the motion, in place."""
+        """Set the rotation of a joint to its parent in all frames of the motion, in place."""
         self._quat[:, INDEX[name]] = continuous_quat_xyzw(rotation)
 
     def place(self, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
-        """Put joints of some frames where the motion has them, in place; unknown ones stay so."""
+        """Replace joint positions by those of the motion, in place; unknown joints stay NaN."""
         bodies = start_from(self._root_m[rows], self._quat[rows], self._skeleton)
         landmark = self._skeleton.landmark
         known = np.isfinite(xyz_m[:, landmark])
@@ -154,7 +163,7 @@ class SkeletonFit:
         for number, rows in enumerate(all_rows):
             bodies = following
             if number + 1 < len(all_rows):
-                # Before what this window changes of it.
+                # Before this window changes the frames of the overlap.
                 following = start(all_rows[number + 1])
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
             refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
@@ -165,14 +174,14 @@ class SkeletonFit:
             on_share((number + 1) / len(all_rows))
 
     def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
-        """What the fit of a window follows. In gaps it stays near the way that it starts with."""
+        """Evidence for the fit of a window. In gaps, the targets are the positions at the start of the fit."""
         position_m = self._track.xyz_m[rows]
         landmark = self._skeleton.landmark
         xyz_m = position_m[:, landmark]
         start_m = landmarks_of(start, self._skeleton)
         known = np.isfinite(xyz_m)
         if self._rays_of is None:
-            # Nothing but the start can tell a wild position from a true one.
+            # Without rays, only the start of the fit can identify outliers.
             known &= np.linalg.norm(xyz_m - start_m, axis=-1, keepdims=True) <= _REACH_M
         place_m = np.where(known, xyz_m, start_m)
         strength = np.where(known, 0.0 if self._rays_of else 1.0 / _PLACED_M**2, 1.0 / _BRIDGE_M**2)
@@ -196,14 +205,18 @@ def fit_to_rays(
     name: str,
     on_share: OnShare = ignore,
 ) -> SkeletonFit:
-    """Prepare the fit of one person to all that the views saw.
+    """Prepare the fit of a person to the rays of all views.
 
     Parameters
     ----------
     track
-        As association located the joints.
+        Joints located by association.
     seen
-        The observations behind it.
+        Observations of the track.
+    joints
+        Joint set of the track.
+    name
+        Name of the motion.
     """
     xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
     measured = track.source == Source.MEASURED
@@ -219,9 +232,10 @@ def fit_to_rays(
 
 
 def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera], on_share: OnShare = ignore) -> Track3D:
-    """The track whose joints are where the fit's motion has them, as far as they are known.
+    """Track with the joint positions of the fitted motion; unknown joints stay unknown.
 
-    Without hips and shoulders nothing says where the motion is: positions stay as they are then.
+    If hips and shoulders were never located, the motion's position is arbitrary, and the joint positions stay
+    unchanged.
     """
     xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
     for rows in windows(len(xyz_m), overlap=0, on_share=on_share):
@@ -234,7 +248,7 @@ def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera], o
 def _same_signs(
     quat: Float[np.ndarray, "frames joints 4"], first: Float[np.ndarray, "joints 4"] | None
 ) -> Float[np.ndarray, "frames joints 4"]:
-    """Quaternions that begin on the hemispheres of others, so that they can be blended."""
+    """Flip quaternions to the hemispheres of ``first``, so that windows can be blended."""
     if first is None:
         return quat
     return quat * np.where((quat[0] * first).sum(-1) < 0, -1.0, 1.0)[:, None]

@@ -1,15 +1,15 @@
-"""Positions of a person's joints over the whole track, from all that every view saw of them.
+"""Fit the positions of a person's joints over the whole track to the observations of all views.
 
-What is minimised, X being a joint at an instant, in metres:
+The energy, for a joint position X in metres at an instant, is the sum of:
 
-- *rays*: see ``skeleton.rays``; their scale shrinks from step to step (graduated non-convexity);
-- *acceleration*: Cauchy's function of X's second difference over what a joint of its kind does. Heavy-tailed: a
-  Gaussian prior would pull punches and jumps straight. It knows the frame rate;
-- *bones*: the squared difference of a limb's length to the person's own, left and right pooled.
+- *rays*: see ``fitting.rays``; the scale decreases from step to step (graduated non-convexity);
+- *acceleration*: Cauchy's function of the second difference of X, relative to the usual value of the joint at the frame
+  rate. It is heavy-tailed, because a Gaussian prior would smooth away punches and jumps;
+- *bones*: squared difference between the length of a limb and the person's own length, left and right pooled.
 
-Where a view took a person's left limb for the right one, which fits clearly better exchanged, it is exchanged back.
-Each step reweights and solves for one joint after the other with the others held: a banded system over time, so that
-the cost is linear in the track's length. Long tracks are cut into windows that overlap.
+If a view has confused left and right limbs, which then fit clearly better when exchanged, they are exchanged. Each step
+reweights and solves for one joint after the other, with the other joints fixed. This is a banded system over time, so
+the cost is linear in the length of the track. Long tracks are cut into overlapping windows.
 """
 
 from collections.abc import Sequence
@@ -25,32 +25,31 @@ from pipeline.skeleton.fitting.rays import Rays
 from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import filled_linearly
 
-# Where the rays' c begins and ends.
+# Scales c of the rays, in order of the steps; the last scale is kept.
 SCALES_M = (0.20, 0.12, 0.08, 0.05)
 _NUM_STEPS = 12
-# What joints do in lively movement, m/s2; and how many times as much still counts as usual.
+# Usual accelerations of joints in lively movement, and the factor at which Cauchy's function becomes heavy-tailed.
 _USUAL_M_S2 = {
     "shoulder": 10.0, "elbow": 18.0, "wrist": 28.0, "hip": 8.0, "knee": 16.0, "ankle": 20.0, "toe": 24.0, "heel": 24.0,
     "neck": 10.0,
 }  # fmt: skip
 _USUAL_ELSE_M_S2 = 12.0
 _HEAVY_TAIL = 3.0
-# How much a limb's length differs between frames by what detectors mark.
+# Standard deviation of a limb's length between frames, caused by the detector.
 _BONE_SIGMA_M = 0.010
-# When views are asked whether they took left for right: where joints were located, and when they are about where they
-# are.
+# Steps before which sides may be exchanged: at the located positions, and when positions are approximately right.
 _STEPS_OF_EXCHANGE = (0, 3, 6)
-# No joint moves farther in a step: rays that hardly cross say little of where along them it is.
+# Longest step of a joint: rays that are nearly parallel hardly determine the position along them.
 _LONGEST_STEP_M = 0.3
-# Holds a joint that nothing else holds where it is.
+# Weight that keeps a joint in place if no other term does.
 _INERTIA = 1e-2
-# The second difference, and so how far its equations reach.
+# Coefficients of the second difference.
 _DIFFERENCE = np.array([1.0, -2.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 
 
 def usual_step_m(joints: JointSet, timebase: Timebase) -> Float[np.ndarray, " joints"]:
-    """What a joint's second difference in metres usually is, a frame squared being the unit of time."""
+    """Usual second difference of each joint's position between frames, in metres."""
     usual_m_s2 = np.array([_USUAL_M_S2.get(name.rpartition("_")[2], _USUAL_ELSE_M_S2) for name in joints.names])
     return np.asarray(usual_m_s2 / timebase.frame_rate_hz**2)
 
@@ -58,7 +57,7 @@ def usual_step_m(joints: JointSet, timebase: Timebase) -> Float[np.ndarray, " jo
 def tie_weight(
     second_m: Float[np.ndarray, "*batch 3"], usual_m: float | Float[np.ndarray, " joints"]
 ) -> Float[np.ndarray, "*batch"]:
-    """Weight of a second difference, by how far from usual it is now: Cauchy's function."""
+    """Weight of second differences by Cauchy's function of their ratio to the usual value."""
     ratio2 = (second_m**2).sum(-1) / usual_m**2
     return np.asarray(1.0 / (usual_m**2 * (1.0 + ratio2 / _HEAVY_TAIL**2)))
 
@@ -71,17 +70,18 @@ def fit_positions(
     joints: JointSet,
     on_share: OnShare = ignore,
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Fit the positions of one person's joints.
+    """Fit the positions of a person's joints.
 
     Parameters
     ----------
+    track
+        Located joints.
     seen
-        The observations behind the track.
+        Observations of the track.
 
     Returns
     -------
-        Positions in the world (metres) in every frame, gaps included; NaN throughout for joints that were never
-        located.
+        World positions (metres) in all frames, gaps included; NaN in all frames for joints that were never located.
     """
     limbs = _limbs(track, track.source == Source.MEASURED, joints)
     usual_m = usual_step_m(joints, timebase)
@@ -96,7 +96,7 @@ def fit_positions(
 def _limbs(
     track: Track3D, measured: Bool[np.ndarray, "frames joints"], joints: JointSet
 ) -> list[list[tuple[int, float]]]:
-    """The limbs that hang on each joint: the other end, and the person's length, left and right pooled."""
+    """Limbs of each joint, as other end and the person's median length in metres, left and right pooled."""
     pooled: dict[str, list[np.ndarray]] = {}
     ends = [(joints.index(one), joints.index(other)) for one, other in LIMBS if {one, other} <= set(joints.names)]
     for one, other in ends:
@@ -120,7 +120,7 @@ def _fit_window(
     usual_m: Float[np.ndarray, " joints"],
 ) -> Float[np.ndarray, "frames joints 3"]:
     xyz_m = np.stack([filled_linearly(start_m[:, joint], _UNKNOWN) for joint in range(start_m.shape[1])], axis=1)
-    # Of a joint that was never located there is nothing to fit.
+    # Joints that were never located can't be fitted.
     located = np.flatnonzero(np.isfinite(xyz_m[0, :, 0]))
     for step in range(_NUM_STEPS):
         scale_m = SCALES_M[min(step, len(SCALES_M) - 1)]
@@ -143,9 +143,9 @@ def _add_bone(
     other_m: Float[np.ndarray, "frames 3"],
     length_m: float,
 ) -> None:
-    """Newton's step for a limb's length, in place; nothing where the other end is unknown or in the same place.
+    """Add the Newton terms of a limb's length, in place; none where the other end is unknown or at the same position.
 
-    Across the limb its curvature is kept where it is positive: without, a joint that little else holds would fly off.
+    Positive curvature across the limb is kept. Without it, a joint with few other constraints would diverge.
     """
     along_m = here_m - other_m
     distance_m = np.linalg.norm(along_m, axis=-1)
@@ -166,7 +166,7 @@ def _solve(
     before_m: Float[np.ndarray, "frames 3"],
     usual_m: float,
 ) -> Float[np.ndarray, "frames 3"]:
-    """One joint over time: the frames' own equations, and the acceleration that ties them."""
+    """Solve for a joint over time: normal equations of all frames, coupled by the acceleration."""
     num_frames = len(normal)
     # Row d of a banded matrix holds its d-th upper diagonal, at the column of the later unknown.
     banded = np.zeros((9, num_frames, 3))

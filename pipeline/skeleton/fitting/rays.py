@@ -1,4 +1,4 @@
-"""What all views of a window of frames say of where a person's joints are: a ray a view and joint."""
+"""Energy of joint positions from the rays of all views in a window of frames."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,10 +10,11 @@ from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.joints import JointSet
 
-# A detector's noise across a ray.
+# Noise of a detector across a ray.
 _SIGMA_M = 0.015
 _MIN_SCORE = 0.1
-# What detectors take for the other side's, and how much better it must fit there (in observations of full score).
+# Parts of limbs that detectors confuse with the other side, and the improvement of the fit (in observations with score
+# 1) that an exchange of sides requires.
 _EXCHANGEABLE = (
     ("shoulder", "elbow", "wrist"), ("elbow", "wrist"), ("wrist",), ("hip", "knee", "ankle"), ("knee", "ankle"),
     ("ankle",),
@@ -22,15 +23,15 @@ _CLEARLY = 0.5
 
 
 class Rays:
-    """The energy of joints' places: for a view with score s, ``s^3 / sigma^2 GM(d; c)``.
+    """Energy of joint positions. A view with score s contributes ``s^3 / sigma^2 GM(d; c)``.
 
-    d is the distance of the joint to the ray, and GM the function of Geman and McClure, which no single wrong view can
-    pull: beyond c it hardly grows.
+    d is the distance of the joint to the ray, and GM the function of Geman and McClure. GM hardly increases beyond c,
+    so a single wrong view has little influence.
 
     Parameters
     ----------
     points_px, score
-        Observations in full-image pixels (distorted), NaN and 0 where there are none.
+        Observations in distorted pixels of the full image, NaN with score 0 where there is none.
     """
 
     def __init__(
@@ -47,19 +48,21 @@ class Rays:
         rays = np.where(is_seen[..., None], rays, 0.0)
         self._centers_m = np.array([center_in_world(camera) for camera in cameras])
         self._weight = np.where(is_seen, score**3, 0.0) / _SIGMA_M**2
-        # Projections onto the planes across the rays.
+        # Projections onto the planes perpendicular to the rays.
         self._across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
         self._pairs = tuple(_pairs(joints))
 
     def normal_equations(
         self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
     ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
-        """Curvature and right side for a joint, reweighted by how far its rays pass where it is now.
+        """Matrix and right side of the normal equations of a joint, reweighted at its current position.
 
         Parameters
         ----------
+        xyz_m
+            Current position of the joint.
         scale_m
-            The function's c.
+            Scale c of the function of Geman and McClure.
         """
         across = self._across[:, :, joint]
         off_m = np.einsum("fcab,fcb->fca", across, xyz_m[:, None] - self._centers_m)
@@ -71,7 +74,7 @@ class Rays:
         )
 
     def exchange_sides(self, xyz_m: Float[np.ndarray, "frames joints 3"], scale_m: float) -> None:
-        """Exchange a view's left limb for its right one wherever they clearly fit better so."""
+        """Exchange the left and right limb of a view in frames in which they clearly fit better when exchanged."""
         for left, right in self._pairs:
             exchanged = self._fit_exchanged(xyz_m, left, right, scale_m**2)
             for seen in (self._across, self._weight):

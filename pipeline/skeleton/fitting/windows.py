@@ -1,4 +1,4 @@
-"""Long tracks are worked on in windows that overlap, so that what it takes does not grow with them."""
+"""Overlapping windows of long tracks, so that memory does not grow with the length of a track."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ _WINDOW_FRAMES, _OVERLAP_FRAMES = 600, 60
 
 
 def windows(num_frames: int, overlap: int = _OVERLAP_FRAMES, on_share: OnShare = ignore) -> Iterator[slice]:
-    """Frames to work on at once; ``on_share`` is called after each window."""
+    """Ranges of frames to process at once; ``on_share`` is called with the progress after each window."""
     step = _WINDOW_FRAMES - overlap
     for start in range(0, max(num_frames - overlap, 1), step):
         stop = min(start + _WINDOW_FRAMES, num_frames)
@@ -20,12 +20,12 @@ def windows(num_frames: int, overlap: int = _OVERLAP_FRAMES, on_share: OnShare =
 
 
 class Blend:
-    """Values of all frames, put together out of windows: where two overlap, one passes evenly into the other.
+    """Join the values of overlapping windows, blended linearly in the overlaps.
 
     Parameters
     ----------
     result
-        Where they are put.
+        Array for the values of all frames; written in place.
     """
 
     def __init__(self, result: Float[np.ndarray, "frames *values"]) -> None:
@@ -33,7 +33,7 @@ class Blend:
         self._done = 0
 
     def add(self, rows: slice, values: Float[np.ndarray, "rows *values"]) -> None:
-        """Put a window in, in the order of ``windows``."""
+        """Add the values of a window; call in the order of ``windows``."""
         overlap = self._done - rows.start
         before, after = self._result[rows.start : self._done], values[:overlap]
         share = (np.arange(1, overlap + 1) / (overlap + 1)).reshape(-1, *(1,) * (values.ndim - 1))

@@ -1,1 +1,1 @@
-"""Cross-view tracking as compiled loops."""
+"""Compiled loops of cross-view tracking, and the arrays of the tracker's state."""

@@ -1,4 +1,4 @@
-"""The Hungarian algorithm as a compiled loop; ``assignment.assign`` is the same by scipy."""
+"""Hungarian algorithm as a compiled loop; ``assignment.assign`` is the same by SciPy."""
 
 from typing import no_type_check
 
@@ -10,9 +10,10 @@ from pipeline.runtime.jit import kernel
 @kernel
 @no_type_check
 def hungarian(num_rows, num_columns, room):
-    """Columns of the largest total ``room.gain`` to ``room.row_of``; rows <= columns.
+    """Assign rows to columns for the largest total ``room.gain``, by shortest augmenting paths.
 
-    Shortest augmenting paths (Jonker and Volgenant); everything is counted from 1, 0 means none.
+    After Jonker and Volgenant (1987), with at most as many rows as columns. ``room.row_of`` gets the row of each
+    column; rows and columns count from 1, and 0 means none.
     """
     gain, row_price, column_price, row_of = room.gain, room.row_price, room.column_price, room.row_of
     before, slack, done = room.before, room.slack, room.done
@@ -51,9 +52,9 @@ def hungarian(num_rows, num_columns, room):
 @kernel
 @no_type_check
 def assign(num_rows, num_columns, room):
-    """Match ``room.rows`` to ``room.columns`` for the largest total affinity; a pair needs a positive one.
+    """Match ``room.rows`` to ``room.columns`` for the largest total affinity; each pair has a positive affinity.
 
-    Where no two rows want one column, nor a row two columns, the positive pairs are the solution as they stand.
+    If every row and every column is in at most one positive pair, the positive pairs are the solution.
     """
     affinity, rows, columns, match = room.affinity, room.rows, room.columns, room.match
     contested = False

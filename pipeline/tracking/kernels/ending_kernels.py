@@ -1,4 +1,4 @@
-"""How targets end, as compiled loops: nobody sees them for long, or two of them are one person."""
+"""Compiled loops that end targets: unseen for too long, or duplicates of another target."""
 
 from typing import no_type_check
 
@@ -11,7 +11,7 @@ from pipeline.tracking.kernels.state import MIN_JOINTS
 @kernel
 @no_type_check
 def bury(targets, time_s, limits):
-    """End targets that two cameras have not seen for long."""
+    """End targets that no two cameras have seen for longer than their limit."""
     kept = 0
     for place in range(targets.alive[0]):
         slot = targets.order[place]
@@ -38,7 +38,7 @@ def _same_place(one, other, duplicate_m):
         x += dx if known else 0.0
         y += dy if known else 0.0
         z += dz if known else 0.0
-    # No mean distance is shorter than the distance of the means.
+    # The mean distance is at least the distance of the means.
     if count < MIN_JOINTS or x * x + y * y + z * z >= (duplicate_m * count) ** 2:
         return False
     total_m = 0.0
@@ -56,7 +56,7 @@ def _same_place(one, other, duplicate_m):
 @kernel
 @no_type_check
 def _is_better(one, other, time_s, limits):
-    """Which of two duplicates stays: the one seen now, else the one seen more often, else the older."""
+    """Whether the first of two duplicates stays: by recent support, then by number of supports, then by age."""
     one_is_old = time_s - one.supported_s > limits.velocity_window_s
     other_is_old = time_s - other.supported_s > limits.velocity_window_s
     if one_is_old != other_is_old:
@@ -69,7 +69,7 @@ def _is_better(one, other, time_s, limits):
 @kernel
 @no_type_check
 def merge_duplicates(targets, time_s, limits, replaced_by, room):
-    """Two targets in one place are one person: the better one stays, see ``reference.Tracker``."""
+    """Merge targets at the same place; see ``reference.Tracker``."""
     count = targets.alive[0]
     gone = room.gone
     gone[:count] = False

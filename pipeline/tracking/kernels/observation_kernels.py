@@ -1,4 +1,4 @@
-"""What each camera saw at the output instants, as compiled loops."""
+"""Compiled loops that sample a person's observations at the output instants."""
 
 from typing import no_type_check
 
@@ -15,7 +15,7 @@ def clear_unfound(seen_px, score):
     Parameters
     ----------
     seen_px, score
-        (detections, joints[, 2]); NaN where a joint was not found.
+        Arrays (detections, joints, 2) and (detections, joints); pixels are NaN where a joint was not found.
     """
     for row in range(score.shape[0]):
         for k in range(score.shape[1]):
@@ -26,7 +26,7 @@ def clear_unfound(seen_px, score):
 @kernel
 @no_type_check
 def _copy(bodies, points_px, row, decay, sampled_px, score):
-    """What a camera saw in one frame; loops of few arrays each, so that they work on several numbers at a time."""
+    """Copy the joints of one frame; loops over few arrays, so that they are vectorised."""
     for k in range(score.shape[0]):
         sampled_px[k, 0] = points_px[row, k, 0]
         sampled_px[k, 1] = points_px[row, k, 1]
@@ -37,7 +37,7 @@ def _copy(bodies, points_px, row, decay, sampled_px, score):
 @kernel
 @no_type_check
 def _blend(bodies, points_px, left, right, share, decay, sampled_px, score):
-    """Between two frames of a camera, where both show a joint."""
+    """Interpolate between two frames of a camera where both show a joint."""
     for k in range(score.shape[0]):
         value = min(bodies.score[left, k], bodies.score[right, k]) * decay
         if value > 0:
@@ -57,18 +57,18 @@ def _clear(sampled_px, score):
 @kernel
 @no_type_check
 def sample_observations(rows, bodies, points_px, instants_s, half_s, lambda_t_hz, sampled_px, score):
-    """Find out what each camera saw of a person at the output instants; see ``observations.observations_at``.
+    """Sample a person's observations in each camera at the output instants; see ``observations.observations_at``.
 
     Parameters
     ----------
     rows
-        The person's detections, ascending, at most one a camera and frame.
+        Rows of the person's detections, ascending, at most one a camera and frame.
     bodies
         ``observations.Bodies``.
     points_px
         Joints of all detections, (detections, joints, 2).
     sampled_px, score
-        Get the observations, (frames, cameras, joints[, 2]); NaN and 0 where there are none.
+        Output arrays (frames, cameras, joints, 2) and (frames, cameras, joints); NaN and 0 without an observation.
     """
     start = 0
     for camera in range(score.shape[1]):

@@ -1,7 +1,7 @@
-"""The state of the tracker in arrays, as the kernels take it.
+"""Arrays of the tracker's state, as the kernels take them.
 
-A target's state is a record whose arrays have the joints last and a length known when a loop is compiled (a multiple of
-four: the joints, and lanes that stay unused). So a loop over the joints works on several at a time.
+The state of a target is a record. Its arrays have the joints as last axis, padded to a multiple of four lanes whose
+number is known when a loop is compiled. So loops over the joints are vectorised.
 """
 
 from functools import cache
@@ -11,33 +11,33 @@ import numpy as np
 
 from pipeline.runtime.jit import record_dtype, round_up, zero_records
 
-# A pair that shares fewer joints is not compared.
+# Least number of shared joints for an affinity.
 MIN_JOINTS = 3
-# Positions kept for a velocity; more frequent ones replace the newest.
+# Positions kept for a velocity; a position soon after the newest replaces it.
 NUM_RECENT = 8
-# The six entries of a symmetric 3x3 matrix, and the right-hand side of the normal equations.
+# Six entries of a symmetric 3x3 matrix, and three of the right-hand side of the normal equations.
 NUM_NORMAL = 9
 _NUM_SUMS = 9
 
 
 @cache
 def target_dtype(lanes: int) -> np.dtype:
-    """The state of a target; ``reference.Target`` says what the fields mean."""
+    """Record of a target's state; ``reference.Target`` documents the fields."""
     return record_dtype(
         ("xyz_m", np.float64, (3, lanes)),
         ("updated_s", np.float64, (lanes,)),
         ("velocity_m_s", np.float64, (3, lanes)),
-        ("expected_m", np.float64, (3, lanes)),  # where the joints should be now
-        ("offset_m", np.float64, (3, lanes)),  # the same as seen from the centre of the camera of now
-        ("squared_m2", np.float64, (lanes,)),  # its squared length
+        ("expected_m", np.float64, (3, lanes)),  # predicted joints at the current frame
+        ("offset_m", np.float64, (3, lanes)),  # predicted joints minus the centre of the current camera
+        ("squared_m2", np.float64, (lanes,)),  # squared length of offset_m
         ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
         ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
-        ("views", np.float64, (lanes,)),  # how many those are
+        ("views", np.float64, (lanes,)),  # number of views in normal_sum
         ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
         ("recent_s", np.float64, (NUM_RECENT,)),
         ("target_id", np.int64),
         ("sum_s", np.float64),
-        ("recent_since_s", np.float64),  # when the newest of them was first taken
+        ("recent_since_s", np.float64),  # time at which the newest entry of recent_m was created
         ("num_recent", np.int64),
         ("is_fitted", np.bool_),
         ("moved_s", np.float64),
@@ -49,13 +49,13 @@ def target_dtype(lanes: int) -> np.dtype:
 
 @cache
 def view_dtype(lanes: int) -> np.dtype:
-    """The last match of a target in a camera."""
+    """Record of a target's last match in a camera."""
     return record_dtype(("normal", np.float64, (NUM_NORMAL, lanes)), ("last_px", np.float64, (2, lanes)))
 
 
 @cache
 def body_dtype(lanes: int) -> np.dtype:
-    """A detection of the camera of now."""
+    """Record of a detection in the current frame."""
     return record_dtype(
         ("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))
     )
@@ -63,12 +63,12 @@ def body_dtype(lanes: int) -> np.dtype:
 
 @cache
 def sums_dtype(lanes: int) -> np.dtype:
-    """Sums behind the velocities of a target's joints."""
+    """Record of the sums of the least-squares fit of velocities."""
     return record_dtype(("fit", np.float64, (_NUM_SUMS, lanes)))
 
 
 class Rig(NamedTuple):
-    """All cameras, as arrays."""
+    """Geometry of all cameras."""
 
     image_from_world: np.ndarray  # (cameras, 3, 4)
     world_ray_from_image: np.ndarray  # (cameras, 3, 3)
@@ -77,7 +77,7 @@ class Rig(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """All frames of all cameras in time order, and their detections: rows ``first:last`` of the last two arrays."""
+    """Frames of all cameras in time order; rows ``first:last`` of the last two arrays are a frame's detections."""
 
     time_s: np.ndarray
     camera: np.ndarray
@@ -88,7 +88,7 @@ class Frames(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """``TrackingParameters`` as numbers in one order."""
+    """``TrackingParameters`` that the kernels use, as a tuple of numbers."""
 
     alpha_2d_px_s: float
     alpha_epipolar_px: float
@@ -107,20 +107,20 @@ class Limits(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """All targets, a slot each: ``order`` lists the slots of those alive in order of birth, ``alive[0]`` of them."""
+    """Slots for targets; the first ``alive[0]`` entries of ``order`` are the slots in use, in order of creation."""
 
     alive: np.ndarray
     order: np.ndarray
     state: np.ndarray  # (slots,) of target_dtype
     views: np.ndarray  # (slots, cameras) of view_dtype
     matched_s: np.ndarray  # (slots, cameras)
-    counted: np.ndarray  # (slots, cameras): whether normal_sum has the view
+    counted: np.ndarray  # (slots, cameras): whether normal_sum includes the view
     bodies: np.ndarray  # (most detections in a frame,) of body_dtype
     sums: np.ndarray  # (1,) of sums_dtype
 
 
-class Room(NamedTuple):
-    """Arrays to work in: kernels allocate nothing, which spares them the counting of references."""
+class Workspace(NamedTuple):
+    """Work arrays: kernels allocate none, so that they need no reference counting."""
 
     affinity: np.ndarray  # (slots, most detections in a frame)
     match: np.ndarray  # (slots,)
@@ -130,7 +130,7 @@ class Room(NamedTuple):
     gone: np.ndarray  # (slots,)
     wanted: np.ndarray  # (most detections,)
     gain: np.ndarray  # (side, side), where side is the larger of slots and most detections
-    row_price: np.ndarray  # (side + 1,), as all that follow
+    row_price: np.ndarray  # (side + 1,), as the arrays that follow
     column_price: np.ndarray
     row_of: np.ndarray
     before: np.ndarray
@@ -139,7 +139,7 @@ class Room(NamedTuple):
 
 
 class Pool(NamedTuple):
-    """Detections of each camera's most recent frame that belong to nobody."""
+    """Unmatched detections of each camera's most recent frame."""
 
     rows: np.ndarray  # (cameras, most detections in a frame)
     num_rows: np.ndarray
@@ -147,16 +147,16 @@ class Pool(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What tracking finds out."""
+    """Result of tracking."""
 
-    identity: np.ndarray  # a detection
-    replaced_by: np.ndarray  # a target: a duplicate's twin, else -1
-    earned: np.ndarray  # a target: whether it was ever confirmed
-    merged_s: np.ndarray  # (1,): when duplicates were looked for last
+    identity: np.ndarray  # (detections,): target of each detection, NOBODY for none
+    replaced_by: np.ndarray  # (targets,): target that a duplicate was merged into, else -1
+    earned: np.ndarray  # (targets,): whether the target was ever confirmed
+    merged_s: np.ndarray  # (1,): time of the last search for duplicates
 
 
 def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detections: int) -> Targets:
-    """Room for so many targets, none of them alive."""
+    """Allocate slots for targets, none of them in use."""
     lanes = round_up(num_joints)
     return Targets(
         alive=np.zeros(1, np.int64),
@@ -170,10 +170,10 @@ def make_targets(num_slots: int, num_cameras: int, num_joints: int, most_detecti
     )
 
 
-def make_room(num_slots: int, most_detections: int) -> Room:
-    """Arrays to work in."""
+def make_workspace(num_slots: int, most_detections: int) -> Workspace:
+    """Allocate the work arrays of the kernels."""
     side = max(num_slots, most_detections)
-    return Room(
+    return Workspace(
         affinity=np.empty((num_slots, most_detections)),
         match=np.empty(num_slots, np.int64),
         rows=np.empty(num_slots, np.int64),

@@ -1,7 +1,7 @@
-"""Cross-view tracking (Chen et al. 2020, algorithm 1) as compiled loops over frames.
+"""Compiled loops of cross-view tracking over frames (Chen et al. 2020, algorithm 1).
 
-``reference.py`` is the same method in plain numpy, to read first: tests hold these loops to it. What they work on is
-described in ``state.py``.
+``tracking.reference`` is the same method in plain NumPy, to be read first; tests compare the two. ``state`` describes
+the arrays.
 """
 
 from typing import no_type_check
@@ -19,7 +19,7 @@ _MIN_DETERMINANT = 1e-5
 @kernel
 @no_type_check
 def clear(targets, slot, target_id):
-    """Make a slot one that nobody has seen yet."""
+    """Reset a slot to a target without observations."""
     target = targets.state[slot]
     target.target_id = target_id
     target.xyz_m[:] = np.nan
@@ -43,7 +43,7 @@ def clear(targets, slot, target_id):
 @kernel
 @no_type_check
 def _drop_old_views(targets, slot, time_s, limits):
-    """Take views that are too old out of the sum; a joint that nobody sees starts from zero again."""
+    """Subtract views that are too old from the normal equations; set those of a joint without views to zero."""
     target = targets.state[slot]
     for camera in range(targets.matched_s.shape[1]):
         if not targets.counted[slot, camera] or time_s - targets.matched_s[slot, camera] < limits.velocity_window_s:
@@ -62,11 +62,11 @@ def _drop_old_views(targets, slot, time_s, limits):
 @kernel
 @no_type_check
 def observe(targets, slot, camera, time_s, body_number, image_from_world, limits):
-    """Take a matched detection for the last one of its camera (eq. 6-9 and the norm of eq. 11).
+    """Store a matched detection as the last match of its camera (eq. 6-9 and the norm of eq. 11).
 
-    Its rows are weighted with the detector's confidence, and with ``a^2 / (a^2 + d^2)`` for the distance d of the ray
-    to where the joint was expected, a being alpha_3d. In the sum of the normal equations the camera's last match makes
-    room for it, and all others fall with time, ``exp(-lambda_t (t - t_i))`` squared.
+    The rows are weighted with the detector's confidence and with ``a^2 / (a^2 + d^2)``, where d is the distance of the
+    ray to the expected joint and a is alpha_3d. In the sum of the normal equations the detection replaces the camera's
+    previous match; the other cameras' matches decay by ``exp(-lambda_t (t - t_i))`` squared.
     """
     _drop_old_views(targets, slot, time_s, limits)
     target, view, body = targets.state[slot], targets.views[slot, camera], targets.bodies[body_number]
@@ -104,7 +104,7 @@ def observe(targets, slot, camera, time_s, body_number, image_from_world, limits
         n7, o7 = -(weight_a * a1 * a3 + weight_b * b1 * b3), view.normal[7, k]
         n8, o8 = -(weight_a * a2 * a3 + weight_b * b2 * b3), view.normal[8, k]
         others = target.views[k] - (had if o0 + o3 + o5 > 0 else 0.0)
-        # Exactly zero where no other camera sees the joint: what is left of the sum is rounding.
+        # Exactly zero where no other camera sees the joint: the remainder of the sum is rounding error.
         keep = decay if others > 0 else 0.0
         gone = old if others > 0 else 0.0
         target.views[k] = others + (1.0 if weight > 0 else 0.0)
@@ -148,7 +148,7 @@ def move(targets, slot, time_s, limits, earned):
         trace = a + d + f
         solvable = (target.views[k] >= 2) & (determinant > _MIN_DETERMINANT * trace * trace * trace)
         over = 1.0 / determinant
-        # Read here, and not only where they are needed: that would take masked stores below, which are slow.
+        # Read for every joint: reading only unsolvable joints would need masked stores below, which are slow.
         before_x, before_y, before_z = target.xyz_m[0, k], target.xyz_m[1, k], target.xyz_m[2, k]
         before_s = target.updated_s[k]
         x_m, y_m, z_m = (
@@ -183,7 +183,7 @@ def move(targets, slot, time_s, limits, earned):
 @kernel
 @no_type_check
 def _newest_place(target, time_s, limits):
-    """Where the position of now is kept: in a place of its own, or in that of the newest if they are close in time."""
+    """Index for the current position among the recent positions; it replaces the newest entry if that is recent."""
     spacing_s = limits.velocity_window_s / (NUM_RECENT - 1)
     if target.num_recent == 0 or time_s - target.recent_since_s >= spacing_s:
         target.recent_since_s = time_s
@@ -196,7 +196,7 @@ def _newest_place(target, time_s, limits):
 @kernel
 @no_type_check
 def _fit_velocity(target, sums, window_s):
-    """Linear least squares over the recent positions (eq. 5); two alone would take the noise for speed."""
+    """Fit velocities to the recent positions by linear least squares (eq. 5), 0 with fewer than three positions."""
     newest_s = target.recent_s[(target.num_recent - 1) % NUM_RECENT]
     sums.fit[:] = 0.0
     for place in range(min(target.num_recent, NUM_RECENT)):
@@ -231,7 +231,7 @@ def _fit_velocity(target, sums, window_s):
 @kernel
 @no_type_check
 def _expect(target, sums, time_s, center_m, limits):
-    """Linear motion (eq. 5), standing still after a while; and what eq. 4 needs of it in a camera."""
+    """Predict joints by linear motion (eq. 5), and their offsets, distances and decay for eq. 4 in a camera."""
     if not target.is_fitted and time_s > target.moved_s:
         _fit_velocity(target, sums, limits.velocity_window_s)
     center_x, center_y, center_z = center_m[0], center_m[1], center_m[2]
@@ -291,7 +291,7 @@ def epipolar_affinity(fundamental, left_px, left_score, right_px, right_score, a
         if left_score[k] > 0 and right_score[k] > 0:
             x, y, u, v = left_px[k, 0], left_px[k, 1], right_px[k, 0], right_px[k, 1]
             f = fundamental
-            # The epipolar line in the left image, and the slope of the one in the right.
+            # The epipolar line in the left image, and the slope of the epipolar line in the right image.
             a, b = f[0, 0] * u + f[0, 1] * v + f[0, 2], f[1, 0] * u + f[1, 1] * v + f[1, 2]
             c = f[2, 0] * u + f[2, 1] * v + f[2, 2]
             d, e = f[0, 0] * x + f[1, 0] * y + f[2, 0], f[0, 1] * x + f[1, 1] * y + f[2, 1]
@@ -305,7 +305,7 @@ def epipolar_affinity(fundamental, left_px, left_score, right_px, right_score, a
 @kernel
 @no_type_check
 def _may_start_somebody(frames, rig, limits, pool, camera, time_s):
-    """Whether two unmatched detections, one of this camera and one of another, have a positive affinity."""
+    """Whether an unmatched detection of this camera has a positive affinity with a recent one of another camera."""
     for other in range(len(pool.num_rows)):
         if other == camera or time_s - pool.time_s[other] >= limits.instant_s:
             continue
@@ -329,14 +329,14 @@ def _may_start_somebody(frames, rig, limits, pool, camera, time_s):
 @kernel
 @no_type_check
 def prepare(targets, frames, first, num_detections, world_ray_from_image):
-    """Lay out the detections of a frame, and their viewing rays (eq. 3)."""
+    """Copy the detections of a frame to ``targets.bodies``, and compute their viewing rays (eq. 3)."""
     m = world_ray_from_image
     for number in range(num_detections):
         body = targets.bodies[number]
         for k in range(frames.score.shape[1]):
             u, v = frames.points_px[first + number, k, 0], frames.points_px[first + number, k, 1]
             score = frames.score[first + number, k]
-            # What is not used must not spoil sums with NaN.
+            # A joint that is not used must not add NaN to sums.
             body.points_px[0, k] = u if score > 0 else 0.0
             body.points_px[1, k] = v if score > 0 else 0.0
             body.score[k] = score
@@ -353,7 +353,7 @@ def prepare(targets, frames, first, num_detections, world_ray_from_image):
 @kernel
 @no_type_check
 def _choose(targets, num_detections, room):
-    """Match targets to detections; those who earned their birth choose first."""
+    """Match targets to detections, confirmed targets before tentative ones."""
     count = targets.alive[0]
     for chooses in (True, False):
         num_rows, num_columns = 0, 0
@@ -379,7 +379,7 @@ def track(start, frames, rig, limits, targets, pool, outcome, room):
 
     Returns
     -------
-        The frame after which somebody new may be there: detections in the pool ask for it. Else the number of frames.
+        Number of the first frame after which detections in the pool may start a target; the number of frames if none.
     """
     affinity, match, free = room.affinity, room.match, room.free
     over_alpha_3d = 1.0 / limits.alpha_3d_m

@@ -61,7 +61,7 @@ def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert result.stdout == ""
     assert "There are no videos" in result.stderr
-    assert "no such calibration file" in result.stderr
+    assert "The calibration file does not exist" in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -158,8 +158,8 @@ def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
         PreflightProgram(command, 60.0, 1_000_000, 15_000, 3 * GIB).check(words, spool / "record")
     (error,) = raised.value.errors
     assert error.code == "session_too_large"
-    assert error.message == "The session's keypoints take more room than the service keeps."
-    assert error.hint == "Cut it into several sessions."
+    assert error.message == "The keypoints of the session are larger than the service stores."
+    assert error.hint == "Cut the session into several."
 
 
 def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 def own(**changes: Any) -> dict[str, Any]:
-    """A camera of our own format, with some fields changed."""
+    """Camera in Multicap's format with some fields changed."""
     camera = {
         "name": "left",
         "size_px": [640, 480],
@@ -167,8 +167,8 @@ def test_each_fault_names_file_camera_and_field(tmp_path: Path, changes: dict[st
     [
         ({"size_px": None}, "The size is missing."),
         ({"distortion": None}, "The distortion is missing."),
-        ({"size_px": 640}, "The size is one number where 2 numbers are needed."),
-        ({"rotation": [0.1, 0.2, 0.3]}, "The rotation has 3 numbers where 3 x 3 are needed."),
+        ({"size_px": 640}, "The size is one number instead of 2 numbers."),
+        ({"rotation": [0.1, 0.2, 0.3]}, "The rotation has 3 numbers instead of 3 x 3."),
         ({"translation_m": "far"}, "The translation is not a list of 3 numbers."),
     ],
 )
@@ -228,7 +228,7 @@ def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
 
 
 def test_coefficients_of_a_telephoto_lens_are_taken(tmp_path: Path) -> None:
-    """A lens that sees 5 degrees: at r = 0.05 from the middle k3 r^6 is 0.009, an ordinary distortion."""
+    """Lens with a view of 5 degrees: at r = 0.05 from the centre k3 r^6 is 0.009, an ordinary distortion."""
     matrix = [[22_000.0, 0.0, 959.5], [0.0, 22_000.0, 539.5], [0.0, 0.0, 1.0]]
     distortion = [0.5, -300.0, 0.001, -0.002, 6e5]
     path = write_own(tmp_path / "cameras.json", [own(size_px=[1920, 1080], matrix=matrix, distortion=distortion)])
@@ -328,6 +328,6 @@ def test_units_of_a_format_that_says_its_own_are_refused(tmp_path: Path) -> None
     path = tmp_path / "rig.json"
     path.write_text(json.dumps({"schema_version": 1, "cameras": [own()]}))
     assert len(read_calibration(path, "m")) == 1
-    with pytest.raises(InputError, match="says what lengths are in") as error:
+    with pytest.raises(InputError, match="determines the unit of lengths") as error:
         read_calibration(path, "mm")
     assert [problem.code for problem in error.value.problems] == ["calibration_units"]

@@ -1,4 +1,4 @@
-"""Limits of a session's clock: every camera and field that breaks one is named."""
+"""Limits of a session's clock, and the cameras and fields that violate them."""
 
 from collections.abc import Mapping
 
@@ -16,7 +16,7 @@ Spans = Mapping[str, tuple[float, float, float]]
 
 
 def found(spans: Spans, rate_hz: float | None = None) -> Mapping[str, list[Problem]]:
-    """Problems by code, of cameras with a start, a duration and a rate each."""
+    """Problems by code for cameras with a start, a duration and a rate each."""
     times = {
         name: FrameTimes(start_s + np.arange(round(duration_s * hz) + 1) / hz)
         for name, (start_s, duration_s, hz) in spans.items()
@@ -50,7 +50,7 @@ def test_clocks_within_the_limits(spans: Spans) -> None:
 
 
 def test_two_pairs_of_cameras_that_are_two_days_apart() -> None:
-    """Every camera overlaps with one other, and together they make 172 million frames."""
+    """Each camera overlaps with another camera, and all of them give 172 million frames."""
     spans = {"a": (-DAY_S, 5.0, 1000.0), "b": (-DAY_S, 5.0, 25.0), "c": (DAY_S, 5.0, 25.0), "d": (DAY_S, 6.0, 25.0)}
     problems = found(spans)
     assert problems.keys() == {"session_too_long"}

@@ -1,4 +1,4 @@
-"""Archives of keypoints from strangers."""
+"""Zip archives of keypoints from untrusted sources."""
 
 import zipfile
 from collections.abc import Mapping
@@ -64,13 +64,13 @@ def test_all_that_is_wrong_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     other = archive(tmp_path / "other.tar", {FRAME: b"{}"})
     found = refused(tmp_path, text, cut, bomb, many, folders, link, other)
     words = {
-        "text.zip": "no zip archive",
-        "cut.zip": "no zip archive",
+        "text.zip": "not a zip archive",
+        "cut.zip": "not a zip archive",
         "bomb.zip": "too large",
         "many.zip": "at most 3",
         "folders.zip": "several folders",
         "link.zip": "is a link",
-        "other.tar": "named as the camera",
+        "other.tar": "must have the name of its camera",
     }
     assert found.keys() == words.keys()
     assert all(words[name] in message for name, message in found.items())

@@ -1,4 +1,4 @@
-"""Whole captures of simulated people, and what splitting is for."""
+"""Hypothesis clustering of simulated people, and the split of clusters."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def reconstruct(simulation: Simulation) -> tuple[Track3D, ...]:
 
 
 def two_people(gap_m: float) -> np.ndarray:
-    """Two people in T-pose, side by side (people, joints, 3), their hands ``gap_m`` apart."""
+    """World positions (people, joints, 3) of two people in T-pose side by side, with hands ``gap_m`` apart."""
     person_m = {
         "neck": (0.0, 0.0, 1.45),
         "nose": (0.1, 0.0, 1.65),
@@ -56,7 +56,7 @@ def two_people(gap_m: float) -> np.ndarray:
 
 
 def candidates_of(cameras: tuple[Camera, ...], people_m: np.ndarray, noise_px: float = 0.0) -> Candidates:
-    """All joints of everybody in every view; a view's bodies are people."""
+    """Exact candidates of all joints of all people in all views; the bodies of a view are the people."""
     rng = np.random.default_rng(4)
     projections = np.array([image_from_world(camera) for camera in cameras])
     in_cam = np.einsum("cij,pkj->cpki", projections[:, :, :3], people_m) + projections[:, None, None, :, 3]
@@ -95,7 +95,7 @@ def test_perfect_candidates_give_exact_people(ring: tuple[Camera, ...]) -> None:
 
 
 def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
-    """The people whose candidates are behind each right wrist that is found, where two right hands touch."""
+    """People whose candidates are behind each found right wrist when two right hands touch."""
     people_m = two_people(0.04)
     # The first person turns around.
     for name in ("shoulder", "elbow", "wrist"):
@@ -107,17 +107,17 @@ def clapping_right_hands(ring: tuple[Camera, ...]) -> list[list[int]]:
     candidates = candidates_of(ring, people_m, noise_px=1.0)
     parameters = ClusteringParameters(tau1_px=8.0)
     found = find_joints(projections, candidates, EVIDENCE, SKELETON, known_lengths(people_m), parameters, Effort())
-    of_wrists = found.candidate[found.places.joint == wrist]
+    of_wrists = found.candidate[found.points.joint == wrist]
     return [np.unique(candidates.body[chosen[chosen >= 0]]).tolist() for chosen in of_wrists]
 
 
 def test_hands_that_clap_belong_to_two_people(ring: tuple[Camera, ...]) -> None:
-    """One cluster of one kind of joint, which two elbows claim."""
+    """A cluster of wrists with two elbows as parents."""
     assert sorted(clapping_right_hands(ring)) == [[0], [1]]
 
 
 def test_bone_lengths_tell_whose_joint_it_is(ring: tuple[Camera, ...]) -> None:
-    """A false candidate in the true detection, in all views: only its bone gives it away."""
+    """A false candidate in the true detection in all views, which only the bone length excludes."""
     people_m = two_people(0.5)
     elbow = SKELETON.names.index("left_elbow")
     wrong_m = people_m.copy()

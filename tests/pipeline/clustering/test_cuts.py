@@ -1,4 +1,4 @@
-"""Ranges of frames, found one by one, give what the whole session gives; bodies and fields."""
+"""Clustering by ranges of frames gives the result of the whole session, for bodies and fields."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -20,7 +20,7 @@ CONFIG = ReconstructionConfig(method="clustering")
 
 @pytest.fixture(scope="module")
 def session() -> KeypointSession:
-    """Cameras of three rates, whose frames lie anywhere, some of them lost."""
+    """Detections of cameras with three rates and random phases, with dropped frames."""
     simulation = record(replace(find_scene("unsynchronised"), duration_s=2.0), seed=8)
     return KeypointSession(
         cameras=simulation.cameras,
@@ -34,7 +34,7 @@ def session() -> KeypointSession:
 
 
 def of_range(session: KeypointSession, frames: range) -> Mapping[str, Detections]:
-    """What a worker has of a range: its chunk of every camera."""
+    """Detections of a range of output frames: the range's chunk of each camera."""
     span = span_s(session.timebase, frames.start, frames.stop)
     times: Mapping[str, FrameTimes] = session.times
     return {name: bodies_in(one, frames_in(times[name], *span)) for name, one in session.detections.items()}

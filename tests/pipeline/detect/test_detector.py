@@ -16,7 +16,7 @@ SIZES = [(1920, 1080), (1024, 768), (1088, 1920), (333, 517), (1279, 719), (97, 
 
 
 def find_blob(tensor: np.ndarray) -> dict[str, np.ndarray]:
-    """Stand-in for a network: one body, all of whose joints are where the image's blob is."""
+    """Fake network that detects a body with all joints at the blob of the image."""
     gray = tensor[0].sum(0).astype(float)
     height, width = gray.shape
     x, y = (gray.sum(0) @ np.arange(width), gray.sum(1) @ np.arange(height)) / gray.sum() / 4
@@ -59,7 +59,7 @@ def test_from_image_to_map_and_back_nothing_is_shifted(size_px: tuple[int, int],
 
 @pytest.mark.parametrize("size_px", SIZES)
 def test_a_cell_of_the_map_lies_where_its_pixels_do(size_px: tuple[int, int]) -> None:
-    """The place of a peak, by hand: sizes as the network sees them, pixels counted from their centres."""
+    """Position of a peak computed by hand, from sizes of the network's input and pixel centres."""
     long_side = max(size_px)
     seen_px = [round(side * 512 / long_side) for side in size_px]
     height, width = (-(-side // 32) * 32 // 4 for side in seen_px[::-1])

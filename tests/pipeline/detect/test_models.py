@@ -32,7 +32,7 @@ def package() -> Path:
 
 @pytest.fixture
 def fresh_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: Path) -> Path:
-    """An empty storage folder in which the network's package has been downloaded."""
+    """Storage folder with the downloaded package of the network, and nothing else."""
     (tmp_path / "downloads").mkdir()
     (tmp_path / "downloads" / package.name).symlink_to(package)
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
@@ -166,7 +166,7 @@ LOOSE = "human-pose-estimation-0001"
 
 @pytest.fixture
 def loose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the two files of a network whose conversion joins them, and an empty storage folder."""
+    """Folder with two weight files of a network whose conversion concatenates them, and an empty storage folder."""
     folder = tmp_path / "files"
     folder.mkdir()
     contents = {".xml": b"<net/>", ".bin": b"weights"}

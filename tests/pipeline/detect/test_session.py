@@ -10,7 +10,7 @@ from pipeline.errors import ModelError
 
 
 def write_network(path: Path) -> Path:
-    """Twice and the negative of an image."""
+    """Network whose outputs are twice the image and its negative."""
     shape: list[str | int | None] = [1, 3, "height", "width"]
     values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name in ("image", "twice", "negative")]
     nodes = [helper.make_node("Add", ["image", "image"], ["twice"]), helper.make_node("Neg", ["image"], ["negative"])]

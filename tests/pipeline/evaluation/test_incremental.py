@@ -1,4 +1,4 @@
-"""The paper's triangulation: what time penalty and norm are for."""
+"""Incremental triangulation: effects of time penalty and norm."""
 
 import numpy as np
 import pytest

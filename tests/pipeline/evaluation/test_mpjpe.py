@@ -1,4 +1,4 @@
-"""Accuracy against a known truth, on cases with a known answer."""
+"""Accuracy metrics on cases with known results."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pipeline.joints import COCO_17
 
 
 def people(*starts_m: float, num_frames: int = 6, num_joints: int = 12) -> np.ndarray:
-    """People (people, frames, joints, 3) at given places on the x axis, who walk along y."""
+    """World positions (people, frames, joints, 3) of people who start on the x axis and walk along y."""
     body = np.random.default_rng(1).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
     steps = np.arange(num_frames)[:, None] * np.array([0.0, 0.05, 0.0])
     return np.array([body + steps[:, None] + np.array([start, 0.0, 0.0]) for start in starts_m])

@@ -18,7 +18,7 @@ def test_perfect_predictions_get_full_marks() -> None:
 
 
 def test_a_part_is_right_up_to_half_its_length() -> None:
-    """The right forearm's wrist off by just under, then just over its length: the mean error is half of that."""
+    """Move the right wrist by just under, then just over the forearm's length; the mean error is half of it."""
     length_m = np.linalg.norm(POSE[6] - POSE[7])
     for factor, percent in ((0.99, 100.0), (1.01, 50.0)):
         predicted = POSE.copy()

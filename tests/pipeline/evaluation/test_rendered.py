@@ -1,4 +1,4 @@
-"""Rendered captures: reading their truth, and scoring against it."""
+"""Rendered captures: reader of the ground truth, and scores."""
 
 import struct
 import zipfile
@@ -17,7 +17,7 @@ Arrays = dict[str, np.ndarray]
 
 
 def truth_arrays(num_frames: int = 10, fps: float = 25.0) -> Arrays:
-    """Two people who walk side by side."""
+    """Ground truth of two people who walk side by side."""
     rng = np.random.default_rng(5)
     body = rng.uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (17, 3))
     time = np.arange(num_frames) / fps

@@ -1,4 +1,4 @@
-"""Tracks that are the truth, and what each fault costs."""
+"""Shelf metrics of exact tracks, and of tracks with single faults."""
 
 from dataclasses import replace
 

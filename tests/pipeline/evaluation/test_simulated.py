@@ -51,7 +51,7 @@ def test_nobody_found(simulation: Simulation) -> None:
 
 
 def test_touching_people_have_to_keep_both_wrists_each(simulation: Simulation) -> None:
-    """The second person is moved so that its left wrist touches the first one's right wrist."""
+    """The second person is moved so that their left wrist touches the first person's right wrist."""
     wrists = COCO_17.indices(("left_wrist", "right_wrist"))
     moved = simulation.truth_m.copy()
     moved[1] += (moved[0, :, wrists[1]] - moved[1, :, wrists[0]])[:, None]

@@ -1,4 +1,4 @@
-"""World positions of a BVH file as software that nobody here wrote finds them."""
+"""World positions of a BVH file, read by third-party libraries."""
 
 import warnings
 from pathlib import Path

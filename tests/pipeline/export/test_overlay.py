@@ -7,7 +7,7 @@ from pipeline.export.overlay import draw_skeletons, encode_png
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
-from tests.pipeline.skeleton.people import walker, without
+from tests.pipeline.skeleton.synthetic_tracks import walker, without
 
 GREY = np.full((480, 640, 3), 90, dtype=np.uint8)
 # Looks along the world's +Y from 4 m behind the origin, 1 m up, through a lens with distortion.

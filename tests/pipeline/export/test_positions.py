@@ -1,4 +1,4 @@
-"""TRC, C3D and CSV, read back by software that nobody here wrote."""
+"""TRC, C3D and CSV files, read back by third-party libraries."""
 
 import csv
 import io
@@ -14,14 +14,14 @@ from trc import TRCData
 from pipeline.data import Timebase, Track3D
 from pipeline.export.writers import c3d_file, csv_table, trc
 from pipeline.joints import COCO_17
-from tests.pipeline.skeleton.people import track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 RATES_HZ = (25.0, 30000 / 1001, 120000 / 1001)
 START = 7
 
 
 def track() -> Track3D:
-    """A walk with gaps, a joint that is never known and one instant of which nothing is."""
+    """Track of a walk with gaps, a joint without positions, and a frame without joints."""
     xyz_m = walker(40, turn_rad=2.0)
     xyz_m[5:9, 3] = np.nan
     xyz_m[:, 10] = np.nan

@@ -1,4 +1,4 @@
-"""What each preset promises: names, axes, unit and rest pose, read by bvhio."""
+"""Export presets: names, axes, unit and rest pose, read by bvhio."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ SOME_NAMES: dict[Preset, set[str]] = {
 
 
 def rest(preset: Preset, path: Path) -> dict[str, np.ndarray]:
-    """Rest positions by our names, metres."""
+    """Rest positions in metres by Multicap's joint names."""
     path.write_bytes(encoded(walk(1), preset))
     root = bvhio.readAsHierarchy(str(path)).loadRestPose(recursive=True)
     found = {joint.Name: np.array(joint.PositionWorld) for joint, _, _ in root.layout()}

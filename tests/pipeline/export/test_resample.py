@@ -1,4 +1,4 @@
-"""Motion at another rate."""
+"""Resampling of motion to another rate."""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Reconstruction
-from pipeline.export.resample import _slerp, resample
+from pipeline.export.resample import _rotations_at, resample
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import forward_kinematics
 from pipeline.stages.local import reconstruct
@@ -88,11 +88,26 @@ def test_who_lives_between_two_frames_is_left_out(take: Reconstruction) -> None:
 
 
 @given(seed=st.integers(0, 1000), weight=st.floats(0.0, 1.0))
-def test_between_two_rotations_it_is_scipy_s(seed: int, weight: float) -> None:
-    one, other = Rotation.random(2, rng=np.random.default_rng(seed))
-    expected = Slerp([0, 1], Rotation.concatenate([one, other]))(weight)
-    found = Rotation.from_quat(_slerp(one.as_quat(), -other.as_quat(), np.array([weight])))
-    assert (found.inv() * expected).magnitude() < 1e-6
+def test_between_two_rotations_it_turns_along_the_shorter_arc(seed: int, weight: float) -> None:
+    before, after = Rotation.random(2, rng=np.random.default_rng(seed))
+    quat_xyzw = np.stack([before.as_quat(), -after.as_quat()])[:, None]
+    found_xyzw = _rotations_at(quat_xyzw, np.array([0.0, weight, 1.0]))
+    found = Rotation.from_quat(found_xyzw[1, 0])
+    angle = (before.inv() * after).magnitude()
+    assert (before.inv() * found).magnitude() == pytest.approx(weight * angle, abs=1e-7)
+    assert (found.inv() * after).magnitude() == pytest.approx((1 - weight) * angle, abs=1e-7)
+    np.testing.assert_allclose(found_xyzw[0], quat_xyzw[0], atol=1e-12)
+
+
+def test_quaternions_that_are_continuous_stay_so(take: Reconstruction) -> None:
+    for motion in resample(take, 2.5 * take.timebase.frame_rate_hz).motions:
+        quat = motion.parent_from_joint
+        assert ((quat[1:] * quat[:-1]).sum(-1) > 0).all()
+
+
+def test_a_single_frame_keeps_its_rotations() -> None:
+    quat_xyzw = Rotation.random(4, rng=np.random.default_rng(0)).as_quat()[None]
+    np.testing.assert_array_equal(_rotations_at(quat_xyzw, np.zeros(1)), quat_xyzw)
 
 
 def test_all_formats_hold_it(take: Reconstruction, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""All files of a reconstruction at once: takes that are odd, and files that do not hold what they should."""
+"""Result files of a reconstruction: unusual takes, and files with wrong contents."""
 
 import json
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from pipeline.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
 from tests.pipeline.quality.test_report import CAMERAS, observe
-from tests.pipeline.skeleton.people import track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 EXPORTS = tuple(FILE_FORMATS)
 CSV: tuple[Export, ...] = ("csv",)

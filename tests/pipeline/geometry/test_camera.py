@@ -78,7 +78,7 @@ def test_epipolar_lines_contain_the_other_views_points(
 
 
 def test_epipolar_distance_is_the_mean_of_both_images() -> None:
-    """Two equal cameras side by side: epipolar lines are rows."""
+    """Epipolar lines of two equal cameras side by side are rows."""
     left = camera([], turn=(0.0, 0.0, 0.0))
     right = Camera("b", left.size_px, left.matrix, left.distortion, Rigid3(np.eye(3), np.array([-0.8, -0.1, 4.0])))
     seen_left, seen_right = np.array([[600.0, 300.0]]), np.array([[400.0, 312.0]])

@@ -82,7 +82,7 @@ def test_one_wrong_view_does_not_pull_the_point(camera: int) -> None:
 
 
 def test_of_two_views_that_contradict_a_third_the_guess_decides() -> None:
-    """Three views, one wrong: a prediction from the past tells which."""
+    """Of three views one is wrong, which a prediction from earlier frames identifies."""
     truth = np.array([[0.2, 0.1, 1.2]])
     points_px = seen(truth)[:3]
     points_px[0] += [[220.0, 0.0]]

@@ -9,13 +9,13 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
 from pipeline.quality.report import acceleration_m_s2, bone_length_std_cm, encode, estimate_stature_m, quality_report
-from tests.pipeline.skeleton.people import SHIN_M, THIGH_M, TRUNK_M, track_of, walker, without
+from tests.pipeline.skeleton.synthetic_tracks import SHIN_M, THIGH_M, TRUNK_M, track_of, walker, without
 
 RATE_HZ = 30.0
 
 
 def camera(name: str, angle_deg: float, height_m: float = 1.5, distortion: tuple[float, ...] = ()) -> Camera:
-    """A level camera five metres from where the walker starts, looking at her."""
+    """Make a level camera that looks at the walker's start from five metres away."""
     angle = np.radians(angle_deg)
     forward = np.array([np.cos(angle), np.sin(angle), 0.0])
     rotation = np.stack([np.cross(forward, [0.0, 0.0, 1.0]), [0.0, 0.0, -1.0], forward])
@@ -28,7 +28,7 @@ CAMERAS = (camera("a", 90.0), camera("b", 210.0, distortion=(-0.2, 0.05, 0.001, 
 
 
 def observe(track: Track3D, cameras: tuple[Camera, ...] = CAMERAS, score: float = 0.8) -> Observations:
-    """What the cameras see of a track, without any error."""
+    """Exact observations of a track."""
     points_px = np.stack([project(one, track.xyz_m) for one in cameras], axis=1)
     return Observations(track.track_id, points_px, np.where(np.isfinite(points_px[..., 0]), score, 0.0))
 

@@ -6,7 +6,7 @@ from pipeline.joints import COCO_17
 from pipeline.quality.report import estimate_stature_m
 from pipeline.quality.world_checks import world_checks
 from tests.pipeline.quality.test_report import CAMERAS, camera, reconstruction
-from tests.pipeline.skeleton.people import track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 
 def codes(xyz_m: np.ndarray, cameras: tuple[Camera, ...] = CAMERAS) -> list[str]:
@@ -51,14 +51,14 @@ def test_cameras_below_the_floor_are_named() -> None:
 
 def test_messages_say_who_and_how_much() -> None:
     (check,) = world_checks(reconstruction(track_of(WALK_M)), {1: 0.17})
-    assert check["message"].startswith("person-1 would be 0.17 m tall")
+    assert check["message"].startswith("person-1 is 0.17 m tall")
 
 
 def test_many_people_of_no_human_size_are_one_check() -> None:
     statures_m = dict.fromkeys(range(1, 12), 0.17) | {12: 1.7, 13: 2.5, 14: np.nan}
     (check,) = world_checks(reconstruction(track_of(WALK_M)), statures_m)
     assert check["code"] == "stature_out_of_range"
-    assert check["message"].startswith("12 people would not be 1 to 2.3 m tall: person-1 (0.17 m), person-2 (0.17 m), ")
+    assert check["message"].startswith("12 people are not 1 to 2.3 m tall: person-1 (0.17 m), person-2 (0.17 m), ")
     assert "person-10 (0.17 m) and 2 more. " in check["message"]
 
 

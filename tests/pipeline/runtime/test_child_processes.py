@@ -73,7 +73,7 @@ def test_work_is_done_and_the_first_function_is_called_with_its_arguments() -> N
 
 
 def test_how_children_are_started_needs_nothing_but_the_standard_library() -> None:
-    """The web API's settings and the jobs' contract import it."""
+    """The web API's settings and the jobs' contract import the module, but no third-party packages."""
     text = (
         "import sys; before = set(sys.modules); import pipeline.runtime.child_processes; "
         "print(*{name.partition('.')[0] for name in set(sys.modules) - before} - sys.stdlib_module_names)"

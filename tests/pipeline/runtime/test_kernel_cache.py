@@ -1,4 +1,4 @@
-"""Whether all kernels are compiled is known without compiling or loading anything."""
+"""Completeness of the kernel cache, checked without compilation or imports."""
 
 import os
 import subprocess

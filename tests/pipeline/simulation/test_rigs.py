@@ -1,4 +1,4 @@
-"""Where cameras stand and what they see."""
+"""Camera rigs: positions and views."""
 
 import numpy as np
 import pytest

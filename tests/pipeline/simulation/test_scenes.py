@@ -1,4 +1,4 @@
-"""Named scenes: complete, reproducible, and true to their specs."""
+"""Named scenes: complete, reproducible and as specified."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Whole motions of simulated people, whose feet and elbows are known."""
+"""Animation of simulated people, with known feet and elbows."""
 
 from dataclasses import replace
 from functools import cache
@@ -18,11 +18,11 @@ from pipeline.simulation.views.faults import Faults
 from pipeline.skeleton.animate import animate
 from pipeline.skeleton.fitting import windows
 from pipeline.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, placed
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import ring_camera
-from tests.pipeline.skeleton.people import walker
+from tests.pipeline.skeleton.synthetic_tracks import walker
 
 HARD = Detector(noise_m=0.0, noise_px=3.0, faults=Faults(miss_joint=0.2, swap=0.05))
 _Found = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
@@ -48,7 +48,7 @@ def animated(
 
 
 def bend_rad(motion: SkeletonMotion, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation of a hinge about its axis, and what is not about it."""
+    """Rotation of a hinge about its axis, and the remaining rotation."""
     hinge = np.array(KNEE_HINGE if name.endswith("Leg") else ARM_HINGES[name.removesuffix("ForeArm")])
     rotvec = Rotation.from_quat(motion.parent_from_joint[:, INDEX[name]]).as_rotvec()
     along = rotvec @ hinge
@@ -77,7 +77,7 @@ def test_joints_are_where_the_skeleton_has_them() -> None:
 
 
 def test_nothing_flips() -> None:
-    """From frame to frame no joint turns by more than 45 degrees, noise, misses and fast motion in it."""
+    """No joint turns by more than 45 degrees between frames, with noise, misses and fast motion."""
     for motion in animated("outdoor", 6.0, hard=True).motions:
         quat = motion.parent_from_joint
         cosine = np.abs((quat[1:] * quat[:-1]).sum(-1))
@@ -118,7 +118,7 @@ def test_no_contact_is_invented_in_running_and_jumping(hard: bool) -> None:
 
 def test_holding_feet_makes_nothing_pop() -> None:
     def fastest_m_s2(animation: Animation) -> float:
-        ankles_m = [placed(motion, f"{side}Foot")[0] for motion in animation.motions for side in ("Left", "Right")]
+        ankles_m = [joint_pose(motion, f"{side}Foot")[0] for motion in animation.motions for side in ("Left", "Right")]
         return max(np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1).max() for one in ankles_m) * 25.0**2
 
     assert fastest_m_s2(animated("walk", 10.0, True)) < 1.3 * fastest_m_s2(animated("walk", 10.0, True, feet="off"))
@@ -138,7 +138,7 @@ def test_feet_are_held_whatever_the_smoothing(smoothing: Smoothing) -> None:
 
 def test_feet_without_toes_are_level_while_they_stand_and_follow_the_shin_else() -> None:
     motion = animated("walk", 10.0).motions[0]
-    _, world_from_foot = placed(motion, "LeftFoot")
+    _, world_from_foot = joint_pose(motion, "LeftFoot")
     up = world_from_foot.apply([0.0, 0.0, 1.0])[:, 2]
     standing = np.zeros(len(up), bool)
     for contact in motion.contacts:
@@ -161,7 +161,7 @@ def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_toes_turn_feet() -> None:
-    """Somebody whose heels and toes are seen: the feet point outwards by 30 degrees."""
+    """A person with visible heels and toes, whose feet point outwards by 30 degrees."""
     num_frames, cameras = 40, tuple(ring_camera(f"cam{k}", angle) for k, angle in enumerate(np.radians([10, 130, 250])))
     coco_m = walker(num_frames) * [1.0, 1.0, 1.0] - [1.0, 1.6, 0.0]
     true_m = np.full((num_frames, 25, 3), np.nan)

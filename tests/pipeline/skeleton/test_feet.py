@@ -1,18 +1,18 @@
-"""Floor, contacts and what leads feet to where they stand, on ankles known in closed form."""
+"""Floor, contacts and pinning of feet, on ankles in closed form."""
 
 import numpy as np
 import pytest
 
 from pipeline.config import Feet
 from pipeline.data import Floor, FootContact
-from pipeline.skeleton.feet import ANKLE_HEIGHT_M, estimate_floor, find_contacts, places_of_feet, standing_share
+from pipeline.skeleton.feet import ANKLE_HEIGHT_M, estimate_floor, find_contacts, held_positions_m, stance_weight
 
 RATE_HZ = 50.0
 LEVEL = Floor(0.0, 0.0, 0.0)
 
 
 def steps(num_steps: int = 4, stance_s: float = 0.6, swing_s: float = 0.4, length_m: float = 1.2) -> np.ndarray:
-    """Ankles (frames, 2, 3) of somebody who walks along X; the right foot is half a stride behind."""
+    """World positions (frames, 2, 3) of the ankles of a walker along X; the right foot is half a stride behind."""
     time_s = np.arange(round(num_steps * (stance_s + swing_s) * RATE_HZ)) / RATE_HZ
     ankles_m = np.zeros((len(time_s), 2, 3))
     for foot, delay_s in enumerate((0.0, (stance_s + swing_s) / 2)):
@@ -39,7 +39,7 @@ def test_a_walk_s_stances_are_found_and_are_sure() -> None:
 
 
 def test_nothing_stands_in_the_air() -> None:
-    """At the top of a jump feet are still, and on their way down they are low."""
+    """Feet are still at the top of a jump, and low before they land."""
     time_s = np.arange(100) / RATE_HZ
     ankles_m = np.zeros((100, 2, 3))
     ankles_m[:, :, 0] = 0.2
@@ -65,7 +65,7 @@ def test_a_foot_that_creeps_stands_in_several_places() -> None:
     left = [contact for contact in found(ankles_m) if contact.side == "left"]
     assert 2 <= len(left) <= 4
     assert max(contact.slide_before_m for contact in left) < 0.04
-    places_m = places_of_feet(ankles_m, left, RATE_HZ)[:, 0]
+    places_m = held_positions_m(ankles_m, left, RATE_HZ)[:, 0]
     assert np.abs(np.diff(places_m[:, 0])).max() < 0.02  # nor does it jump from one to the next
 
 
@@ -77,7 +77,7 @@ def test_modes(feet: Feet, pinned: bool) -> None:
 
 
 def test_auto_leaves_alone_what_is_not_sure() -> None:
-    """A touch of a tenth of a second."""
+    """Contact of a tenth of a second."""
     brief_m = steps(stance_s=0.12, swing_s=0.6, length_m=2.0)
     auto, always = found(brief_m, "auto"), found(brief_m, "always")
     assert len(always) > 0
@@ -134,7 +134,7 @@ def test_feet_are_led_to_their_places_without_a_jump() -> None:
     drift_m = np.cumsum(rng.normal(0.0, 0.003, (200, 2, 3)), axis=0) * [1.0, 1.0, 0.0]
     ankles_m = steps() + drift_m
     contacts = found(ankles_m)
-    places_m = places_of_feet(ankles_m, contacts, RATE_HZ)
+    places_m = held_positions_m(ankles_m, contacts, RATE_HZ)
     assert np.isnan(places_m[..., 2]).all()  # a standing foot may lift its heel
     for contact in filter(lambda one: one.pinned, contacts):
         foot = 0 if contact.side == "left" else 1
@@ -146,9 +146,9 @@ def test_feet_are_led_to_their_places_without_a_jump() -> None:
 
 def test_a_foot_comes_to_stand_over_a_fifth_of_a_second() -> None:
     contact = FootContact("left", 50, 20, 0.9, pinned=True, slide_before_m=0.0, slide_after_m=0.0)
-    share = standing_share([contact], "left", 100, RATE_HZ)
+    share = stance_weight([contact], "left", 100, RATE_HZ)
     assert (share[50:70] == 1.0).all()
     assert (share[:40] == 0.0).all()
     assert (share[80:] == 0.0).all()
     assert np.abs(np.diff(share)).max() < 0.2
-    assert (standing_share([contact], "right", 100, RATE_HZ) == 0.0).all()
+    assert (stance_weight([contact], "right", 100, RATE_HZ) == 0.0).all()

@@ -1,6 +1,6 @@
 import numpy as np
 
-from pipeline.skeleton.gaps import carried, filled_linearly
+from pipeline.skeleton.gaps import filled_linearly, filled_relative_to
 
 NAN = np.full(3, np.nan)
 
@@ -18,5 +18,7 @@ def test_default_where_nothing_is_known() -> None:
 def test_a_carried_point_keeps_its_offset() -> None:
     reference = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 7.0, 0.0]])
     points = np.array([[0.0, 0.0, 1.0], NAN, [0.0, 7.0, 2.0]])
-    np.testing.assert_allclose(carried(points, reference, np.zeros(3)), np.array([[0, 0, 1], [5, 0, 1.5], [0, 7, 2]]))
-    np.testing.assert_allclose(carried(np.array([NAN] * 3), reference, np.ones(3)), reference + 1)
+    np.testing.assert_allclose(
+        filled_relative_to(points, reference, np.zeros(3)), np.array([[0, 0, 1], [5, 0, 1.5], [0, 7, 2]])
+    )
+    np.testing.assert_allclose(filled_relative_to(np.array([NAN] * 3), reference, np.ones(3)), reference + 1)

@@ -8,7 +8,7 @@ STATURE_M = 1.8
 
 
 def motion(**turned: Rotation) -> SkeletonMotion:
-    """One frame of an adult in rest pose at the origin, some joints turned."""
+    """Make a frame of an adult in rest pose at the origin with some joints turned."""
     quat = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(SKELETON), 1))
     for name, rotation in turned.items():
         quat[0, INDEX[name]] = rotation.as_quat()

@@ -9,7 +9,7 @@ from pipeline.data import SkeletonMotion
 from pipeline.joints import COCO_17, JointSet
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
-from tests.pipeline.skeleton.people import (
+from tests.pipeline.skeleton.synthetic_tracks import (
     EARS_ABOVE_SHOULDERS_M,
     FOREARM_M,
     HALF_HIPS_M,
@@ -40,7 +40,7 @@ def solve(xyz_m: np.ndarray, frame_rate_hz: float = 30.0) -> SkeletonMotion:
 
 
 def errors_m(motion: SkeletonMotion, truth_m: np.ndarray) -> dict[str, np.ndarray]:
-    """Distance (frames,) of each joint that has landmarks to where they really are."""
+    """Distance (frames,) of each joint with landmarks from the true position."""
     positions_m = forward_kinematics(motion)
     return {
         joint.name: np.linalg.norm(
@@ -52,7 +52,7 @@ def errors_m(motion: SkeletonMotion, truth_m: np.ndarray) -> dict[str, np.ndarra
 
 
 def steps_deg(motion: SkeletonMotion) -> np.ndarray:
-    """Angle (frames - 1, joints) by which each joint turns from frame to frame."""
+    """Angle (frames - 1, joints) between a joint's rotations in consecutive frames."""
     quat = motion.parent_from_joint
     return np.degrees(2 * np.arccos(np.clip(np.abs((quat[1:] * quat[:-1]).sum(-1)), 0, 1)))
 

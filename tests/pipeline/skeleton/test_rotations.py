@@ -76,7 +76,7 @@ def test_quaternions_stay_on_one_hemisphere_over_two_full_turns() -> None:
 
 
 def lower_limb(twist_rad: np.ndarray, bend_rad: np.ndarray) -> np.ndarray:
-    """Forearm of a left arm along X whose hinge is -Z, twisted about X and bent."""
+    """Rotation of a left forearm along X with hinge -Z, twisted about X and bent."""
     before_twist = Rotation.from_rotvec(bend_rad[:, None] * -Z).apply(X)
     return Rotation.from_rotvec(twist_rad[:, None] * X).apply(before_twist)
 

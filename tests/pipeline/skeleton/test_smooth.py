@@ -1,4 +1,4 @@
-"""Filters on signals whose smoothing is known, and on simulated people."""
+"""Smoothing filters on signals with known results, and on simulated people."""
 
 from dataclasses import replace
 
@@ -22,13 +22,13 @@ ONE_EURO = ReconstructionConfig(smoothing="one-euro")
 
 
 def wave(rate_hz: float, frequency_hz: float, duration_s: float = 8.0) -> np.ndarray:
-    """One joint that swings along X by a metre."""
+    """Track of a joint that swings along X by a metre."""
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     return np.sin(2 * np.pi * frequency_hz * time_s)[:, None, None] * np.array([1.0, 0.0, 0.0])
 
 
 def gain(rate_hz: float, frequency_hz: float) -> float:
-    """How much of a wave Butterworth's low-pass of 6 Hz leaves; away from the ends, in phase."""
+    """Gain of a Butterworth low-pass filter of 6 Hz without phase shift, away from the ends."""
     before, after = wave(rate_hz, frequency_hz)[..., 0], butterworth(wave(rate_hz, frequency_hz), rate_hz, 6.0)[..., 0]
     middle = slice(len(before) // 4, -len(before) // 4)
     return float((before[middle] * after[middle]).sum() / (before[middle] ** 2).sum())

@@ -32,7 +32,7 @@ def test_partition_drops_the_weakest_edge_of_an_inconsistent_triangle() -> None:
 
 
 def _best_by_enumeration(affinities: np.ndarray, groups: np.ndarray) -> float:
-    """Total affinity of the best partition, tried one by one."""
+    """Total affinity of the best partition, by exhaustive search."""
 
     def partitions(nodes: list[int]) -> list[list[list[int]]]:
         if not nodes:

@@ -1,4 +1,4 @@
-"""Whole tracks from perfect and from hostile detections."""
+"""Cross-view tracking from exact and from faulty detections."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ NUM_FRAMES = 50
 
 
 def two_walkers() -> np.ndarray:
-    """Two people who pass each other at 0.7 m (people, frames, joints, 3)."""
+    """World positions (people, frames, joints, 3) of two people who pass each other at 0.7 m."""
     along_m = np.linspace(-1.2, 1.2, NUM_FRAMES)
     paths = np.zeros((2, NUM_FRAMES, 1, 3))
     paths[0, :, 0, 0], paths[0, :, 0, 1] = along_m, 0.35
@@ -41,7 +41,7 @@ def run(
 
 
 def assert_same_people(tracks: tuple[Track3D, ...], people_m: np.ndarray, atol_m: float) -> None:
-    """Each person has one track that lives through all frames at the right place."""
+    """Assert that each person has one track over all frames at the true position."""
     assert [(track.start_frame, track.num_frames) for track in tracks] == [(0, NUM_FRAMES)] * len(people_m)
     errors_m = np.array(
         [[np.nanmax(np.linalg.norm(track.xyz_m - person, axis=-1)) for person in people_m] for track in tracks]
@@ -60,7 +60,7 @@ def test_two_people_pass_each_other(ring: tuple[Camera, ...]) -> None:
 
 
 def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera, ...]) -> None:
-    """Straight motion at constant speed, each camera at a phase of its own: interpolation is nearly exact."""
+    """Interpolation is nearly exact for straight motion at constant speed with cameras of different phases."""
     times, detections = {}, {}
     base_m, speed_m_s = body() + np.array([-0.8, 0.0, 0.0]), np.array([0.8, 0.3, 0.0])
     for k, camera in enumerate(ring):
@@ -75,7 +75,7 @@ def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera,
 
 
 def test_two_cameras_in_opposite_phase_and_at_half_the_rate_meet(ring: tuple[Camera, ...]) -> None:
-    """One camera at 25 Hz, one at 12.5 Hz that never takes a frame at the same time."""
+    """Cameras of 25 Hz and 12.5 Hz without common frame times."""
     pair, base_m, speed_m_s = ring[:2], body() + np.array([-0.5, 0.0, 0.0]), np.array([0.5, 0.2, 0.0])
     times = {
         "cam0": FrameTimes(np.arange(NUM_FRAMES) / RATE_HZ),
@@ -121,7 +121,7 @@ def test_identity_survives_an_occlusion_in_all_views(ring: tuple[Camera, ...]) -
 
 
 def hidden_while_walking(ring: tuple[Camera, ...], person_m: np.ndarray) -> dict[str, Detections]:
-    """Detections of one person whom nobody sees from the 20th frame to the 38th."""
+    """Detections of a person who is hidden from all cameras from frame 20 to frame 38."""
     detections = {}
     for camera in ring:
         seen = detections_of(camera, person_m[None])

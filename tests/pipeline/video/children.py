@@ -1,4 +1,4 @@
-"""Make the child processes that open videos misbehave."""
+"""Faults in the child processes that open videos, and search of such processes."""
 
 import os
 import time
@@ -9,22 +9,22 @@ import pytest
 
 
 def in_children(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """Run some code in every Python that is started, before its own."""
+    """Run code at the start of each Python process that is started from now on."""
     (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
 
 
 def when_opened(act: str) -> str:
-    """Code that does something as soon as a video is opened, as a decoder might."""
+    """Source code that replaces the opening of a video by a statement."""
     return f"import os, signal, time, av\ndef act(*a, **k):\n    {act}\nav.open = act\n"
 
 
 def children_of(module: str) -> list[psutil.Process]:
     """Children of this process that run a module and have not ended."""
     return [
-        one
-        for one in psutil.Process().children(recursive=True)
-        if one.status() != psutil.STATUS_ZOMBIE and module in one.cmdline()
+        child
+        for child in psutil.Process().children(recursive=True)
+        if child.status() != psutil.STATUS_ZOMBIE and module in child.cmdline()
     ]
 
 

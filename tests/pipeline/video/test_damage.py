@@ -1,4 +1,4 @@
-"""Damaged bytes, sizes that change, and times in disorder: said or refused, never silently wrong."""
+"""Videos with damaged bytes, changing sizes and unordered times: reported or rejected."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -51,7 +51,7 @@ def refused_later(video: VideoInfo, start_frame: int = 0) -> Problem:
 
 
 def flip(path: Path, seed: int, num_bytes: int) -> Path:
-    """Other bytes in the middle half of a file."""
+    """Overwrite bytes in the middle half of a file."""
     rng = np.random.default_rng(seed)
     content = np.frombuffer(path.read_bytes(), np.uint8).copy()
     position = int(rng.integers(len(content) // 4, 3 * len(content) // 4))
@@ -62,7 +62,7 @@ def flip(path: Path, seed: int, num_bytes: int) -> Path:
 
 
 def by_time(path: Path) -> dict[int, np.ndarray]:
-    """Pictures by timestamp, by PyAV alone; those of packets that can't be decoded are missing."""
+    """Decode pictures by timestamp with PyAV alone; pictures of damaged packets are missing."""
     found: dict[int, np.ndarray] = {}
     with av.open(str(path)) as container:
         container.streams.video[0].codec_context.thread_count = 1
@@ -77,7 +77,7 @@ def by_time(path: Path) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_flipped_bytes_move_no_frame(tmp_path: Path, name: str) -> None:
-    """Each picture is that of its timestamp, damaged or not; each frame comes once or is told as damaged."""
+    """Assert that each frame has the picture of its timestamp or is reported as damaged, and comes once."""
     good = write_video(tmp_path / name, NUM_FRAMES, SIZE_PX, **KINDS[name])
     for seed in range(6):
         video = probe(flip(good, seed, 40))
@@ -122,7 +122,7 @@ def test_damage_is_told_by_the_range_that_it_lies_in(tmp_path: Path) -> None:
 
 
 def lose(*lost: int) -> Any:
-    """Spoil some packets so that they can't be decoded."""
+    """Damage some packets so that they can't be decoded."""
 
     def change(number: int, packet: "av.Packet[Any]") -> "Iterable[av.Packet[Any]]":
         if number not in lost:
@@ -146,7 +146,7 @@ def test_frames_that_decode_to_nothing_leave_the_others_at_their_times(tmp_path:
 
 
 def test_a_keyframe_that_decodes_to_nothing_is_no_place_to_begin(tmp_path: Path) -> None:
-    """Pictures after it are made from those before it, in whatever range."""
+    """Pictures after the damage are decoded from pictures before it, in all ranges."""
     good = write_video(tmp_path / "a.mkv", NUM_FRAMES, codec="mpeg4", options={"g": "12"})
     keyframe = int(np.searchsorted(probed(good).pts, probed(good).keyframe_pts[2]))
     video = probed(rewrite_packets(good, tmp_path / "lost.mkv", lose(keyframe)))
@@ -192,7 +192,7 @@ def test_pictures_beyond_the_limit_are_never_decoded(tmp_path: Path) -> None:
 
 
 def at_times(pts: Any) -> Any:
-    """Give the k-th packet the time ``pts(k)``; FFmpeg writes what its decoding times allow."""
+    """Give the k-th packet the time ``pts(k)``, as far as FFmpeg's decoding times allow."""
 
     def change(number: int, packet: "av.Packet[Any]") -> "Iterable[av.Packet[Any]]":
         packet.pts, packet.dts = pts(number), number - 100_000
@@ -219,10 +219,10 @@ def test_frames_that_repeat_a_time_are_left_out_and_counted(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("pts", "words"),
     [
-        (lambda k: 40 * (k % 60), "60 of 120 frames repeat the time of another"),
-        (lambda k: 40 * (k % 60) + 20 * (k // 60), "go back"),
-        (lambda k: 5000 - 40 * k, "go back"),
-        (lambda k: 40 * (k ^ 1), "The times of the first frames go back"),
+        (lambda k: 40 * (k % 60), "60 of 120 frames have the timestamp of another frame"),
+        (lambda k: 40 * (k % 60) + 20 * (k // 60), "go backwards near"),
+        (lambda k: 5000 - 40 * k, "go backwards near"),
+        (lambda k: 40 * (k ^ 1), "The timestamps of the first frames go backwards"),
     ],
 )
 def test_times_that_make_no_sense_are_refused(tmp_path: Path, pts: Any, words: str) -> None:
@@ -243,7 +243,7 @@ def test_frames_after_the_last_time_that_go_back_are_seen(tmp_path: Path) -> Non
 
 
 def test_hidden_frames_of_vp8_are_no_frames(tmp_path: Path) -> None:
-    """Reference frames that are not shown, in packets with times of their own."""
+    """Video with hidden reference frames in packets with separate times."""
 
     def hide(number: int, packet: "av.Packet[Any]") -> "Iterable[av.Packet[Any]]":
         if number % 10 != 5:

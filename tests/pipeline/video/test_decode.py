@@ -39,7 +39,7 @@ def video(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def straight(video: VideoInfo) -> list[np.ndarray]:
-    """All pictures by PyAV alone."""
+    """Decode all pictures by PyAV alone."""
     with av.open(str(video.path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
@@ -92,7 +92,7 @@ def test_every_container_can_be_entered_in_the_middle(tmp_path: Path, name: str)
 
 
 def test_pictures_whose_rows_are_padded(tmp_path: Path) -> None:
-    """The width is no multiple of any alignment."""
+    """The width is not a multiple of any alignment."""
     found = probe(write_video(tmp_path / "clip.mp4", 3, size_px=(70, 46)))
     assert isinstance(found, VideoInfo)
     for (_, image_rgb), expected in zip(pictures(found, 0, 3), straight(found), strict=True):

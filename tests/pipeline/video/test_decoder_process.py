@@ -1,4 +1,4 @@
-"""Ends of a process that decodes a range of frames: the file's fault, or ours; and that none is left."""
+"""Ends of the process that decodes a range of frames: faults of the file, of Multicap, and cleanup."""
 
 import os
 import signal
@@ -30,7 +30,7 @@ def video(tmp_path: Path) -> VideoInfo:
 
 
 def when_decoded(act: str, packet: int = 8) -> str:
-    """Code that does something at a packet in the middle, as a decoder might."""
+    """Source code that replaces the decoding of a packet in the middle by a statement."""
     return f"""
 import os, signal, sys, time
 if {DECODER!r} in sys.orig_argv:
@@ -83,7 +83,7 @@ def test_a_file_beyond_the_limits_is_a_bad_file(
 def test_the_limit_on_computing_is_the_file_s(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel ends it by SIGXCPU, though each frame comes in time."""
+    """The kernel ends the child by SIGXCPU, although each frame arrives in time."""
     limit = "import resource\nset_limit = resource.setrlimit\n"
     short = "resource.setrlimit = lambda kind, to: set_limit(kind, (2, 4) if kind == resource.RLIMIT_CPU else to)\n"
     in_children(tmp_path, monkeypatch, limit + short + when_decoded("while True: pass"))

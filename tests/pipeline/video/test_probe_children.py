@@ -1,4 +1,4 @@
-"""Ends of a child that examines a video: the file's fault, or ours."""
+"""Ends of the child process that examines a video: faults of the file or of Multicap."""
 
 import os
 import signal
@@ -39,7 +39,7 @@ def test_a_file_beyond_the_limits_is_a_bad_file(tmp_path: Path, monkeypatch: pyt
 
 
 def test_the_limit_on_computing_is_the_file_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel ends it by SIGXCPU, not by SIGKILL, which could come from anybody."""
+    """The kernel ends the child by SIGXCPU, not by SIGKILL, which could have other causes."""
     limit = "import resource\nset_limit = resource.setrlimit\n"
     short = "resource.setrlimit = lambda kind, to: set_limit(kind, (2, 4) if kind == resource.RLIMIT_CPU else to)\n"
     in_children(tmp_path, monkeypatch, limit + short + when_opened("\n    while True: pass"))

@@ -1,4 +1,4 @@
-"""First bytes of videos."""
+"""First bytes of video files."""
 
 import random
 from pathlib import Path

@@ -1,11 +1,11 @@
-"""Part affinity fields as evidence, on fields whose content is known."""
+"""Part affinity fields as evidence, with fields of known content."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pipeline.clustering.instant.evidence import AffinityFields, Places, ViewFields, limbs_of
+from pipeline.clustering.instant.evidence import AffinityFields, Points, ViewFields, limbs_of
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.data import Camera, MapGrid
 from pipeline.detect.decoders.openpose import LIMBS
@@ -19,12 +19,12 @@ GRID = MapGrid(offset_px=(3.5, 3.5), pitch_px=(8.0, 8.0))
 ELBOW_M, WRIST_M = np.array([[0.1, 0.2, 1.2]]), np.array([[0.1, 0.4, 1.3]])
 
 
-def places(joint: int, xyz_m: np.ndarray, num_cameras: int) -> Places:
-    return Places(np.full(len(xyz_m), joint), xyz_m, np.full((len(xyz_m), num_cameras), -1))
+def places(joint: int, xyz_m: np.ndarray, num_cameras: int) -> Points:
+    return Points(np.full(len(xyz_m), joint), xyz_m, np.full((len(xyz_m), num_cameras), -1))
 
 
 def field_towards(camera: Camera, strength: float) -> ViewFields:
-    """Everywhere the direction from elbow to wrist as the camera sees it."""
+    """Fields with the projected direction from elbow to wrist in all cells."""
     begin, end = (project(camera, xyz_m)[0] for xyz_m in (ELBOW_M, WRIST_M))
     unit = (end - begin) / np.linalg.norm(end - begin)
     shape = camera.size_px[1] // 8, camera.size_px[0] // 8

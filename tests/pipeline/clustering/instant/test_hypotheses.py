@@ -9,7 +9,7 @@ POINTS_M = np.array([[0.1, 0.2, 1.0], [-0.4, 0.3, 1.4]])
 
 
 def candidates_of(projections: np.ndarray, points_m: np.ndarray) -> Candidates:
-    """Perfect candidates of joint 0 in every view, point by point."""
+    """Exact candidates of joint 0 in all views, point by point."""
     in_cam = np.einsum("cij,kj->cki", projections[:, :, :3], points_m) + projections[:, None, :, 3]
     num_views, num_points = in_cam.shape[:2]
     points_px = (in_cam[..., :2] / in_cam[..., 2:]).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""A frozen graph of every supported kind of node, against the same arithmetic in NumPy."""
+"""Conversion of a frozen graph with all supported kinds of nodes, compared with NumPy."""
 
 import numpy as np
 import onnxruntime
@@ -15,7 +15,7 @@ BIAS = RNG.normal(size=4).astype(np.float32)
 
 
 class Graph:
-    """A serialised graph in the making."""
+    """Builder of a serialised graph."""
 
     def __init__(self) -> None:
         self.message = _graph_class()()
@@ -90,7 +90,7 @@ def test_a_single_value_stands_for_all() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\xff\xff", "damaged, or is none"),
+        (b"\xff\xff", "damaged or has another format"),
         (small_network(kind="Tanh").encode(), "needs Tanh, which is not supported"),
         (Graph().encode(), "has no node joined"),
     ],

@@ -17,7 +17,7 @@ NONE, RELU, RELU6, TANH = 0, 1, 3, 4
 
 
 def options(**values: int) -> SimpleNamespace:
-    """Options that are asked for by calling, as those of the schema."""
+    """Options as methods, like the tables of the schema."""
     return SimpleNamespace(**{name: (lambda value=value: value) for name, value in values.items()})
 
 
@@ -34,7 +34,7 @@ def convolution_options(stride: int, padding: int, activation: int = NONE, dilat
 
 
 def graph_of(kind: str, constants: Sequence[np.ndarray], channels: int, operator_options: Any) -> Graph:
-    """image (and constants) -> operator -> result."""
+    """Graph of a single operator from the image, and constants, to the result."""
     tensors = [Tensor("image", (1, 1, 1, 3), None)]
     tensors += [Tensor(f"constant{k}", value.shape, value) for k, value in enumerate(constants)]
     tensors.append(Tensor("result;fused/name", (1, 1, 1, channels), None))
@@ -43,7 +43,7 @@ def graph_of(kind: str, constants: Sequence[np.ndarray], channels: int, operator
 
 
 def run(graph: Graph, image: np.ndarray) -> np.ndarray:
-    """Result (height, width, channels) of a converted graph for an image of that layout."""
+    """Result (height, width, channels) of a converted graph for an image (height, width, channels)."""
     model = convert_graph(graph, {"image": "input"}, {"result": "output"})
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     (result,) = session.run(["output"], {"input": image.transpose(2, 0, 1)[None].astype(np.float32)})
@@ -51,7 +51,7 @@ def run(graph: Graph, image: np.ndarray) -> np.ndarray:
 
 
 def convolve(image: np.ndarray, weights: np.ndarray, stride: int, padding: int) -> np.ndarray:
-    """TensorFlow's convolution; weights (out, height, width, in)."""
+    """Convolution as TensorFlow computes it; weights are (out, height, width, in)."""
     size = np.array(weights.shape[1:3])
     shape = np.array(image.shape[:2])
     if padding == SAME:
@@ -202,5 +202,5 @@ def test_what_lies_beyond_the_inputs_is_not_supported() -> None:
 
 @pytest.mark.parametrize("content", [b"", b"no flatbuffer at all", bytes(1000), b"\xff" * 1000])
 def test_what_is_no_model_is_said(content: bytes) -> None:
-    with pytest.raises(ModelError, match="damaged, or is none"):
+    with pytest.raises(ModelError, match="damaged or has another format"):
         read_model(content)

@@ -1,4 +1,4 @@
-"""Peaks, fields and bodies of a synthetic network, whose output is known."""
+"""Peaks, fields and bodies of a synthetic network with known outputs."""
 
 from collections.abc import Mapping
 
@@ -27,7 +27,7 @@ def gaussian(shape: tuple[int, int], center: np.ndarray, sigma: float = SIGMA_CE
 
 
 def find_blob(shift_px: tuple[float, float]) -> Detector:
-    """Stand-in for a network of stride 8: every joint is where the image's blob is, moved as the network moves it."""
+    """Fake network of stride 8 with all joints at the blob of the image, moved by the network's shift."""
 
     def run(tensor: np.ndarray) -> Mapping[str, np.ndarray]:
         gray = tensor[0].sum(0).astype(float)
@@ -87,7 +87,7 @@ def test_peaks_at_the_border_and_on_the_padding() -> None:
 
 
 def people(*offsets_cells: tuple[float, float]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Maps of people who stand apart, and their joints in cells (people, joints, 2)."""
+    """Maps of people who stand apart, and joints (people, joints, 2) in cells."""
     standing = {
         "neck": (0, 0), "shoulder": (2, 0), "hip": (1.2, 7), "nose": (0, -2), "elbow": (3, 3.5), "wrist": (3.5, 7),
         "knee": (1.3, 11), "ankle": (1.4, 15), "eye": (0.5, -2.5), "ear": (1, -2.2),

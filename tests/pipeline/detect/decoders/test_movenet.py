@@ -12,7 +12,7 @@ JOINTS = range(17)
 
 
 class Heads:
-    """Maps of a network of 4 pixels a cell, into which people are put one by one."""
+    """Maps of a network with cells of 4 pixels, to which bodies and peaks are added."""
 
     def __init__(self) -> None:
         self.center = np.zeros((1, 1, *SHAPE), np.float32)
@@ -21,14 +21,14 @@ class Heads:
         self.regress = np.zeros((1, 34, *SHAPE), np.float32)
 
     def add_center(self, cell_yx: tuple[int, int], joints_px: np.ndarray, score: float) -> None:
-        """A body whose centre expects its joints at these places."""
+        """Add a body whose centre regresses its joints to these positions."""
         y, x = cell_yx
         self.center[0, 0, y, x] = score
         self.regress[0, 0::2, y, x] = joints_px[:, 1] / 4 - y
         self.regress[0, 1::2, y, x] = joints_px[:, 0] / 4 - x
 
     def add_peaks(self, joints: Sequence[int], joints_px: np.ndarray, heat: float) -> None:
-        """Peaks of the heat maps of some joints at exactly these places."""
+        """Add heatmap peaks of some joints at exactly these positions."""
         channel = np.array(joints)
         x, y = (joints_px[channel] / 4).T
         row, column = np.floor(y).astype(int), np.floor(x).astype(int)
@@ -41,7 +41,7 @@ class Heads:
 
 
 def person(x_px: float, y_px: float, seed: int = 0) -> np.ndarray:
-    """Joints in a box of 60 by 120 pixels."""
+    """Random joints in a box of 60 by 120 pixels."""
     return np.random.default_rng(seed).uniform((x_px, y_px), (x_px + 60, y_px + 120), (17, 2))
 
 

@@ -16,7 +16,7 @@ from pipeline.joints import COCO_17
 from pipeline.skeleton.fitting.fit import SkeletonFit
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
-from tests.pipeline.skeleton.people import timebase, track_of, walker
+from tests.pipeline.skeleton.synthetic_tracks import timebase, track_of, walker
 
 TOLERANCE_CM = 0.1
 NTSC_HZ = 30000 / 1001
@@ -29,7 +29,7 @@ def walk(num_frames: int = 50, frame_rate_hz: float = NTSC_HZ) -> SkeletonMotion
 
 
 def positions_cm(motion: SkeletonMotion) -> np.ndarray:
-    """What a reader should find: x, y, z of BVH are the world's x, z, -y, in centimetres."""
+    """Expected positions: x, y, z of BVH are the world's x, z, -y in centimetres."""
     x, y, z = np.moveaxis(forward_kinematics(motion), -1, 0)
     return 100.0 * np.stack([x, z, -y], axis=-1)
 
@@ -39,7 +39,7 @@ def encoded(motion: SkeletonMotion, preset: Preset = "default") -> bytes:
 
 
 def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
-    """A reader of our own: frame time and positions (frames, joints, 3), and the rest positions (joints, 3)."""
+    """Read a BVH file: frame time, positions (frames, joints, 3) and rest positions (joints, 3)."""
     header, motion = content.decode("ascii").split("MOTION\n")
     num_frames, frame_time, *rows = motion.splitlines()
     values = np.array([row.split() for row in rows], dtype=float)

@@ -1,4 +1,4 @@
-"""GLB files as Khronos' validator and three.js take them, and the body in them."""
+"""GLB files, checked by Khronos' validator and three.js, and their body mesh."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A file server on this machine that can misbehave."""
+"""Local HTTP file server with faults: broken connections and ignored ranges."""
 
 import threading
 from collections.abc import Iterator
@@ -10,7 +10,21 @@ import pytest
 
 @dataclass
 class FileServer:
-    """Serves ``files`` by path; ``break_after`` holds how many bytes the next answers get to."""
+    """Contents and faults of the server.
+
+    Parameters
+    ----------
+    files
+        Contents by path.
+    honours_range
+        Whether ``Range`` requests get partial contents.
+    break_after
+        Numbers of bytes after which the next responses break.
+    ranges
+        ``Range`` headers of the requests so far.
+    url
+        Base URL of the server.
+    """
 
     files: dict[str, bytes] = field(default_factory=dict)
     honours_range: bool = True
@@ -61,7 +75,7 @@ def file_server() -> Iterator[FileServer]:
 
 @pytest.fixture
 def closed_url() -> str:
-    """An address where nothing listens."""
+    """URL of a closed port."""
     with ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as http:
         port = http.server_port
     return f"http://127.0.0.1:{port}"

@@ -14,7 +14,7 @@ CAMERAS = ["cam01", "cam02", "cam03", "cam04"]
 
 @pytest.fixture
 def fresh_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty storage folder in which the sample's package has been downloaded."""
+    """Storage folder with the downloaded package of the sample capture, and nothing else."""
     samples.install()
     downloaded = home() / "downloads" / "pose2sim-0.10.49-py3-none-any.whl"
     (tmp_path / "downloads").mkdir()

@@ -1,4 +1,4 @@
-"""The simulated detector: exact without noise, and as faulty as asked for."""
+"""Simulated detector: exact without noise, and rates of its faults."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from pipeline.data import Camera, Detections
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.joints import COCO_17
-from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
 from pipeline.simulation.views.detector import NOBODY, PERFECT, Detector, detect
@@ -25,7 +25,7 @@ def camera() -> Camera:
 
 
 def crowd(*places: tuple[float, float], num_frames: int = NUM_FRAMES) -> np.ndarray:
-    """People who stand and talk."""
+    """World positions of people who stand and talk."""
     people = [
         perform(Role(place, 0.0, (Stay(20.0, Gesture.TALK),)), 20.0, np.random.default_rng(number))
         for number, place in enumerate(places)
@@ -69,7 +69,7 @@ def test_noise_has_the_size_asked_for_and_heavy_tails() -> None:
 
 
 def along_the_view(near_m: float, far_m: float, aside_m: float) -> np.ndarray:
-    """One person between the camera and the middle, another beyond."""
+    """A person between the camera and the centre, and a person beyond the centre."""
     center_m = center_in_world(camera())[:2]
     towards = center_m / np.linalg.norm(center_m)
     aside = aside_m * np.array([-towards[1], towards[0]])

@@ -1,10 +1,10 @@
-"""What hides what."""
+"""Occlusion of joints by bodies and boxes."""
 
 import numpy as np
 import pytest
 
 from pipeline.joints import COCO_17
-from pipeline.simulation.motion.people import joints_at, perform
+from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Role
 from pipeline.simulation.rigs import look_at
 from pipeline.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes
@@ -14,7 +14,7 @@ TRUNK = COCO_17.indices(("left_hip", "right_hip", "left_shoulder", "right_should
 
 
 def standing(x: float, y: float) -> np.ndarray:
-    """Joints of somebody who faces the camera."""
+    """Joints of a person who faces the camera."""
     person = perform(Role((x, y), np.pi, ()), 1.0, np.random.default_rng(3))
     return joints_at(person, np.array([0.5]))
 
@@ -45,7 +45,7 @@ def test_half_of_a_body_can_be_hidden() -> None:
 
 
 def test_the_arm_behind_the_own_trunk_is_hidden() -> None:
-    """Seen from the right side, the left arm is hidden and the right one is not."""
+    """From the right side the left arm is hidden and the right arm is not."""
     person = perform(Role((0.0, 0.0), np.pi / 2, ()), 1.0, np.random.default_rng(3))
     joints_m = joints_at(person, np.array([0.5]))[None]
     right, left = (

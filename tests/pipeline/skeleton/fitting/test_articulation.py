@@ -1,4 +1,4 @@
-"""The skeleton's degrees of freedom: derivatives against differences, hinges and limits."""
+"""Degrees of freedom of the skeleton: derivatives against differences, hinges and limits."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_the_gradient_of_the_twist_is_what_differences_say() -> None:
 
 
 class Places:
-    """Where landmarks are said to be, to a centimetre."""
+    """Observed landmarks with a standard deviation of a centimetre."""
 
     def __init__(self, place_m: np.ndarray) -> None:
         self._place_m = place_m
@@ -95,7 +95,7 @@ def test_a_pose_is_found_again_from_one_near_by() -> None:
     ("upper", "lower", "end"), [("LeftUpLeg", "LeftLeg", "LeftFoot"), ("RightArm", "RightForeArm", "RightHand")]
 )
 def test_a_hinge_that_is_pulled_backwards_stays_straight(upper: str, lower: str, end: str) -> None:
-    """A shin that is seen ahead of the knee, and a forearm behind the elbow."""
+    """Observed shin bent ahead of the knee, and forearm bent behind the elbow."""
     skeleton = skeleton_of(COCO_17)
     rest = np.tile([0.0, 0.0, 0.0, 1.0], (4, len(SKELETON), 1))
     bodies = start_from(np.zeros((4, 3)), rest, skeleton)

@@ -1,4 +1,4 @@
-"""The whole-track fit on simulated people, whose truth is exact."""
+"""Fit of whole tracks of simulated people, compared with the exact truth."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def fit_one(track: Track3D, seen: Observations, cameras: tuple[Camera, ...]) -> 
 
 
 def errors_m(tracks: tuple[Track3D, ...], simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the twelve joints that were found, and the true speed of each in m/s."""
+    """Errors of the found joints among the twelve, and their true speeds in m/s."""
     truth_m = simulation.truth_m[:, :, COCO_17.indices(BODY_JOINTS)]
     predicted_m = select_joints(tracks, COCO_17, BODY_JOINTS, np.arange(truth_m.shape[1]))
     matched = match_frames(predicted_m, truth_m)
@@ -84,7 +84,7 @@ def test_what_is_seen_exactly_stays_where_it_is() -> None:
 
 
 def one_knee(ring: tuple[Camera, ...], num_frames: int) -> tuple[Track3D, Observations, np.ndarray]:
-    """A track of which only the left knee is known: it swings slowly, seen exactly by four cameras."""
+    """Track of a left knee that swings slowly, with exact observations of four cameras; other joints are absent."""
     time_s = np.arange(num_frames) / 25.0
     true_m = np.stack([0.3 * np.sin(2 * time_s), 0.1 * np.cos(time_s), 0.5 + 0.05 * np.sin(time_s)], axis=-1)
     xyz_m = np.full((num_frames, 17, 3), np.nan)
@@ -146,7 +146,7 @@ def test_short_tracks(ring: tuple[Camera, ...], num_frames: int) -> None:
 def test_a_view_that_takes_left_for_right_is_put_right(
     ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two cameras, so that nobody outvotes the wrong one."""
+    """With two cameras no majority outvotes the wrong camera."""
     simulation = record(replace(find_scene("room"), duration_s=2.0, detector=PERFECT), seed=6)
     true_m, cameras = simulation.truth_m[0], ring[:2]
     points_px = np.stack([project(camera, true_m) for camera in cameras], axis=1)

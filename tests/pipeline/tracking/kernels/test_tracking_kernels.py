@@ -1,4 +1,4 @@
-"""The compiled loops against plain numpy."""
+"""Compiled tracking loops, compared with the reference in NumPy."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.kernels import observation_kernels
 from pipeline.tracking.kernels import tracking_kernels as kernels
 from pipeline.tracking.kernels.assignment_kernels import assign
-from pipeline.tracking.kernels.state import make_room
+from pipeline.tracking.kernels.state import make_workspace
 from pipeline.tracking.observations import gather, undistorted
 from pipeline.tracking.parameters import derive_parameters
 from pipeline.tracking.tracker import Tracker, make_frames, make_rig
@@ -74,7 +74,7 @@ def test_assignment_is_scipys(seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_rows, num_columns = (int(number) for number in rng.integers(1, 9, 2))
     affinity = rng.uniform(-1.0, 1.0, (num_rows, num_columns))
-    room = make_room(num_rows, num_columns)
+    room = make_workspace(num_rows, num_columns)
     room.affinity[:] = affinity
     room.rows[:], room.columns[:], room.match[:] = np.arange(num_rows), np.arange(num_columns), -1
     assign(num_rows, num_columns, room)

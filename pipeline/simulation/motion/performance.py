@@ -1,4 +1,4 @@
-"""People who perform scripts: where every joint is at any time."""
+"""Performance of scripts: body and motion of a person, and joint positions at any time."""
 
 from dataclasses import dataclass, fields
 
@@ -11,14 +11,14 @@ from pipeline.simulation.motion.gestures import Overlay, overlay, smooth_noise
 from pipeline.simulation.motion.locomotion import GRID_HZ, Route, ankles, lay_out
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 
-# Relaxed arms hang a little ahead and aside of the body; lengths of the arm.
+# Wrists of relaxed arms relative to the shoulders, in lengths of the arm (ahead, left, up).
 _HANGING = np.array([[0.06, 0.16, -0.95], [0.06, -0.16, -0.95]])
 _SIDES = np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Person:
-    """Somebody's body and motion on the grid of ``GRID_HZ``, from time 0 on."""
+    """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on."""
 
     body: Proportions
     pose: Pose
@@ -26,21 +26,21 @@ class Person:
 
 
 def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
-    """Let somebody perform a role.
+    """Perform a role: draw a body and compute its motion.
 
     Parameters
     ----------
     duration_s
-        Cues beyond are cut off.
+        Length of the motion; later cues are cut off.
     rng
-        Draws the body and everything that the role leaves open.
+        Source of the body and of all variation that the role leaves open.
     """
     body = random_proportions(rng)
     route, rests, cue_rows = lay_out(role, duration_s)
     feet_m = ankles(route, rests, body)
     acting = _overlays(role, route, cue_rows, body, rng)
     time_s = np.arange(len(route.steps)) / GRID_HZ
-    # How much of a walk it is: the arms swing with the steps, not while standing.
+    # Strides a second: arms swing in proportion, and hang while standing.
     pace = gaussian_filter1d(np.gradient(route.steps) * GRID_HZ / 2, 0.15 * GRID_HZ, mode="nearest")
     pace = np.where(route.present, np.minimum(pace, 1.2), 0.0)
     stride = np.pi * route.steps
@@ -64,7 +64,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
 
 
 def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 17 3"]:
-    """World positions of the joints of ``COCO_17``, NaN while the person is absent."""
+    """World positions of the joints of ``COCO_17`` in metres, NaN while the person is absent."""
     row = np.clip(time_s * GRID_HZ, 0, len(person.present) - 1)
     lower = np.minimum(row.astype(int), len(person.present) - 2)
     share = row - lower
@@ -79,7 +79,7 @@ def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.n
 
 
 def _overlays(role: Role, route: Route, cue_rows: list[slice], body: Proportions, rng: np.random.Generator) -> Overlay:
-    """The gestures of all cues, each in its place."""
+    """Concatenate the gestures of all cues at their rows; zero elsewhere."""
     num_rows = len(route.steps)
     wrists, arms = np.zeros((num_rows, 2, 3)), np.zeros((num_rows, 2))
     drop, hop_m, lean_rad, twist_rad = np.zeros((4, num_rows))
@@ -88,22 +88,22 @@ def _overlays(role: Role, route: Route, cue_rows: list[slice], body: Proportions
         if not isinstance(cue, Stay) or cue.gesture is Gesture.IDLE or rows.start >= rows.stop:
             continue
         time_s = np.arange(planned.stop - planned.start) / GRID_HZ
-        one = overlay(cue.gesture, time_s, _hand(cue, route, rows.start, body), rng)
+        gesture = overlay(cue.gesture, time_s, _hand(cue, route, rows.start, body), rng)
         kept = slice(rows.stop - rows.start)
         for whole, part in (
-            (wrists, one.wrists),
-            (arms, one.arms),
-            (drop, one.drop),
-            (hop_m, one.hop_m),
-            (lean_rad, one.lean_rad),
-            (twist_rad, one.twist_rad),
+            (wrists, gesture.wrists),
+            (arms, gesture.arms),
+            (drop, gesture.drop),
+            (hop_m, gesture.hop_m),
+            (lean_rad, gesture.lean_rad),
+            (twist_rad, gesture.twist_rad),
         ):
             whole[rows] = part[kept]
     return Overlay(wrists, arms, drop, hop_m, lean_rad, twist_rad)
 
 
 def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndarray, " 3"]:
-    """Where hands meet, seen from the right shoulder of somebody upright, in lengths of the arm."""
+    """Wrist target at which hands meet, relative to the right shoulder of the upright person."""
     if cue.hand_m is None:
         return np.array([0.7, 0.1, -0.4])
     world_from_upright = turned(route.yaw_rad[[row]], np.zeros(1))[0]
@@ -113,14 +113,14 @@ def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndar
 
 
 def _wrists(acting: Overlay, pace: np.ndarray, stride: np.ndarray) -> Float[np.ndarray, "times 2 3"]:
-    """Arms that hang, swing against the legs, and do what gestures ask for."""
-    # The left foot lands ahead at stride 0: the left arm is behind then.
+    """Wrist targets of hanging arms that swing against the legs, blended with gestures."""
+    # The left foot lands ahead at stride 0, where the left arm is behind.
     swing = -0.42 * (pace * np.cos(stride))[:, None] * _SIDES
     hanging = np.tile(_HANGING, (len(pace), 1, 1))
     ahead, up = hanging[..., 0].copy(), hanging[..., 2].copy()
     hanging[..., 0] = ahead * np.cos(swing) - up * np.sin(swing)
     hanging[..., 2] = ahead * np.sin(swing) + up * np.cos(swing)
-    # A bent elbow brings the hand up where it is ahead.
+    # A bent elbow lifts the hand when it is ahead.
     hanging[..., 2] += 0.25 * np.maximum(swing, 0.0)
     share = acting.arms[..., None]
     return np.asarray(hanging + share * (acting.wrists - hanging))
@@ -129,9 +129,9 @@ def _wrists(acting: Overlay, pace: np.ndarray, stride: np.ndarray) -> Float[np.n
 def _hips(
     route: Route, feet_m: np.ndarray, body: Proportions, acting: Overlay, pace: np.ndarray
 ) -> Float[np.ndarray, "times 3"]:
-    """The hips, as high as posture asks for and the legs reach."""
+    """Centre of the hips in metres, at the height of the posture, limited by the reach of the legs."""
     world_from_hips = turned(route.yaw_rad, np.zeros_like(route.yaw_rad))
-    # Over the standing foot in walking; back from it in a bow, for balance.
+    # For balance the hips sway over the standing foot in walking, and move back in a lean.
     sway_m = 0.02 * pace * np.sin(np.pi * (route.steps - 0.1))
     back_m = 0.4 * body.trunk_m * np.sin(acting.lean_rad)
     xy_m = route.xy_m + sway_m[:, None] * world_from_hips[:, :2, 1] - back_m[:, None] * world_from_hips[:, :2, 0]

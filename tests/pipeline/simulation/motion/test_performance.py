@@ -1,4 +1,4 @@
-"""Bodies that don't stretch, feet that stand, and gestures as fast as asked for."""
+"""Simulated motion: constant bones, feet on the floor, and speeds of gestures."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.joints import COCO_17, LIMBS
-from pipeline.simulation.motion.people import Person, joints_at, perform
+from pipeline.simulation.motion.performance import Person, joints_at, perform
 from pipeline.simulation.motion.script import Away, Cue, Gesture, Role, Stay, Turn, Walk
 
 RIGID = (
@@ -62,7 +62,7 @@ def test_feet_stand_while_somebody_stays(gesture: Gesture) -> None:
 
 
 def test_a_foot_stands_through_its_stance() -> None:
-    """Walking on, one foot is always on the floor, and what is on the floor does not slide."""
+    """In walking one foot is always on the floor, and a foot on the floor does not slide."""
     person = act(Walk((5.0, 0.0)), duration_s=5.0)
     ankles_m = joints_at(person, instants())[:, ANKLES]
     down = ankles_m[..., 2] < person.body.ankle_height_m + 1e-4

@@ -1,4 +1,4 @@
-"""People whose joints are known in closed form."""
+"""Synthetic walker with joints in closed form, and tracks of it."""
 
 from collections.abc import Callable
 
@@ -22,15 +22,17 @@ def walker(
     elbow_rad: Angle = lambda phase: np.full_like(phase, 0.9),
     shoulder_rad: Angle = lambda phase: -0.5 * np.sin(phase),
 ) -> np.ndarray:
-    """Joints (frames, 17, 3) of someone who walks at one step a second, first towards -Y.
+    """World positions (frames, 17, 3) of a person who walks at one step a second, first towards -Y.
 
-    Arms and legs swing in the body's sagittal plane: forwards is positive for hips and shoulders, elbows bend to the
-    front and knees to the back.
+    Arms and legs swing in the body's sagittal plane: angles of hips and shoulders are positive forwards, elbows bend to
+    the front and knees to the back.
 
     Parameters
     ----------
     turn_rad
-        How far the person turns to the left over the whole walk.
+        Turn of the person to the left over the whole walk.
+    elbow_rad, shoulder_rad
+        Angles of elbow and shoulder as functions of the gait's phase.
     """
     time_s = np.arange(num_frames) / frame_rate_hz
     heading = np.linspace(0.0, turn_rad, num_frames)
@@ -62,7 +64,7 @@ def walker(
 
 
 def track_of(xyz_m: np.ndarray, track_id: int = 1, start_frame: int = 0) -> Track3D:
-    """A track that measured everything that is not NaN, in four views."""
+    """Make a track whose joints are measured in four views, and absent where NaN."""
     present = np.isfinite(xyz_m).all(-1)
     return Track3D(
         track_id=track_id,
@@ -80,7 +82,7 @@ def timebase(num_frames: int, frame_rate_hz: float = 30.0) -> Timebase:
 
 
 def without(xyz_m: np.ndarray, *names: str, frames: slice = slice(None)) -> np.ndarray:
-    """The same joints with some of them unseen."""
+    """Set some joints to NaN."""
     seen = xyz_m.copy()
     seen[frames, COCO_17.indices(names)] = np.nan
     return seen

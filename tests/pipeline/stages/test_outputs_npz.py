@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data import (
@@ -19,19 +20,17 @@ from pipeline.data import (
     Track3D,
 )
 from pipeline.geometry.rigid import Rigid3
-from pipeline.stages.records_npz import (
+from pipeline.stages.outputs_npz import (
     decode_damaged,
     decode_damaged_videos,
     decode_detections,
     decode_fields,
     decode_lengths,
     decode_poses,
-    decode_session,
     encode_detections,
     encode_fields,
     encode_lengths,
     encode_poses,
-    encode_session,
     open_people,
     write_people,
 )

@@ -1,0 +1,140 @@
+"""Record of a session's check: what the preflight found in the files, for the stages.
+
+A NumPy archive without pickles, byte-identical for equal sessions.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import CaptureSession
+from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.geometry.rigid import Rigid3
+from pipeline.joints import JointSet
+from pipeline.runtime.npz import decode_arrays, encode_arrays
+from pipeline.video.info import VideoInfo
+
+DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
+"""Arrays of ``Detections`` in archives."""
+
+
+def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """Cameras as a part of the head, and as arrays, of an archive."""
+    head = [{"name": camera.name, "size_px": camera.size_px} for camera in cameras]
+    arrays: dict[str, np.ndarray] = {}
+    for k, camera in enumerate(cameras):
+        arrays |= {
+            f"matrix_{k}": camera.matrix,
+            f"distortion_{k}": camera.distortion,
+            f"rotation_{k}": camera.cam_from_world.rotation,
+            f"translation_m_{k}": camera.cam_from_world.translation_m,
+        }
+    return head, arrays
+
+
+def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.ndarray]) -> tuple[Camera, ...]:
+    return tuple(
+        Camera(
+            name=one["name"],
+            size_px=tuple(one["size_px"]),
+            matrix=arrays[f"matrix_{k}"],
+            distortion=arrays[f"distortion_{k}"],
+            cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
+        )
+        for k, one in enumerate(head)
+    )
+
+
+def encode_session(session: CaptureSession) -> bytes:
+    """Write the cameras and videos of a session; of the videos' paths only the names."""
+    cameras, arrays = _cameras(session.cameras)
+    head = {
+        "cameras": cameras,
+        "videos": [
+            {
+                "file": video.path.name,
+                "codec": video.codec,
+                "size_px": video.size_px,
+                "rotation_deg": video.rotation_deg,
+                "frame_rate_hz": video.frame_rate_hz,
+            }
+            for video in session.videos
+        ],
+        "warnings": session.warnings,
+    }
+    arrays["head"] = np.array(json.dumps(head))
+    for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
+        arrays |= {
+            f"pts_{k}": video.pts,
+            f"keyframe_pts_{k}": video.keyframe_pts,
+            f"video_time_s_{k}": video.time_s,
+            f"time_s_{k}": session.times[camera.name].time_s,
+        }
+    return encode_arrays(arrays)
+
+
+def decode_session(content: bytes, folder: Path) -> CaptureSession:
+    """Read what ``encode_session`` wrote; the videos are in ``folder`` by their names."""
+    arrays = decode_arrays(content)
+    head = json.loads(str(arrays["head"]))
+    cameras = _decode_cameras(head["cameras"], arrays)
+    return CaptureSession(
+        cameras=cameras,
+        videos=tuple(
+            VideoInfo(
+                path=folder / one["file"],
+                codec=one["codec"],
+                size_px=tuple(one["size_px"]),
+                rotation_deg=one["rotation_deg"],
+                pts=arrays[f"pts_{k}"],
+                keyframe_pts=arrays[f"keyframe_pts_{k}"],
+                time_s=arrays[f"video_time_s_{k}"],
+                frame_rate_hz=one["frame_rate_hz"],
+            )
+            for k, one in enumerate(head["videos"])
+        ),
+        times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
+        warnings=tuple(head["warnings"]),
+    )
+
+
+def encode_keypoints(session: KeypointSession) -> bytes:
+    """Write a session of keypoints, all of it: nobody needs its files again."""
+    cameras, arrays = _cameras(session.cameras)
+    head = {
+        "cameras": cameras,
+        "folders": dict(session.folders),
+        "joints": asdict(session.joints),
+        "timebase": asdict(session.timebase),
+        "warnings": session.warnings,
+    }
+    arrays["head"] = np.array(json.dumps(head))
+    for k, camera in enumerate(session.cameras):
+        found = session.detections[camera.name]
+        arrays[f"time_s_{k}"] = session.times[camera.name].time_s
+        arrays |= {f"{name}_{k}": getattr(found, name) for name in DETECTION_ARRAYS}
+    return encode_arrays(arrays)
+
+
+def decode_keypoints(content: bytes) -> KeypointSession:
+    """Read what ``encode_keypoints`` wrote."""
+    arrays = decode_arrays(content)
+    head = json.loads(str(arrays["head"]))
+    cameras = _decode_cameras(head["cameras"], arrays)
+    return KeypointSession(
+        cameras=cameras,
+        times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
+        timebase=Timebase(**head["timebase"]),
+        detections={
+            camera.name: Detections(camera.name, *(arrays[f"{name}_{k}"] for name in DETECTION_ARRAYS))
+            for k, camera in enumerate(cameras)
+        },
+        joints=JointSet(tuple(head["joints"]["names"]), tuple((one, other) for one, other in head["joints"]["bones"])),
+        folders=head["folders"],
+        warnings=tuple(head["warnings"]),
+    )
