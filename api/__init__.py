@@ -1,1 +1,1 @@
-"""The face of Multicap: the command line and, on top of the same library, the web service."""
+"""Interfaces of Multicap: the web API and the command line."""

@@ -1,4 +1,4 @@
-"""``python -m api [--fd N]``: the web API alone, as its environment says."""
+"""``python -m api [--fd N]``: run the web API alone, configured by environment variables."""
 
 import argparse
 import contextlib
@@ -9,7 +9,7 @@ import uvicorn
 from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.app import ExposedError, create_app, refuse_strangers, unusable_database
+from api.app import ExposedError, create_app, require_keys_if_exposed, unusable_database
 from api.http.server import server_config
 from api.settings import Settings
 from worker.jobs.errors import NewerDatabase
@@ -21,40 +21,42 @@ from worker.telemetry import tracing
 from worker.telemetry.logs import configure_logs
 
 _SWITCH_S = 0.001
-# Those who watch the service ask all the time.
+# Monitoring requests these addresses every few seconds.
 _NOT_TRACED = "healthz,readyz,metrics"
 
 
 def main() -> None:
     """Serve until SIGTERM."""
     parser = argparse.ArgumentParser(prog=f"python -m {__package__}", description="Serve the web API.")
-    parser.add_argument("--fd", type=int, help="An inherited socket that listens, instead of MULTICAP_HOST and _PORT.")
+    parser.add_argument(
+        "--fd", type=int, help="Inherited listening socket, in place of MULTICAP_HOST and MULTICAP_PORT."
+    )
     fd = parser.parse_args().fd
     keep_files_private()
     settings = read_settings(Settings)
     configure_logs(settings.log_level)
     _check_database(settings)
-    # An answer needs the interpreter again and again: threads that take in uploads have to hand it over sooner.
+    # A response needs the interpreter lock many times: threads that receive uploads have to release it sooner.
     sys.setswitchinterval(_SWITCH_S)
     app = create_app(settings)
     tracing.start("multicap-api")
     if tracing.is_wanted():
-        # Uploads come in a great many pieces; a span each would say nothing.
+        # An upload arrives in thousands of pieces: a span for each piece would tell nothing.
         FastAPIInstrumentor.instrument_app(app, excluded_urls=_NOT_TRACED, exclude_spans=["receive", "send"])
     uvicorn.Server(server_config(app, settings)).run(sockets=None if fd is None else [socket.socket(fileno=fd)])
     tracing.stop()
 
 
 def _check_database(settings: Settings) -> None:
-    """End with a sentence where the service must not start."""
+    """Migrate the database; exit with a message if the service must not start."""
     try:
         make_private(settings.data_dir)
         with contextlib.closing(JobStore(settings.resolved_database_url)) as store:
             DiskSpace(settings.data_dir).using_reserve(store.migrate)
-            refuse_strangers(settings, store)
+            require_keys_if_exposed(settings, store)
     except (ExposedError, NewerDatabase) as error:
         sys.exit(f"error: {error}")
-    except (SQLAlchemyError, ImportError, OSError) as error:  # of another database there is no driver
+    except (SQLAlchemyError, ImportError, OSError) as error:  # ImportError: no driver for the URL's database
         sys.exit(f"error: {unusable_database(settings, error)}")
 
 

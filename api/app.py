@@ -1,4 +1,4 @@
-"""Put the web API together."""
+"""The web application: routes, middleware, error handlers, and the services that they share."""
 
 import asyncio
 import contextlib
@@ -15,7 +15,14 @@ from api.contract import description as contract
 from api.dependencies import Services
 from api.events import JobChanges
 from api.http.keys_in_use import KeysInUse, RevokedKeyGuard
-from api.http.middleware import FailureAnswer, ForeignPageGuard, HeadByGet, RequestContext, SlowClientGuard, TusProtocol
+from api.http.middleware import (
+    FailureResponse,
+    ForeignPageGuard,
+    HeadByGet,
+    RequestContext,
+    SlowClientGuard,
+    TusProtocol,
+)
 from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.metrics import RequestMetrics
 from api.requests import validation
@@ -43,9 +50,9 @@ _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """Make the application; the only place where its parts are chosen.
+    """Create the application; the only place where its parts are chosen.
 
-    Nothing is touched until it starts.
+    Files, database and broker are opened when the application starts, not here.
     """
     app = FastAPI(
         title="Multicap",
@@ -70,10 +77,10 @@ def create_app(settings: Settings) -> FastAPI:
     contract.declare_webhooks(app)
     errors.install(app)
     validation.install(app)
-    app.add_middleware(FailureAnswer)
+    app.add_middleware(FailureResponse)
     app.add_middleware(RevokedKeyGuard)
     app.add_middleware(HeadByGet)
-    # What a browser may do for pages from elsewhere: never with a cookie.
+    # Rules for pages of other origins: browsers may never send a cookie for them.
     app.add_middleware(
         CORSMiddleware,
         allow_origins=sorted(settings.allowed_origins),
@@ -93,26 +100,26 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def unusable_database(settings: Settings, error: Exception) -> str:
-    """Sentence that says what to do when the database can't be opened or written."""
+    """Message for the operator when the database can't be opened or written."""
     if isinstance(error, DamagedDatabase):
         return f"{error}\n{error.instructions()}"
     if is_disk_full(error):
-        return f"The disk of the folder {settings.data_dir} is full. Make room on it, then try again."
+        return f"The disk of the folder {settings.data_dir} is full. Free space on it, then try again."
     where = "MULTICAP_DATABASE_URL" if settings.database_url else f"the folder {settings.data_dir}"
-    return f"The database can't be used. See that it runs and that {where} is right."
+    return f"The database can't be used. Check that it runs and that {where} is right."
 
 
 class ExposedError(Exception):
-    """Strangers could use the service; the text says what to do."""
+    """The service can be reached from other machines and has no keys; the text states the remedy."""
 
 
-def refuse_strangers(settings: Settings, store: JobStore) -> None:
-    """Raise ``ExposedError`` if others than this machine may reach a service that asks for no keys."""
+def require_keys_if_exposed(settings: Settings, store: JobStore) -> None:
+    """Raise ``ExposedError`` if other machines can reach the service and it has no keys."""
     if settings.is_exposed and not store.keys.exist():
         data = "" if settings.data_dir == default_data_dir() else f" --data {shlex.quote(str(settings.data_dir))}"
         raise ExposedError(
-            f"{settings.host} can be reached from elsewhere, and there are no keys: anybody could use the service. "
-            f"Make one with `multicap keys create NAME{data}`, or listen on 127.0.0.1."
+            f"{settings.host} can be reached from other machines, and there are no keys: anybody could use the "
+            f"service. Create a key with `multicap keys create NAME{data}`, or listen on 127.0.0.1."
         )
 
 
@@ -133,15 +140,15 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 def _start(settings: Settings) -> Services:
-    stage_codes()  # takes about a second: not in the first request that needs it
-    # What an earlier process was receiving when it was killed; the folder is this process's alone.
+    stage_codes()  # takes about a second, which the first request would have to wait for
+    # Files that an earlier process was receiving when it was killed. No other process uses the folder.
     shutil.rmtree(settings.spool_dir, ignore_errors=True)
     make_private(settings.data_dir)
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
     disk.using_reserve(lambda: settings.spool_dir.mkdir(exist_ok=True))
     store = JobStore(settings.resolved_database_url)
     disk.using_reserve(store.migrate)
-    refuse_strangers(settings, store)
+    require_keys_if_exposed(settings, store)
     release_abandoned(settings.data_dir)
     uploads = UploadSpool(settings.uploads_dir, disk)
     uploads.remove_pieces()

@@ -1,4 +1,7 @@
-"""Callers of requests: by a key, by a browser that has shown a key, or anybody while the service has no keys."""
+"""Authentication and authorization: API keys, browser sessions, scopes, and the caller's own records.
+
+A service without keys serves all clients as the default tenant.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,13 +24,21 @@ _READING = frozenset({"GET", "HEAD", "OPTIONS"})
 
 _bearer = HTTPBearer(auto_error=False, scheme_name="key", description="A key, `mc_...`, of `multicap keys create`.")
 _cookie = APIKeyCookie(
-    name=COOKIE, auto_error=False, scheme_name="browser", description="Of a browser that has shown a key."
+    name=COOKIE, auto_error=False, scheme_name="browser", description="Session of a browser that signed in with a key."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Caller of a request: address, tenant and scopes. ``key`` is ``None`` as long as the service has no keys."""
+    """Caller of a request: tenant, scopes, key and network.
+
+    Parameters
+    ----------
+    key
+        ``None`` as long as the service has no keys.
+    network
+        Network that the request comes from (``api.http.clients``).
+    """
 
     tenant: str
     scopes: frozenset[Scope]
@@ -36,12 +47,12 @@ class Caller:
 
     @property
     def owner(self) -> str:
-        """Name under which requests share scarce resources: the tenant, or without keys the network of the client."""
+        """Name under which requests share threads and streams: the tenant, or the network if there are no keys."""
         return f"tenant {self.tenant}" if self.key else f"network {self.network}"
 
 
 def wrong_key(request: Request, services: Services) -> ApiError:
-    """Count a wrong key of a client, and return the answer to it: 401, or 429 after too many."""
+    """Count a wrong key of a client; return the error to raise: 401, or 429 after too many."""
     try:
         rate_limit = services.wrong_keys.count(client_network(request))
     except ApiError as too_many:
@@ -64,7 +75,7 @@ def _find_caller(
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
     cookie: Annotated[str | None, Security(_cookie)],
 ) -> Caller:
-    """Find the caller of a request; 401 if the key is missing or wrong, 429 after too many requests."""
+    """Identify the caller; raise 401 without a valid key, 429 if the tenant calls too often."""
     if "authorization" in request.headers:
         key = services.store.keys.find(bearer.credentials) if bearer else None
         if key is None:
@@ -83,9 +94,10 @@ def _find_caller(
 
 
 def _refuse_foreign_pages(request: Request) -> None:
-    """Refuse changes by a cookie from pages other than our own: browsers send it with the requests of any page.
+    """Raise 403 if another page than the service's own would change something by the browser's cookie.
 
-    ``ForeignPageGuard`` has compared ``Origin`` with the pages that are allowed; these use keys, not cookies.
+    Browsers send the cookie with requests of any page. ``ForeignPageGuard`` lets allowed origins through, but pages of
+    these origins must use keys, not cookies.
     """
     if request.method in _READING:
         return
@@ -101,7 +113,7 @@ def _require(caller: Caller, scope: Scope) -> Caller:
 
 
 def _authorize(request: Request, caller: Annotated[Caller, Depends(_find_caller)]) -> Caller:
-    """Caller of a request that the key allows; 403 if a scope is missing."""
+    """Return the caller if its key allows the request's method."""
     return _require(caller, Scope.READ if request.method in _READING else Scope.WRITE)
 
 
@@ -118,5 +130,5 @@ def _records_of(
 
 AnyCallerDep = Annotated[Caller, Depends(_find_caller)]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
-# Records of the caller's tenant. Routes of clients reach sessions and jobs in no other way.
+# TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
 RecordsDep = Annotated[TenantRecords, Depends(_records_of)]

@@ -1,7 +1,7 @@
-"""What went wrong, as ``application/problem+json`` (RFC 9457): one shape, one handler.
+"""Errors of the web API, answered as ``application/problem+json`` (RFC 9457) by one handler.
 
-A problem's words are written here or by the code that found it: never an exception's text, a path or a stack. ``code``
-is stable and documented; ``errors`` holds everything that is wrong with a request, never the first thing only.
+Sentences of a problem are written here or by the code that raises it. They never contain the text of an exception, a
+path or a stack trace. ``code`` is stable and documented. ``errors`` lists everything that is wrong with a request.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,9 +36,9 @@ from worker.jobs.files.disk import is_disk_full
 _log = structlog.get_logger(__name__)
 
 _RETRY_AFTER_S = 5
-# Until a job of a tenant that has as many as it may have is likely to have ended.
+# Wait for a tenant at its quota of unfinished jobs, until one of them has probably ended.
 _QUOTA_RETRY_AFTER_S = 30
-# As many as a check of files gives, and some of the request itself.
+# As many as a check of files reports, and some of the request itself.
 _MAX_LISTED = 80
 _MAX_POINTER = 500
 
@@ -50,60 +50,60 @@ _CODES: Mapping[int, str] = {
     413: "content_too_large",
     415: "unsupported_media_type",
 }
-# Of the upload protocol; HTTP knows no such status.
+# Status of the upload protocol that HTTP does not define.
 _TITLES: Mapping[int, str] = {460: "Checksum Mismatch"}
 _DETAILS: Mapping[int, str] = {
     400: "The request can't be read.",
     404: "There is nothing at this address.",
-    405: "This address does not take that method.",
-    408: "The body comes too slowly. Send it again over a better line.",
-    413: "The request is larger than the service takes.",
-    415: "The service does not take this type of content here.",
+    405: "This address does not accept the method.",
+    408: "The body arrives too slowly. Send it again over a faster connection.",
+    413: "The request is larger than the service accepts.",
+    415: "This address does not accept the content type.",
 }
 
 
-MEANINGS: Mapping[str, str] = {one.name: one.meaning for one in FIELDS.codes}
-"""Codes of ``errors[]`` that are about a field, with their meanings: part of the API, so they stay."""
+MEANINGS: Mapping[str, str] = {code.name: code.meaning for code in FIELDS.codes}
+"""Meanings of the codes in ``errors[]`` that concern a field. The codes are part of the API and never change."""
 
 
 class ErrorItem(BaseModel):
-    """One thing that is wrong with a request."""
+    """Single problem of a request."""
 
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
     code: str = Field(
-        description="Stable, such as `video_truncated`; docs/problems.md lists all codes. Of fields and parameters: "
-        + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items())
+        description="Stable code, such as `video_truncated`; docs/problems.md lists all codes. Codes of fields and "
+        "parameters: " + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items())
     )
     message: str = Field(description="One sentence for a person.")
     pointer: str | None = Field(default=None, description="JSON pointer to the field, parameter or part of the form.")
     file: str | None = Field(default=None, description="Name of the file.")
     camera: str | None = Field(default=None, description="Name of the camera.")
     field: str | None = Field(default=None, description="Field of the file, such as `matrix`.")
-    hint: str | None = Field(default=None, description="What to do.")
+    hint: str | None = Field(default=None, description="Advice to the caller.")
 
 
 class ProblemDetails(BaseModel):
-    """A problem, by RFC 9457."""
+    """Body of an error response (RFC 9457)."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
-    type: str = Field(default="about:blank", description="`about:blank`: `code` says which problem it is.")
-    title: str = Field(description="The status in words.")
-    status: int
-    detail: str = Field(description="What happened, in a sentence for a person.")
-    instance: str = Field(description="What was asked for.")
-    code: str = Field(description="Stable name of the problem.")
-    errors: tuple[ErrorItem, ...] = Field(default=(), description="All that is wrong with the request.")
-    camera: str | None = None
-    stage: str | None = None
-    hint: str | None = None
+    type: str = Field(default="about:blank", description="Always `about:blank`; `code` names the problem.")
+    title: str = Field(description="Name of the HTTP status.")
+    status: int = Field(description="HTTP status.")
+    detail: str = Field(description="Description of the problem, a sentence for a person.")
+    instance: str = Field(description="Path of the request.")
+    code: str = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
+    errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the request.")
+    camera: str | None = Field(default=None, description="Name of the camera, if the problem concerns one camera.")
+    stage: str | None = Field(default=None, description="Name of the stage, if the problem concerns one stage.")
+    hint: str | None = Field(default=None, description="Advice to the caller.")
     retryable: bool = Field(default=False, description="Whether the same request may succeed later.")
-    request_id: str = Field(description="Stands in the service's log too.")
+    request_id: str = Field(description="Id of the request, also in the service's log.")
 
 
 class ApiError(Exception):
-    """A request that can't be served; becomes a problem.
+    """Request that can't be served; the handler answers with a problem.
 
     Parameters
     ----------
@@ -112,9 +112,9 @@ class ApiError(Exception):
     status
         Status of the answer; ``None``: the first one of the code in ``api.contract.problem_codes``.
     errors
-        All that is wrong with the request.
+        Everything that is wrong with the request.
     headers
-        Headers of the answer, beside the usual ones.
+        Further headers of the response.
     """
 
     def __init__(
@@ -139,41 +139,41 @@ class ApiError(Exception):
 
 
 def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
-    """The answer to a request with things wrong in it."""
+    """Error 422 for a request with wrong fields, parts or files."""
     count = "One thing is" if len(errors) == 1 else f"{len(errors)} things are"
     return ApiError("invalid_request", f"{count} wrong with the request.", errors=_listed(errors))
 
 
 def _listed(errors: Sequence[ErrorItem]) -> list[ErrorItem]:
-    """Some dozens of errors at most; the last one says how many more there are."""
-    shown = [_cut(error) for error in errors[:_MAX_LISTED]]
+    """Limit the number of errors; the last entry says how many more there are."""
+    shown = [_with_short_pointer(error) for error in errors[:_MAX_LISTED]]
     if more := len(errors) - len(shown):
         message = f"{more:,} more problems are not listed."
         shown.append(ErrorItem(code="more_problems", message=message, hint="Correct these first."))
     return shown
 
 
-def _cut(error: ErrorItem) -> ErrorItem:
-    """Without the rest of a field's name that is as long as the request."""
+def _with_short_pointer(error: ErrorItem) -> ErrorItem:
+    """Shorten the pointer: the name of an unknown field may be as long as the request."""
     if error.pointer is None or len(error.pointer) <= _MAX_POINTER:
         return error
     return error.model_copy(update={"pointer": error.pointer[:_MAX_POINTER] + "..."})
 
 
-def service_away(code: str, detail: str, errors: Sequence[ErrorItem] = (), hint: str | None = None) -> ApiError:
-    """The answer while a part of the service is away."""
+def service_unavailable(code: str, detail: str, errors: Sequence[ErrorItem] = (), hint: str | None = None) -> ApiError:
+    """Error 503 while a part of the service does not respond."""
     headers = {"Retry-After": str(_RETRY_AFTER_S)}
     return ApiError(code, detail, errors=errors, hint=hint, retryable=True, headers=headers)
 
 
 def database_damaged() -> ApiError:
-    """The answer until the operator has replaced the database."""
-    hint = "The operator finds in the service's log what to do."
-    return service_away("database_damaged", "The database is damaged.", hint=hint)
+    """Error 503 until the operator has replaced the database."""
+    hint = "The service's log tells the operator what to do."
+    return service_unavailable("database_damaged", "The database is damaged.", hint=hint)
 
 
 def pointer_to(*steps: str | int) -> str:
-    """JSON pointer (RFC 6901) along some steps.
+    """JSON pointer (RFC 6901) from its steps.
 
     >>> pointer_to("spec", "a/b")
     '/spec/a~1b'
@@ -182,12 +182,12 @@ def pointer_to(*steps: str | int) -> str:
 
 
 def title_of(status: int) -> str:
-    """A status in words."""
+    """Name of an HTTP status."""
     return _TITLES.get(status) or HTTPStatus(status).phrase
 
 
 def problem_response(request: Request, error: ApiError) -> Response:
-    """Render a problem."""
+    """Build the response from an error."""
     problem = ProblemDetails(
         title=title_of(error.status),
         status=error.status,
@@ -203,7 +203,7 @@ def problem_response(request: Request, error: ApiError) -> Response:
 
 
 def as_api_error(error: Exception) -> ApiError:
-    """What an exception means to the client; anything unforeseen is a 500 that says nothing of its insides."""
+    """Translate an exception for the client; an unforeseen exception becomes a 500 without its text."""
     match error:
         case ApiError():
             return error
@@ -220,32 +220,33 @@ def as_api_error(error: Exception) -> ApiError:
 
 
 def handle(request: Request, error: Exception) -> Response:
-    """Turn any exception into a problem; what the service is to blame for goes to the log."""
-    answer = as_api_error(error)
-    if answer.status >= 500:
+    """Answer any exception with a problem; log the failures of the service itself."""
+    problem = as_api_error(error)
+    if problem.status >= 500:
         if isinstance(error, DamagedDatabase):
-            _log.error("request_failed", code=answer.code, detail=str(error), instructions=error.instructions())
+            _log.error("request_failed", code=problem.code, detail=str(error), instructions=error.instructions())
         else:
-            _log.error("request_failed", code=answer.code, exc_info=error)
-    if answer.status == 405:
-        answer.headers["Allow"] = ", ".join(_methods_at(request))
-    return problem_response(request, answer)
+            _log.error("request_failed", code=problem.code, exc_info=error)
+    if problem.status == 405:
+        problem.headers["Allow"] = ", ".join(_methods_at(request))
+    return problem_response(request, problem)
 
 
 def install(app: FastAPI) -> None:
-    """Make ``handle`` the handler of everything that routes raise on purpose.
+    """Register ``handle`` for the exceptions that routes raise deliberately.
 
-    What nobody raised on purpose is caught by ``api.http.middleware.FailureAnswer``.
+    Unforeseen exceptions are caught by ``api.http.middleware.FailureResponse``.
     """
     for kind in (ApiError, HTTPException, JobStoreError, ClientDisconnect):
         app.add_exception_handler(kind, handle)
 
 
 def _methods_at(request: Request) -> Iterator[str]:
-    """What the address of a request does take; the framework names the methods of one of its routes only."""
+    """Methods that the address of a request accepts; the framework names the methods of one route only."""
     for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"):
-        # HEAD is answered by what answers GET, if by nothing else.
-        scopes = [{**request.scope, "method": one} for one in (method, *(["GET"] if method == "HEAD" else []))]
+        # `HeadByGet` answers HEAD wherever a route answers GET.
+        methods = ("HEAD", "GET") if method == "HEAD" else (method,)
+        scopes = [{**request.scope, "method": accepted} for accepted in methods]
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes for scope in scopes):
             yield method
 
@@ -254,7 +255,7 @@ class _ProblemResponse(JSONResponse):
     media_type = "application/problem+json"
 
     def render(self, content: Any) -> bytes:
-        # A client's JSON may hold lone surrogates, which come back in pointers and do not exist in UTF-8.
+        # A client's JSON may contain lone surrogates. Pointers repeat them, and UTF-8 can't encode them.
         return super().render(_without_surrogates(content))
 
 
@@ -284,7 +285,7 @@ def _from_store(error: JobStoreError) -> ApiError:
         case QuotaExceeded():
             return _from_quota(error)
         case KeyReused():
-            hint = "Make a new Idempotency-Key for each request; send the same only with the same request."
+            hint = "Use a new Idempotency-Key for each request; repeat a key only with the same request."
             return ApiError("idempotency_key_reused", str(error), hint=hint)
         case KeyBusy():
             headers = {"Retry-After": str(_RETRY_AFTER_S)}
@@ -296,16 +297,16 @@ def _from_store(error: JobStoreError) -> ApiError:
 def _from_conflict(error: JobStoreError) -> ApiError:
     match error:
         case NotFinished():
-            hint = "Ask for the job until its state is succeeded."
+            hint = "Read the job again until its state is succeeded."
             return ApiError("not_finished", str(error), hint=hint, retryable=True)
         case NoResults():
             reason = f"The job's error is {error.reason} " if error.reason else ""
-            return ApiError("no_results", str(error), hint=reason + _instead_of(error))
+            return ApiError("no_results", str(error), hint=reason + _advice_without_results(error))
         case _:
             return ApiError("conflict", str(error))
 
 
-def _instead_of(error: NoResults) -> str:
+def _advice_without_results(error: NoResults) -> str:
     """Advice for a job without results."""
     if error.state == "expired":
         return "Start another job of its session."
@@ -314,26 +315,26 @@ def _instead_of(error: NoResults) -> str:
 
 def _from_quota(error: QuotaExceeded) -> ApiError:
     if error.name == "unfinished_jobs":
-        hint = "Send it again when one of them has ended."
+        hint = "Send the request again when a job has ended."
         headers = {"Retry-After": str(_QUOTA_RETRY_AFTER_S)}
         return ApiError("quota_exceeded", str(error), status=429, hint=hint, retryable=True, headers=headers)
     return ApiError("quota_exceeded", str(error), hint="Delete sessions that are no longer needed.")
 
 
 def _storage_full() -> ApiError:
-    hint = "Delete sessions that are no longer needed, or have the operator make room; then send it again."
+    hint = "Delete sessions that are no longer needed, or ask the operator for space; then send the request again."
     return ApiError("storage_full", "The service's disk is full.", hint=hint, retryable=True)
 
 
 def _from_failure(error: Exception) -> ApiError:
     match error:
         case ClientDisconnect():
-            return ApiError("client_disconnected", "The client hung up.", retryable=True)
+            return ApiError("client_disconnected", "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
         case OperationalError() | PoolTimeoutError():
-            return service_away("database_unavailable", "The database is away.")
+            return service_unavailable("database_unavailable", "The database does not respond.")
         case ArtifactsUnavailable():
-            return service_away("artifacts_unavailable", "The artifact store is away.")
+            return service_unavailable("artifacts_unavailable", "The artifact store does not respond.")
         case _:
             return ApiError("internal_error", "The service failed; the log says why.", retryable=True)

@@ -1,4 +1,4 @@
-"""Changes of jobs for all event streams of this process, found by one poller."""
+"""Changes of jobs for the event streams of this process, read from the database by one poller."""
 
 import asyncio
 import contextlib
@@ -20,8 +20,8 @@ _RETRY_AFTER_S = 10
 
 
 @dataclass(frozen=True, slots=True)
-class News:
-    """A job as it is now, and the id of its last event; no job if it was deleted."""
+class JobUpdate:
+    """Current state of a job with the number of its last event; both are ``None`` if the job was deleted."""
 
     job: Job | None
     event: int | None
@@ -29,98 +29,98 @@ class News:
 
 @dataclass(eq=False, slots=True)
 class _Watch:
-    """A job as one stream sees it. A slow reader gets the latest news only."""
+    """Subscription of a stream to a job. A slow reader gets the latest update only."""
 
     owner: str
     job_id: str
-    shown: Change | None
-    news: asyncio.Queue[News] = field(default_factory=lambda: asyncio.Queue(1))
+    last_change: Change | None
+    updates: asyncio.Queue[JobUpdate] = field(default_factory=lambda: asyncio.Queue(1))
 
-    def tell(self, news: News) -> None:
+    def put(self, update: JobUpdate) -> None:
         with contextlib.suppress(asyncio.QueueEmpty):
-            self.news.get_nowait()
-        self.news.put_nowait(news)
+            self.updates.get_nowait()
+        self.updates.put_nowait(update)
 
 
 class JobChanges:
-    """Follows the jobs of open event streams.
+    """Polls the watched jobs and passes their changes to event streams.
 
     Parameters
     ----------
     store
-        Job store.
+        Job store that is polled.
     max_streams
-        Maximum number of streams of an owner.
+        Largest number of open streams of an owner.
     """
 
     def __init__(self, store: JobStore, max_streams: int) -> None:
         self._store, self._max_streams = store, max_streams
         self._watches: set[_Watch] = set()
-        self._somebody_watches = asyncio.Event()
+        self._is_watched = asyncio.Event()
 
     def require_room(self, owner: str) -> None:
-        """Raise 429 if an owner has the maximum number of streams."""
+        """Raise 429 if an owner has as many streams as allowed."""
         if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
             raise ApiError(
                 "too_many_streams",
                 f"At most {self._max_streams} event streams may be open.",
-                hint="Close those of jobs that nobody follows any more.",
+                hint="Close the streams of jobs that are no longer followed.",
                 retryable=True,
                 headers={"Retry-After": str(_RETRY_AFTER_S)},
             )
 
-    async def follow(self, owner: str, job_id: str, known: Change | None) -> AsyncIterator[News]:
-        """Changes of a job, until it has ended or is deleted.
+    async def follow(self, owner: str, job_id: str, known: Change | None) -> AsyncIterator[JobUpdate]:
+        """Yield the updates of a job until it has ended or was deleted.
 
         Parameters
         ----------
         owner
-            Tenant, or client without a key, that the stream belongs to.
+            Owner of the stream: a tenant, or the network of a client without a key.
         known
-            Change that the client has seen; ``None``: the present state of the job is news.
+            Last change that the client knows; ``None``: the first update is the current state.
         """
         watch = _Watch(owner, job_id, known)
         self._watches.add(watch)
-        self._somebody_watches.set()
+        self._is_watched.set()
         try:
             while True:
-                news = await watch.news.get()
-                yield news
-                if news.job is None or news.job.state in FINISHED:
+                update = await watch.updates.get()
+                yield update
+                if update.job is None or update.job.state in FINISHED:
                     return
         finally:
             self._watches.discard(watch)
 
     async def poll(self) -> None:
-        """Look for changes as long as streams are open; runs until it is canceled."""
+        """Poll the database as long as a job is watched; runs until it is canceled."""
         while True:
-            await self._somebody_watches.wait()
+            await self._is_watched.wait()
             try:
-                await self._look()
+                await self._poll_once()
             except DamagedDatabase:
-                return  # there will be no changes; requests answer with the problem
+                return  # there will be no updates; requests report the damage
             except Exception:
-                # The database may be away for a while; streams wait for it.
+                # The database may be unreachable for a while; streams wait for it.
                 _log.exception("events_not_read")
             if not self._watches:
-                self._somebody_watches.clear()
+                self._is_watched.clear()
             await asyncio.sleep(_INTERVAL_S)
 
-    async def _look(self) -> None:
-        # Streams that open during the query wait for the next look.
+    async def _poll_once(self) -> None:
+        # Streams that are opened during the query wait for the next poll.
         watches = list(self._watches)
         changes = await run_in_threadpool(self._store.jobs.changes, {watch.job_id for watch in watches})
-        behind: dict[str, list[_Watch]] = {}
+        outdated: dict[str, list[_Watch]] = {}
         for watch in watches:
             if watch.job_id not in changes:
-                watch.tell(News(None, None))
-            elif changes[watch.job_id] != watch.shown:
-                behind.setdefault(watch.job_id, []).append(watch)
-        for job_id, to_be_told in behind.items():
+                watch.put(JobUpdate(None, None))
+            elif changes[watch.job_id] != watch.last_change:
+                outdated.setdefault(watch.job_id, []).append(watch)
+        for job_id, job_watches in outdated.items():
             try:
                 job = await run_in_threadpool(self._store.jobs.get, job_id)
-            except NotFound:  # deleted just now: the next look finds out
+            except NotFound:  # deleted since the query: the next poll reports it
                 continue
-            for watch in to_be_told:
-                watch.shown = changes[job_id]
-                watch.tell(News(job, changes[job_id].event))
+            for watch in job_watches:
+                watch.last_change = changes[job_id]
+                watch.put(JobUpdate(job, changes[job_id].event))

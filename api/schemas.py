@@ -1,4 +1,4 @@
-"""Wire format of requests and responses. Nothing here is stored; the records of the domain are in ``worker.jobs``."""
+"""Bodies of requests and responses as Pydantic models; the stored records are in ``worker.jobs.model``."""
 
 import json
 import unicodedata
@@ -39,31 +39,34 @@ def _printable(text: str) -> str:
 
 
 def _json(value: dict[str, Any]) -> dict[str, Any]:
-    """Refuse values that the parser accepts but JSON does not have, such as NaN and half surrogates."""
+    """Refuse values that Python's parser accepts and JSON does not allow, such as NaN and lone surrogates."""
     try:
         json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
     except ValueError:
-        message = "metadata must be valid JSON: no NaN, no infinity, no half surrogates."
+        message = "metadata must be valid JSON: no NaN, no infinity, no lone surrogates."
         raise PydanticCustomError("json_value", message) from None
     return value
 
 
-class _Answer(BaseModel):
-    """Base of responses."""
+class _Response(BaseModel):
+    """Base of the bodies of responses."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
 
 class CameraManifest(BaseModel):
-    """What is known of a camera's video that neither the file nor the calibration says."""
+    """Facts about a camera's video that neither the file nor the calibration states."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, AfterValidator(_printable)] = Field(
-        min_length=1, max_length=64, description="Of the camera, as in the calibration."
+        min_length=1, max_length=64, description="Name of the camera in the calibration."
     )
     file: Annotated[str, AfterValidator(_printable)] | None = Field(
-        default=None, min_length=1, max_length=200, description="Name of its video; else the one with its name."
+        default=None,
+        min_length=1,
+        max_length=200,
+        description="Name of the camera's video; by default the video with the camera's name.",
     )
     offset_s: float = Field(
         default=0.0,
@@ -71,7 +74,7 @@ class CameraManifest(BaseModel):
         ge=-86_400.0,
         le=86_400.0,
         allow_inf_nan=False,
-        description="When its first frame was taken, on the clock that all cameras share.",
+        description="Time of the first frame on the clock that all cameras share.",
     )
     rate: float | None = Field(
         default=None,
@@ -79,17 +82,17 @@ class CameraManifest(BaseModel):
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
-        description="Frames a second, if the times in the video are wrong.",
+        description="Frame rate in Hz, if the times in the video are wrong.",
     )
 
 
 class Manifest(BaseModel):
-    """What a client may say about a session beside its files. Unknown fields are refused."""
+    """Description of a session beside its files. Unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, AfterValidator(_printable)] = Field(
-        default="untitled", min_length=1, max_length=200, description="For people."
+        default="untitled", min_length=1, max_length=200, description="Name of the session for people."
     )
     frame_rate_hz: float | None = Field(
         default=None,
@@ -97,94 +100,98 @@ class Manifest(BaseModel):
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
-        description="Of keypoints without timestamps; 25 if nobody says another.",
+        description="Frame rate of keypoints without timestamps; by default 25 Hz.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
-        default=(), max_length=256, description="Of sessions of videos: what is known of some cameras."
+        default=(), max_length=256, description="Facts about some cameras of a session of videos."
     )
     units: Literal["m", "cm", "mm"] = Field(
-        default="m", description="Of the calibration, if its format does not say (TOML, and JSON with K, R, t)."
+        default="m",
+        description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t).",
     )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
-        default={}, description="Anything; it comes back with the session."
+        default={}, description="Data of the client, which every response with the session repeats."
     )
 
 
 class UploadedSession(BaseModel):
-    """A session whose files have been uploaded, each by the id of its upload. Unknown fields are refused."""
+    """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    videos: tuple[UUID, ...] = Field(default=(), description="One a camera.")
+    videos: tuple[UUID, ...] = Field(default=(), description="Uploads of the videos, one for each camera.")
     keypoints: tuple[UUID, ...] = Field(
-        default=(), description="Instead of videos: a zip a camera, named as the camera, of OpenPose's JSON files."
+        default=(),
+        description="Uploads of keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as "
+        "the camera.",
     )
-    calibration: UUID = Field(description="Of all cameras.")
+    calibration: UUID = Field(description="Upload of the calibration of all cameras.")
     timestamps: UUID | None = Field(
-        default=None, description="Of keypoints: CSV with the columns camera, frame and time_s."
+        default=None,
+        description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
     )
     manifest: Manifest = Manifest()
 
 
 class UploadedCapture(UploadedSession):
-    """Likewise, with how it is to be reconstructed."""
+    """Session of uploaded files with the choices of its job. Unknown fields are refused."""
 
     spec: JobSpec = JobSpec()
 
 
-class FileOut(_Answer):
-    """A file of a session."""
+class FileOut(_Response):
+    """File of a session."""
 
-    name: str
-    kind: str = Field(description="`video`, `keypoints`, `calibration` or `timestamps`.")
-    num_bytes: int
-    sha256: str
-
-
-class CameraOut(_Answer):
-    """A camera of the calibration with its video or its keypoints."""
-
-    name: str
-    file: str
-    size_px: tuple[int, int]
-    frame_rate_hz: float
-    num_frames: int
-    start_time_s: float = Field(default=0.0, description="When its first frame was taken.")
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
 
 
-class TimebaseOut(_Answer):
-    """The clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
+class CameraOut(_Response):
+    """Camera of the calibration with its video or its keypoints."""
 
-    start_time_s: float
-    frame_rate_hz: float
-    num_frames: int
-
-
-class PreflightOut(_Answer):
-    """What was found in a session's files."""
-
-    cameras: tuple[CameraOut, ...]
-    timebase: TimebaseOut
-    warnings: tuple[str, ...]
+    name: str = Field(description="Name of the camera in the calibration.")
+    file: str = Field(description="Name of the file with the camera's video or keypoints.")
+    size_px: tuple[int, int] = Field(description="Width and height of the frames.")
+    frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
+    num_frames: int = Field(description="Number of frames in the file.")
+    start_time_s: float = Field(default=0.0, description="Time of the camera's first frame on the session's clock.")
 
 
-class SessionLinks(_Answer):
-    """Where to go from a session."""
+class TimebaseOut(_Response):
+    """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
 
-    self: str
-    jobs: str
+    start_time_s: float = Field(description="Time of output frame 0.")
+    frame_rate_hz: float = Field(description="Output frames a second.")
+    num_frames: int = Field(description="Number of output frames.")
 
 
-class SessionOut(_Answer):
-    """A capture session."""
+class PreflightOut(_Response):
+    """Result of the check of a session's files."""
+
+    cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
+    timebase: TimebaseOut = Field(description="Clock of the output frames.")
+    warnings: tuple[str, ...] = Field(description="Warnings about the files.")
+
+
+class SessionLinks(_Response):
+    """Paths of a session and of its jobs."""
+
+    self: str = Field(description="Path of the session.")
+    jobs: str = Field(description="Path of the session's jobs.")
+
+
+class SessionOut(_Response):
+    """Capture session."""
 
     id: Id
-    name: str
-    created_at: AwareDatetime
-    files: tuple[FileOut, ...]
-    num_bytes: int = Field(description="Of all files.")
-    preflight: PreflightOut
-    metadata: dict[str, Any]
+    name: str = Field(description="Name of the session for people.")
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    files: tuple[FileOut, ...] = Field(description="Files of the session.")
+    num_bytes: int = Field(description="Size of all files.")
+    preflight: PreflightOut = Field(description="Result of the check of the files.")
+    metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
     links: SessionLinks
 
     @classmethod
@@ -203,25 +210,25 @@ class SessionOut(_Answer):
         )
 
 
-class SessionPage(_Answer):
-    """Some sessions, the newest first."""
+class SessionPage(_Response):
+    """Page of sessions, the newest session first."""
 
     sessions: tuple[SessionOut, ...]
-    next_cursor: str | None = Field(description="For the next page, if there may be one.")
+    next_cursor: str | None = Field(description="Cursor of the next page; null on the last page.")
 
 
-class StageOut(_Answer):
-    """A stage of a job: how many of its units are done."""
+class StageOut(_Response):
+    """Stage of a job with its progress."""
 
-    name: str
+    name: str = Field(description="Name of the stage, such as `detect`.")
     label: str = Field(description="Name of the stage for people.")
-    state: ChunkState
-    done: int
-    total: int
-    fraction: float = Field(ge=0, le=1)
-    started_at: AwareDatetime | None
-    finished_at: AwareDatetime | None
-    reused: bool = Field(description="Whether it was taken from an earlier job.")
+    state: ChunkState = Field(description="State of the stage.")
+    done: int = Field(description="Units of work that are done, such as a camera's frames.")
+    total: int = Field(description="All units of work.")
+    fraction: float = Field(ge=0, le=1, description="Share of the units that are done.")
+    started_at: AwareDatetime | None = Field(description="Start of the first chunk; null before.")
+    finished_at: AwareDatetime | None = Field(description="End of the last chunk; null before.")
+    reused: bool = Field(description="Whether the outputs of an earlier job were used.")
 
     @classmethod
     def of(cls, stage: Stage) -> Self:
@@ -231,15 +238,15 @@ class StageOut(_Answer):
         return cls(label=label, fraction=min(1.0, fraction), **_fields(stage, cls, without=("label", "fraction")))
 
 
-class JobError(_Answer):
-    """Why a job failed."""
+class JobError(_Response):
+    """Error of a job or of an attempt at a chunk."""
 
-    code: str
-    detail: str
-    stage: str | None
-    camera: str | None
-    hint: str | None
-    retryable: bool
+    code: str = Field(description="Stable code; docs/problems.md lists all codes.")
+    detail: str = Field(description="Description of the error, a sentence for a person.")
+    stage: str | None = Field(description="Stage that failed.")
+    camera: str | None = Field(description="Camera whose file caused the error.")
+    hint: str | None = Field(description="Advice to the caller.")
+    retryable: bool = Field(description="Whether another attempt may succeed.")
 
     @classmethod
     def of(cls, problem: Problem) -> Self:
@@ -247,14 +254,14 @@ class JobError(_Answer):
         return cls(**_fields(problem, cls))
 
 
-class FailureOut(_Answer):
-    """A try of a piece of work that came to nothing."""
+class FailureOut(_Response):
+    """Failed attempt at a chunk of a stage."""
 
-    stage: str
-    chunk: int = Field(description="Which piece of the stage, from 0.")
-    chunk_try: int = Field(description="Which try of it, from 1.")
-    failed_at: AwareDatetime
-    reason: JobError
+    stage: str = Field(description="Name of the stage.")
+    chunk: int = Field(description="Number of the chunk in its stage, from 0.")
+    chunk_try: int = Field(description="Number of the attempt at the chunk, from 1.")
+    failed_at: AwareDatetime = Field(description="Time of the failure.")
+    reason: JobError = Field(description="Error of the attempt.")
 
     @classmethod
     def of(cls, failure: Failure) -> Self:
@@ -266,16 +273,16 @@ class FailureOut(_Answer):
         )
 
 
-class AttemptOut(_Answer):
-    """An attempt of a job: the first one, or a retry."""
+class AttemptOut(_Response):
+    """Attempt of a job: its first run, or a retry."""
 
-    attempt: int
-    state: JobState
-    queued_at: AwareDatetime
-    started_at: AwareDatetime | None
-    finished_at: AwareDatetime | None
-    error: JobError | None = Field(description="Why it failed.")
-    failures: tuple[FailureOut, ...] = Field(description="What was tried again, and what ended it, in order.")
+    attempt: int = Field(description="Number of the attempt, from 1.")
+    state: JobState = Field(description="State of the job in this attempt.")
+    queued_at: AwareDatetime = Field(description="Time at which the attempt was queued.")
+    started_at: AwareDatetime | None = Field(description="Start of the attempt; null while it is queued.")
+    finished_at: AwareDatetime | None = Field(description="End of the attempt; null before.")
+    error: JobError | None = Field(description="Error that ended the attempt; null if it did not fail.")
+    failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
 
     @classmethod
     def of(cls, attempt: Attempt) -> Self:
@@ -287,61 +294,66 @@ class AttemptOut(_Answer):
         )
 
 
-class AttemptList(_Answer):
-    """All attempts of a job, the first one first."""
+class AttemptList(_Response):
+    """All attempts of a job, in the order of time."""
 
     attempts: tuple[AttemptOut, ...]
 
 
-class WarningOut(_Answer):
-    """A warning about a result."""
+class WarningOut(_Response):
+    """Warning about a result."""
 
-    code: str = Field(description="Stable, such as `few_views`.")
-    message: str = Field(description="For people.")
+    code: str = Field(description="Stable code, such as `few_views`; docs/problems.md lists all codes.")
+    message: str = Field(description="Sentence for people.")
 
 
-class JobLinks(_Answer):
-    """Where to go from a job."""
+class JobLinks(_Response):
+    """Paths of a job and of everything that belongs to it."""
 
-    self: str
-    session: str
-    attempts: str
-    events: str
-    results: str
-    results_zip: str
-    cancel: str | None = Field(description="Null once it is canceled or finished.")
+    self: str = Field(description="Path of the job.")
+    session: str = Field(description="Path of the job's session.")
+    attempts: str = Field(description="Path of the job's attempts.")
+    events: str = Field(description="Path of the job's event stream.")
+    results: str = Field(description="Path of the list of result files.")
+    results_zip: str = Field(description="Path of the archive of all result files.")
+    cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
     retry: str | None = Field(
-        description="Null unless another attempt makes sense: it was canceled, or failed by an error that is retryable."
+        description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
     )
 
 
-class JobOut(_Answer):
-    """A reconstruction of a session."""
+class JobOut(_Response):
+    """Job: a reconstruction of a session."""
 
     id: Id
     session_id: Id
-    session_name: str
-    num_frames: int = Field(description="Output frames of the session; `spec.frame_range` may take some of them.")
-    duration_s: float = Field(description="Length of the session: its frames by its frame rate.")
-    state: JobState
-    spec: JobSpec
-    attempt: int
-    stages: tuple[StageOut, ...]
-    progress: float = Field(ge=0, le=1, description="Never goes back within an attempt.")
-    queue_position: int | None = Field(description="Its place in the queue, from 1; null once it runs.")
-    eta_s: float | None = Field(
-        ge=0, description="A guess of the seconds left, from the work that is done; null before any is, and at the end."
+    session_name: str = Field(description="Name of the session.")
+    num_frames: int = Field(description="Output frames of the whole session; `spec.frame_range` may select some.")
+    duration_s: float = Field(description="Duration of the session: output frames divided by the frame rate.")
+    state: JobState = Field(description="State of the job.")
+    spec: JobSpec = Field(description="Choices of the job.")
+    attempt: int = Field(description="Number of the current attempt, from 1.")
+    stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
+    progress: float = Field(
+        ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
     )
-    created_at: AwareDatetime
-    started_at: AwareDatetime | None
-    finished_at: AwareDatetime | None
-    expires_at: AwareDatetime | None = Field(description="When results go; null if they stay until they are deleted.")
-    error: JobError | None
+    queue_position: int | None = Field(description="Position in the queue, from 1; null once the job runs.")
+    eta_s: float | None = Field(
+        ge=0,
+        description="Estimated seconds left, from the work that is done; null before any work is done, and at the end.",
+    )
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    started_at: AwareDatetime | None = Field(description="Start of the current attempt; null while it is queued.")
+    finished_at: AwareDatetime | None = Field(description="End of the current attempt; null before.")
+    expires_at: AwareDatetime | None = Field(
+        description="Time at which results are deleted; null if they are kept until the job is deleted."
+    )
+    error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
     warnings: tuple[str, ...] = Field(
         description="Warnings about the files, the choices and, once finished, the result."
     )
     result_warnings: tuple[WarningOut, ...] = Field(
-        description="Those of `warnings` that are of the result, such as `nobody_found`; docs/conventions.md has all."
+        description="Warnings about the result with codes, such as `nobody_found`; docs/problems.md lists all codes."
     )
     links: JobLinks
 
@@ -367,41 +379,44 @@ class JobOut(_Answer):
         )
 
 
-class JobPage(_Answer):
-    """Some jobs, the newest first."""
+class JobPage(_Response):
+    """Page of jobs, the newest job first."""
 
     jobs: tuple[JobOut, ...]
-    next_cursor: str | None = Field(description="For the next page, if there may be one.")
+    next_cursor: str | None = Field(description="Cursor of the next page; null on the last page.")
 
 
-class EndedJob(_Answer):
-    """Which job has ended, and how; the rest is to be asked for."""
+class EndedJob(_Response):
+    """Job that has ended, in short; `GET /v1/jobs/{id}` has all fields."""
 
     id: Id
     session_id: Id
-    state: JobState
-    attempt: int
-    warnings: tuple[str, ...] = Field(description="As in the job.")
+    state: JobState = Field(description="State of the job at its end.")
+    attempt: int = Field(description="Number of the attempt that ended.")
+    warnings: tuple[str, ...] = Field(description="Warnings of the job.")
 
 
-class JobEnded(_Answer):
-    """A webhook, by Standard Webhooks: `webhook-id`, `webhook-timestamp` and `webhook-signature` come with it."""
+class JobEnded(_Response):
+    """Webhook about the end of a job, by Standard Webhooks.
 
-    type: str = Field(description="`job.` and the state.")
-    timestamp: AwareDatetime
+    Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
+    """
+
+    type: str = Field(description="Type of the message: `job.` and the state of the job.")
+    timestamp: AwareDatetime = Field(description="Time at which the job ended.")
     data: EndedJob
 
 
-class ResultOut(_Answer):
-    """A result file."""
+class ResultOut(_Response):
+    """Result file of a job."""
 
-    name: str
-    kind: str = Field(description="Such as `bvh`, `skeletons`, `metrics`.")
-    person: str | None = Field(description="Of whom, if of one person.")
-    media_type: str
-    num_bytes: int
-    sha256: str = Field(description="Also its strong ETag.")
-    link: str
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.")
+    person: str | None = Field(description="Person in the file; null if it concerns all people.")
+    media_type: str = Field(description="Content type of the file.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
+    link: str = Field(description="Path of the file.")
 
     @classmethod
     def of(cls, job_id: str, result: Result) -> Self:
@@ -409,94 +424,98 @@ class ResultOut(_Answer):
         return cls(link=f"/v1/jobs/{job_id}/results/{result.name}", **_fields(result, cls, without=("link",)))
 
 
-class ResultList(_Answer):
+class ResultList(_Response):
     """All result files of a job."""
 
     results: tuple[ResultOut, ...]
 
 
-class QuotaOut(_Answer):
-    """How much a tenant has of something."""
+class QuotaOut(_Response):
+    """Usage and limit of a quota."""
 
-    used: int
-    limit: int | None = Field(description="How much it may have; null: as much as there is room for.")
+    used: int = Field(description="Present usage of the tenant.")
+    limit: int | None = Field(description="Largest allowed usage; null without a limit.")
 
 
-class QuotasOut(_Answer):
-    """How much a tenant has, and may have."""
+class QuotasOut(_Response):
+    """Quotas of a tenant."""
 
-    sessions: QuotaOut
-    unfinished_jobs: QuotaOut
+    sessions: QuotaOut = Field(description="Number of sessions.")
+    unfinished_jobs: QuotaOut = Field(description="Number of jobs that wait or run.")
     stored_bytes: QuotaOut = Field(
-        description="Of its sessions' files, with all that came of them; uploads count by what they are to be."
+        description="Size of all sessions with everything made from them; uploads count with their announced size."
     )
-    uploads: QuotaOut = Field(description="That are no session's yet.")
+    uploads: QuotaOut = Field(description="Number of uploads that no session uses yet.")
 
     @classmethod
     def of(cls, usage: Usage, quotas: Quotas) -> Self:
-        """Build the response from the usage and the quotas of a tenant."""
+        """Build the response from a tenant's usage and quotas."""
         return cls(
             **{name: QuotaOut(used=getattr(usage, name), limit=getattr(quotas, name)) for name in cls.model_fields}
         )
 
 
-class CallerOut(_Answer):
-    """Who calls."""
+class CallerOut(_Response):
+    """Caller of a request: its tenant, key and quotas."""
 
-    tenant: str = Field(description="Whose sessions and jobs the caller sees.")
+    tenant: str = Field(description="Tenant whose sessions and jobs the caller sees.")
     name: str | None = Field(
-        description="The key's; null as long as there are no keys, and everybody may do everything."
+        description="Name of the key; null for a service without keys, in which every caller has all scopes."
     )
-    scopes: tuple[Scope, ...]
-    expires_at: AwareDatetime | None = Field(description="When the key ends.")
-    quotas: QuotasOut
+    scopes: tuple[Scope, ...] = Field(description="Scopes of the key.")
+    expires_at: AwareDatetime | None = Field(description="Time at which the key expires; null if it does not.")
+    quotas: QuotasOut = Field(description="Usage and quotas of the tenant.")
 
 
 class BrowserSession(BaseModel):
-    """What a browser shows to be let in."""
+    """Key with which a browser signs in."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    key: str = Field(max_length=200, description="A key, `mc_...`.")
+    key: str = Field(max_length=200, description="API key, `mc_...`.")
 
 
-class Health(_Answer):
-    """The process is alive."""
+class Health(_Response):
+    """Liveness of the API process."""
 
     status: str = "ok"
 
 
-class DetectorOut(_Answer):
-    """A detector."""
+class DetectorOut(_Response):
+    """Detector network and whether it is installed."""
 
-    name: str = Field(description="As `detector` of a job.")
-    installed: bool | None = Field(description="Whether a worker has it; null while no worker is ready.")
-    install: str = Field(description="What the operator does to install it.")
-
-
-class ValueOut(_Answer):
-    """A named value of a choice."""
-
-    name: str = Field(description="As in the spec of a job.")
-    label: str = Field(description="For people.")
+    name: str = Field(description="Value of `detector` in the spec of a job.")
+    installed: bool | None = Field(
+        description="Whether all ready workers have the detector; null while no worker is ready."
+    )
+    install: str = Field(description="Advice to the operator on the installation.")
 
 
-class ChoiceOut(_Answer):
-    """A choice of a job: what a form needs to ask for it."""
+class ValueOut(_Response):
+    """Named value of a choice."""
+
+    name: str = Field(description="Value in the spec of a job.")
+    label: str = Field(description="Label of the value for people.")
+
+
+class ChoiceOut(_Response):
+    """Choice of a job, as a field of a form."""
 
     name: str = Field(description="Name of the field in the spec of a job.")
     label: str = Field(description="Heading of the field in a form.")
-    description: str
+    description: str = Field(description="Meaning of the choice, a sentence for people.")
     kind: Kind = Field(
         description="`one` of the values, a list of `several` of them, a `number`, a `whole_number`, or a "
         "`frame_range`: a list of two whole numbers."
     )
-    values: tuple[ValueOut, ...] = Field(description="Named values; of numbers, names that stand for no number.")
-    default: str | float | tuple[str, ...] | None
-    unset: str | None = Field(description="Meaning of null, where that is the default.")
-    minimum: float | None
-    exclusive_minimum: float | None
-    maximum: float | None
+    values: tuple[ValueOut, ...] = Field(
+        description="Named values; for numbers, the names allowed in place of a number."
+    )
+    default: str | float | tuple[str, ...] | None = Field(description="Default value.")
+    unset: str | None = Field(description="Meaning of null, if null is the default.")
+    minimum: float | None = Field(description="Smallest number.")
+    exclusive_minimum: float | None = Field(description="Number that the value must exceed.")
+    maximum: float | None = Field(description="Largest number.")
 
     @classmethod
     def of(cls, choice: Choice) -> Self:
@@ -516,21 +535,23 @@ class ChoiceOut(_Answer):
         )
 
 
-class Options(_Answer):
-    """Choices of jobs, and what is installed."""
+class Options(_Response):
+    """Choices of a job, and detector networks."""
 
-    detectors: tuple[DetectorOut, ...] = Field(description="All that the service knows.")
-    choices: tuple[ChoiceOut, ...] = Field(description="All choices of a job, for a form; `callback_url` is none.")
+    detectors: tuple[DetectorOut, ...] = Field(description="All detectors that the service supports.")
+    choices: tuple[ChoiceOut, ...] = Field(
+        description="All choices of a job, for a form. `callback_url` is not listed."
+    )
 
 
-class Readiness(_Answer):
-    """A worker could start a job's work now."""
+class Readiness(_Response):
+    """Readiness of the service: a worker could start a job now."""
 
     status: str = "ready"
-    checks: dict[str, bool]
-    disk_free_bytes: int = Field(description="Room on the disk of the data folder.")
+    checks: dict[str, bool] = Field(description="Passed checks by name.")
+    disk_free_bytes: int = Field(description="Free bytes on the disk of the data folder.")
 
 
-def _fields(record: object, wire: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Fields of a record that have the same name on the wire."""
-    return {name: getattr(record, name) for name in wire.model_fields if name not in without}
+def _fields(record: object, model: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Values of a model's fields from the attributes of a record with the same names."""
+    return {name: getattr(record, name) for name in model.model_fields if name not in without}

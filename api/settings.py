@@ -15,7 +15,7 @@ KIB, MIB, GIB = 2**10, 2**20, 2**30
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a listening address is reached from this machine only."""
+    """Whether only this machine can reach a listening address."""
     if host == "localhost":
         return True
     try:
@@ -44,8 +44,8 @@ class Settings(BaseSettings):
         default=None,
         gt=0,
         le=7 * 24 * 3600,
-        description="Redirect downloads of results to the store at artifacts_url, by addresses that are valid for this "
-        "time; without it downloads go through the API.",
+        description="Validity of the signed addresses to which downloads of results are redirected, in the store at "
+        "artifacts_url; without it downloads go through the API.",
     )
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
 
@@ -55,12 +55,12 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 for a free one.")
     trust_network: bool = Field(
         default=False,
-        description="Allow an address beyond loopback without keys: only where something else keeps strangers out, "
-        "such as a container whose port is published on loopback.",
+        description="Allow a listening address beyond loopback without keys. Only for services that other machines "
+        "can't reach, such as a container whose port is published on loopback.",
     )
     allowed_hosts: frozenset[str] = Field(
         default=frozenset(),
-        description="Names of the service, besides localhost, that clients may use, as a JSON list.",
+        description="Host names, besides localhost, by which clients may call the service, as a JSON list.",
     )
     allowed_origins: frozenset[str] = Field(
         default=frozenset(),
@@ -69,130 +69,150 @@ class Settings(BaseSettings):
     trusted_proxies: frozenset[IPvAnyNetwork] = Field(
         default=frozenset(),
         description="Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are trusted, as a "
-        "JSON list. Without it the peer of a connection is the client.",
+        "JSON list. Without it the client is the peer of the connection.",
     )
     max_connections: int = Field(
         default=4096,
         gt=0,
-        description="Open connections of an API process; fewer where the limit on open files allows fewer.",
+        description="Largest number of open connections of an API process; the limit on open files may lower it.",
     )
     max_client_connections: int = Field(
         default=512,
         gt=0,
-        description="Open connections of a client's address (of IPv6 its /64), except trusted proxies.",
+        description="Largest number of open connections of a client's address (IPv6: its /64); trusted proxies are "
+        "exempt.",
     )
     max_wrong_keys_per_minute: int = Field(
         default=30,
         gt=0,
-        description="Wrong keys from a client's address (of IPv6 its /64), at each API process; more are answered by "
-        "429. Valid keys are always served.",
+        description="Wrong keys from a client's address (IPv6: its /64) in a minute, at each API process; more are "
+        "answered by 429. Valid keys are always served.",
     )
 
     headroom_bytes: int | None = Field(
         default=None,
         ge=0,
-        description="Room on data_dir's disk that is kept free; with less room nothing new is accepted (507). Default: "
-        "5 % of the disk, at most 256 MiB.",
+        description="Bytes on data_dir's disk that are kept free; with fewer free bytes nothing new is accepted (507). "
+        "Default: 5 % of the disk, at most 256 MiB.",
     )
 
-    max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Size of a video.")
-    max_keypoints_bytes: int = Field(default=1 * GIB, gt=0, description="Size of the archive of a camera's keypoints.")
-    max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Size of all files of a session.")
-    max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Size of a calibration file.")
-    max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Size of a JSON body or part.")
+    max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Largest size of a video.")
+    max_keypoints_bytes: int = Field(
+        default=1 * GIB, gt=0, description="Largest size of the archive of a camera's keypoints."
+    )
+    max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Largest size of all files of a session.")
+    max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Largest size of a calibration file.")
+    max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Largest size of a JSON body or part.")
     max_session_joints: int = Field(
         default=25_000_000,
         gt=0,
-        description="Joints of all keypoint files of a session, found or not; a worker needs some 115 bytes for each.",
+        description="Largest number of joints in all keypoint files of a session, with or without coordinates. A "
+        "worker needs some 65 bytes for each joint.",
     )
-    max_cameras: int = Field(default=64, gt=0, description="Videos, or archives of keypoints, of a session.")
+    max_cameras: int = Field(
+        default=64, gt=0, description="Largest number of videos, or archives of keypoints, of a session."
+    )
 
     max_duration_s: float | None = Field(
         default=None,
         gt=0,
-        description="Duration of a session, from its first frame to its last; without it 43,200 s.",
+        description="Longest duration of a session, from its first frame to its last; without it 43,200 s.",
     )
-    max_pixels: int | None = Field(default=None, gt=0, description="Pixels of a frame; without it 8192 x 4320.")
+    max_pixels: int | None = Field(
+        default=None, gt=0, description="Largest number of pixels of a frame; without it 8192 x 4320."
+    )
 
     max_tenant_sessions: int | None = Field(
-        default=None, ge=0, description="Sessions of a tenant; without it any number."
+        default=None, ge=0, description="Largest number of sessions of a tenant; without it any number."
     )
     max_tenant_unfinished_jobs: int | None = Field(
-        default=None, ge=0, description="Jobs of a tenant that wait or run; without it any number."
+        default=None, ge=0, description="Largest number of a tenant's jobs that wait or run; without it any number."
     )
     max_tenant_bytes: int | None = Field(
         default=None,
         ge=0,
-        description="Size of a tenant's sessions and everything made from them; without it any number.",
+        description="Largest size of a tenant's sessions with all their results; without it any size.",
     )
     max_tenant_uploads: int | None = Field(
-        default=None, ge=0, description="Unfinished or unused uploads of a tenant; without it any number."
+        default=None,
+        ge=0,
+        description="Largest number of a tenant's unfinished or unused uploads; without it any number.",
     )
     max_requests_per_minute: int | None = Field(
-        default=None, gt=0, description="Requests of a tenant, at each API process; without it any number."
+        default=None,
+        gt=0,
+        description="Largest number of a tenant's requests in a minute, at each API process; without it any number.",
     )
     max_tenant_streams: int = Field(
-        default=200, gt=0, description="Open event streams of a tenant, at each API process."
+        default=200, gt=0, description="Largest number of a tenant's open event streams, at each API process."
     )
     idempotency_lease_s: float = Field(
         default=30.0,
         gt=0,
-        description="How long an Idempotency-Key stays taken by a request whose API process was killed.",
+        description="Time until an Idempotency-Key can be used again if the API process of its request was killed.",
     )
 
     webhook_private: bool = Field(
-        default=False, description="Whether webhooks may go to addresses of private networks, and without TLS."
+        default=False, description="Whether webhooks may go to addresses of private networks, also without TLS."
     )
     client_idle_s: float = Field(
         default=60.0,
         gt=0,
-        description="How long a client may neither send nor take anything of a body, or take to send headers.",
+        description="Longest time in which a client neither sends nor receives a byte of a body, and longest time of "
+        "the request headers.",
     )
     client_min_bytes_per_s: float = Field(
-        default=1000.0, ge=0, description="Average rate that a client's body must reach, from client_idle_s on."
+        default=1000.0, ge=0, description="Smallest average rate of a client's body, checked from client_idle_s on."
     )
 
     upload_hours: float = Field(
-        default=48.0, gt=0, le=24 * 365, description="How long an upload is kept that receives nothing and is not used."
+        default=48.0, gt=0, le=24 * 365, description="Time for which an unused upload is kept after its last piece."
     )
     retention_days: float | None = Field(
-        default=None, gt=0, le=36_500, description="How long results are kept; without it until they are deleted."
+        default=None,
+        gt=0,
+        le=36_500,
+        description="Time for which results are kept; without it until they are deleted.",
     )
-    chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of one chunk of a camera.")
+    chunk_frames: int = Field(default=DEFAULT_CHUNK_FRAMES, gt=0, description="Output frames of a chunk of a camera.")
 
     preflight_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.capture.preflight")),
-        description="Program that checks a session's files in a process of its own.",
+        description="Program that checks a session's files (the preflight), run in a child process.",
     )
     preflight_timeout_s: float = Field(
         default=15.0,
         gt=0,
-        description="How long the check may take, besides 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
+        description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
         "keypoints.",
     )
     preflight_wait_s: float = Field(
         default=10.0,
         gt=0,
-        description="How long a session waits for its check before it is refused, beside 60 s a GiB of its files.",
+        description="Longest time that a session waits for its preflight before it is refused, in addition to 60 s a "
+        "GiB of its files.",
     )
-    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="Size of the check's output.")
+    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="Largest size of a preflight's output.")
     max_record_bytes: int = Field(
         default=1 * GIB,
         gt=0,
-        description="Size of the data that the check stores for workers: times of all frames, keypoints.",
+        description="Largest size of the data that a preflight stores for workers: times of all frames, keypoints.",
     )
     preflight_memory_bytes: int = Field(
-        default=3 * GIB, ge=GIB // 2, description="Memory of the check; a session whose check needs more is refused."
+        default=3 * GIB,
+        ge=GIB // 2,
+        description="Memory limit of a preflight; a session whose preflight needs more is refused.",
     )
     max_parallel_preflights: int = Field(
         default=3,
         gt=0,
-        description="Checks at the same time; a tenant, or without keys a client's address, has one less at most.",
+        description="Largest number of preflights at the same time. A tenant, or without keys a client's address, has "
+        "at most one fewer.",
     )
 
     @property
     def is_exposed(self) -> bool:
-        """Whether others than this machine may reach the service."""
+        """Whether other machines may reach the service."""
         return not (self.trust_network or is_loopback(self.host))
 
     @property
@@ -212,10 +232,10 @@ class Settings(BaseSettings):
 
     @property
     def uploads_dir(self) -> Path:
-        """Where files are that come in pieces."""
+        """Folder of the files of uploads."""
         return self.data_dir / "uploads"
 
     @property
     def spool_dir(self) -> Path:
-        """Where what a request brings is until it is checked; emptied at each start."""
+        """Folder of a request's files until they are checked; emptied at each start."""
         return self.data_dir / "spool"

@@ -8,14 +8,15 @@ Reconstruct a capture in this process:
 >>> reconstruction = multicap.reconstruct(session, config)  # doctest: +SKIP
 >>> multicap.write_results(reconstruction, Path("results"), exports=["bvh", "glb"])  # doctest: +SKIP
 
-or by a service:
+or send it to a service:
 
 >>> with multicap.Client.connect("http://127.0.0.1:8000") as client:  # doctest: +SKIP
 ...     job = client.submit("Take 1", [Path("cam01.mp4"), Path("cam02.mp4")], Path("Calib.qca.txt"))
 ...     job = client.follow(job, lambda job: print(f"{job['progress']:.0%}"))
 ...     client.download(job, Path("results"))
 
-``docs/python.md`` is the manual. Names are loaded at their first use: ``import multicap`` alone loads no other package.
+``docs/python.md`` is the manual. Names are loaded at their first use: ``import multicap`` alone imports no other
+package.
 """
 
 from pkgutil import resolve_name
@@ -57,7 +58,7 @@ __all__ = [
     "write_results",
 ]
 
-# The same as above, for the interpreter; a test compares them.
+# References of the names above for the interpreter; a test compares both.
 _REFERENCES = {
     "CaptureSession": "pipeline.capture.session:CaptureSession",
     "ChildError": "pipeline.errors:ChildError",

@@ -1,4 +1,4 @@
-"""``python -m multicap``, and the command ``multicap``: the command line."""
+"""``python -m multicap``: the command line, like the command ``multicap``."""
 
 from api.cli.start import main
 

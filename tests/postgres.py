@@ -1,4 +1,4 @@
-"""A PostgreSQL of our own, where the machine has its programs."""
+"""PostgreSQL server for tests, if the machine has its programs."""
 
 import contextlib
 import os
@@ -21,7 +21,7 @@ _TESTS_ONLY = ["-c", "fsync=off", "-c", "max_connections=200"]
 
 @dataclass
 class Postgres:
-    """A running server."""
+    """Running server."""
 
     bin_dir: Path
     folder: Path
@@ -29,7 +29,7 @@ class Postgres:
 
     @property
     def url(self) -> str:
-        """Of its first database."""
+        """URL of the server's first database."""
         return f"postgresql://postgres@127.0.0.1:{self.port}/postgres"
 
     def control(self, *arguments: str) -> None:
@@ -47,7 +47,7 @@ def _call(*command: str | Path) -> None:
 
 @contextlib.contextmanager
 def running_postgres() -> Iterator[Postgres]:
-    """A server until the end of the block; skips the test where that can't be."""
+    """Run a server during the block; skip the test if it can't be run."""
     if not _PROGRAMS:
         pytest.skip(f"PostgreSQL is not installed, and {POSTGRES_VARIABLE} names no server")
     with socket.create_server(("127.0.0.1", 0)) as listening:

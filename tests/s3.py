@@ -1,4 +1,4 @@
-"""An S3 of our own."""
+"""S3 server for tests."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ import uuid_utils
 
 @dataclass
 class S3:
-    """A running server, and a new bucket."""
+    """Running server with a new bucket."""
 
     process: subprocess.Popen[bytes]
     endpoint: str
@@ -23,7 +23,7 @@ class S3:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What who calls it has to know."""
+        """Environment variables for clients of the server."""
         return {
             "AWS_ENDPOINT_URL": self.endpoint,
             "AWS_ACCESS_KEY_ID": "test",
@@ -32,7 +32,7 @@ class S3:
         }
 
     def new_url(self) -> str:
-        """Of an empty place in the bucket."""
+        """URL of an empty prefix in the bucket."""
         return f"s3://{self.bucket}/{uuid_utils.uuid4().hex}"
 
 

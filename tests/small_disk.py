@@ -1,4 +1,4 @@
-"""Small disks for tests, where this machine lets us mount some."""
+"""Small disks for tests, if this machine allows mounting them."""
 
 import contextlib
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 
 @contextlib.contextmanager
 def small_disk(folder: Path, num_mib: int) -> Iterator[Path]:
-    """A disk of its own at a folder, for the time of the block; without the right to mount one the test is skipped."""
+    """Mount a disk at a folder during the block; skip the test without the right to mount."""
     folder.mkdir(exist_ok=True)
     command = ["mount", "-t", "tmpfs", "-o", f"size={num_mib}m", "tmpfs", str(folder)]
     if subprocess.run(command, check=False, capture_output=True).returncode != 0:
@@ -22,7 +22,7 @@ def small_disk(folder: Path, num_mib: int) -> Iterator[Path]:
 
 
 def fill(path: Path) -> None:
-    """Write a file until there is no room for another byte."""
+    """Write a file until the disk is full to the last byte."""
     for num_bytes in (2**20, 4096, 1):
         with contextlib.suppress(OSError), path.open("ab", buffering=0) as file:
             while True:

@@ -1,1 +1,1 @@
-"""Durable jobs, and who runs them."""
+"""Durable jobs in a database, and the processes that run them: workers, reaper, supervisor."""

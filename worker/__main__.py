@@ -1,4 +1,4 @@
-"""``python -m worker [--workers N]``: Celery's worker with as many processes."""
+"""``python -m worker [--workers N]``: run Celery's worker with N processes."""
 
 import argparse
 import signal
@@ -20,17 +20,17 @@ def main() -> None:
     keep_files_private()
     raise_descriptor_limit()
     parser = argparse.ArgumentParser(prog=f"python -m {__package__}", description="Work on jobs.")
-    parser.add_argument("--workers", type=int, default=1, help="Chunks worked on at once, a process each.")
+    parser.add_argument("--workers", type=int, default=1, help="Number of worker processes; each works on one chunk.")
     workers = parser.parse_args().workers
     settings = read_settings(WorkerSettings)
     configure_logs(settings.log_level)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until Celery takes it over
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until Celery sets its own handler
     store = JobStore(settings.resolved_database_url)
     require_usable_database(store)
     compile_kernels(store)
     store.close()
-    tasks.tell_loading()
-    stage_codes()  # once for all children
+    tasks.report_loading()
+    stage_codes()  # computed once, for all forked children
     celery = create_celery(settings)
     celery.worker_main(
         [

@@ -1,7 +1,7 @@
-"""Celery, configured so that nothing depends on it: a message says that there is work, the database says what.
+"""Celery application of the workers: one task, and handlers that prepare each worker process.
 
-A message is acknowledged after its work, and one whose worker was lost is put back. The limits below only bound what
-the reaper would mend anyway.
+A message only tells workers that there is work; they claim it in the database. A message is acknowledged after its
+work, and returns to the queue if its worker is lost. The limits below only bound failures that the reaper repairs.
 """
 
 import os
@@ -23,13 +23,13 @@ from pipeline.runtime.memory import limit_memory
 from worker import tasks
 from worker.jobs.queue import QUEUE_NAME, TASK_NAME
 from worker.process.presence import Presence
-from worker.process.priorities import stand_back
+from worker.process.priorities import lower_priority
 from worker.process.scratch import remove_abandoned
 from worker.settings import WorkerSettings
 from worker.telemetry import tracing
 from worker.telemetry.logs import configure_logs
 
-# Longer than the longest chunk: a reduce of hours of capture.
+# Longer than the longest chunk, the association of a capture of several hours.
 _TIME_LIMIT_S = 3600
 
 _LOOK_S = 0.1
@@ -38,7 +38,7 @@ _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def create_celery(settings: WorkerSettings) -> Celery:
-    """Celery with the one task there is."""
+    """Create the Celery application with its only task."""
     celery = Celery("multicap", broker=settings.broker_url)
     celery.conf.update(
         task_default_queue=QUEUE_NAME,
@@ -48,8 +48,8 @@ def create_celery(settings: WorkerSettings) -> Celery:
         task_time_limit=_TIME_LIMIT_S,
         worker_pool="worker.process.pool:PromptPool",
         worker_prefetch_multiplier=1,
-        # The libraries of science take seconds to load on a busy machine; where compiled kernels can't be kept, every
-        # process compiles them first, for minutes.
+        # Numeric libraries take seconds to load on a busy machine. Without a cache for compiled kernels every process
+        # compiles them first, which takes minutes.
         worker_proc_alive_timeout=600.0,
         worker_enable_remote_control=False,
         broker_connection_retry_on_startup=True,
@@ -64,11 +64,11 @@ def create_celery(settings: WorkerSettings) -> Celery:
     celery.task(name=TASK_NAME, bind=True)(_work)
     setup_logging.connect(_log)
     celeryd_init.connect(_one_thread_a_process)
-    celeryd_init.connect(_stand_back)
-    worker_init.connect(_tell_loading)
+    celeryd_init.connect(_lower_priority)
+    worker_init.connect(_report_loading)
     worker_process_init.connect(_load)
     worker_ready.connect(_consume)
-    worker_shutting_down.connect(_give_back)
+    worker_shutting_down.connect(_return_chunks)
     return celery
 
 
@@ -83,17 +83,20 @@ def _log(**_: object) -> None:
 
 
 def _one_thread_a_process(**_: object) -> None:
-    """Before any child loads NumPy: several processes use a processor better than several threads of each."""
+    """Use one thread for each process: several processes use the processors better than several threads of each.
+
+    The environment must be set before a child imports NumPy.
+    """
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
 
 
-def _stand_back(**_: object) -> None:
-    stand_back(WorkerSettings().nice)
+def _lower_priority(**_: object) -> None:
+    lower_priority(WorkerSettings().nice)
 
 
-def _tell_loading(**_: object) -> None:
-    """On a busy machine it has taken seconds to get here."""
-    tasks.tell_loading()
+def _report_loading(**_: object) -> None:
+    """Report again that workers load: on a busy machine Celery took seconds to start."""
+    tasks.report_loading()
 
 
 def _load(**_: object) -> None:
@@ -107,7 +110,7 @@ def _load(**_: object) -> None:
 
 
 def _end_while_loading(presence: Presence) -> None:
-    """Loading takes seconds, in which a process hears nothing: a shutdown need not wait for it."""
+    """End the process if a shutdown begins while it loads: it could not react for seconds."""
     while not tasks.is_loaded():
         if tasks.shutting_down.is_set():
             presence.stop()
@@ -119,15 +122,15 @@ def _unload(presence: Presence, exitcode: int) -> None:
     presence.stop()
     tracing.stop()
     if tasks.shutting_down.is_set():
-        # The pool would have the process sleep for a second, lest its last message be lost: now nobody reads it.
+        # The pool would let the process sleep for a second to deliver its last message, which is not read any more.
         os._exit(exitcode)
 
 
 def _consume(**_: object) -> None:
-    """The main process takes messages now; children that are loaded can start."""
+    """Record that the main process receives messages: loaded children can get work now."""
     tasks.consuming.set()
 
 
-def _give_back(**_: object) -> None:
-    """A shutdown waits for the tasks at hand, and these may run for long: have them give back their chunks."""
+def _return_chunks(**_: object) -> None:
+    """Tell running tasks to return their chunks: a shutdown waits for them, and a chunk may take long."""
     tasks.shutting_down.set()

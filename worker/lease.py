@@ -1,4 +1,4 @@
-"""Lease of a chunk while it is worked on: heartbeats, progress, and the signal to stop."""
+"""Lease of a claimed chunk: heartbeats, progress, and the signal to stop."""
 
 import contextlib
 import threading
@@ -14,22 +14,26 @@ from worker.jobs.store import JobStore
 
 log = structlog.get_logger()
 
-# Time that a pass has to notice that it must stop, before its process is ended.
+# Time in which the work must react to the signal to stop, before its process is ended.
 STOP_GRACE_S = 2.0
 
 _LOOK_S = 0.25
 
 
 class Lease:
-    """Lease of a claimed chunk, renewed by its own thread.
+    """Lease of a claimed chunk, renewed by a thread of its own.
 
     Parameters
     ----------
+    lease_s
+        Time after the last heartbeat at which the lease is lost.
+    heartbeat_s
+        Time between heartbeats.
     stopping
         Returns whether the worker shuts down.
     on_stuck
-        Called from the thread when the pass has not noticed for ``STOP_GRACE_S`` that it must stop: it sits in one long
-        call. A worker process ends itself here.
+        Called from the thread when the work has not stopped within ``STOP_GRACE_S``, for example during one long call.
+        A worker process ends itself here.
     """
 
     def __init__(
@@ -49,21 +53,21 @@ class Lease:
         self._ended = threading.Event()
 
     def on_unit(self) -> None:
-        """Count a unit of work; ``StoppedError`` if the work is no longer wanted."""
+        """Count a unit of work; raise ``StoppedError`` if the work must stop."""
         self._done_units += 1
         self.check()
 
     def check(self) -> None:
-        """Raise ``StoppedError`` if the work is no longer wanted."""
-        if self._unwanted():
+        """Raise ``StoppedError`` if the work must stop."""
+        if self._must_stop():
             raise StoppedError
 
-    def _unwanted(self) -> bool:
+    def _must_stop(self) -> bool:
         return self._lost or self._stopping()
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Send heartbeats until the end of the block."""
+        """Renew the lease during the block."""
         thread = threading.Thread(target=self._beat_until_ended, name="lease", daemon=True)
         thread.start()
         try:
@@ -75,7 +79,7 @@ class Lease:
     def _beat_until_ended(self) -> None:
         renewed_s = beat_s = time.monotonic()
         while not self._ended.wait(_LOOK_S):
-            if self._unwanted():
+            if self._must_stop():
                 break
             now_s = time.monotonic()
             if now_s - beat_s < self._heartbeat_s:
@@ -87,7 +91,7 @@ class Lease:
             except DamagedDatabase:
                 self._lost = True
             except Exception:
-                # The database may be away for a moment; if it stays away, the lease runs out.
+                # The database may be unreachable for a moment; if that lasts, the lease runs out.
                 log.exception("heartbeat_failed", chunk=self._claim.chunk_id)
                 self._lost |= now_s - renewed_s > self._lease_s
         if not self._ended.wait(STOP_GRACE_S):

@@ -1,4 +1,4 @@
-"""An exception in the words of a job's problem: what the client may know, and whether another try makes sense."""
+"""Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
 from pipeline.errors import ChildError, InputError, ModelError, PipelineError
 from worker.jobs.files.disk import is_disk_full
@@ -6,31 +6,31 @@ from worker.jobs.model import Problem
 
 
 def problem_of(error: Exception, stage: str) -> Problem:
-    """Say what went wrong with a chunk.
+    """Build the problem of a chunk that failed with an exception.
 
-    Errors of the pipeline keep their words, which are made for people; another try makes sense unless the input causes
-    them. All others become one sentence without their text, which may hold paths; it belongs in the log.
+    Errors of the pipeline keep their messages, which are written for people. They are retryable unless the input causes
+    them. Other exceptions become a sentence without their text, which may contain paths; the text goes to the log.
     """
     match error:
         case InputError(problems=(only,)):
-            words = f"{only.file}: {only.message}" if only.file else only.message
-            return Problem(only.code, words, stage=stage, camera=only.camera, hint=only.hint)
+            message = f"{only.file}: {only.message}" if only.file else only.message
+            return Problem(only.code, message, stage=stage, camera=only.camera, hint=only.hint)
         case InputError() | PipelineError():
-            # Models are installed, and memory is freed, while the input stays as it is.
+            # A model may be installed or memory freed before the next attempt; the input stays the same.
             return Problem(error.code, str(error), stage=stage, retryable=isinstance(error, ModelError | ChildError))
         case MemoryError():
             return Problem(
                 "memory_limit",
                 f"The stage {stage} needs more memory than the service allows a worker.",
                 stage=stage,
-                hint="Use fewer frames of the session, or have the operator raise MULTICAP_MEMORY_BYTES.",
+                hint="Use fewer frames of the session, or ask the operator to raise MULTICAP_MEMORY_BYTES.",
             )
         case _ if is_disk_full(error):
             return Problem(
                 "storage_full",
-                f"The service's disk is full; the stage {stage} could not keep its output.",
+                f"The service's disk is full; the stage {stage} could not store its output.",
                 stage=stage,
-                hint="Make room on it, then retry the job: what was finished is not done again.",
+                hint="Free space on the disk, then retry the job: finished chunks are not run again.",
                 retryable=True,
             )
         case _:

@@ -1,8 +1,8 @@
-"""``python -m worker.reaper``: repair what was lost, and remove what is not needed any more.
+"""``python -m worker.reaper``: repair what was lost, remove what has expired, and send webhooks.
 
-Frees the leases of workers that fell silent, fails chunks that keep failing, and publishes while work is ready. So a
-lost message, or a broker that lost all messages, costs a few seconds. Expires results, removes files of deleted
-sessions and jobs, plans jobs again whose code no worker runs any more, and sends webhooks.
+The reaper frees the leases of workers that stopped responding, ends chunks that keep failing, and publishes a message
+while work is ready: a lost message, or a broker that lost all messages, costs a few seconds. It removes expired results
+and the remaining files of deleted sessions. It plans jobs again whose code no worker runs any more.
 """
 
 import os
@@ -40,11 +40,12 @@ def reap(
     lease_s: float,
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
 ) -> None:
-    """Do everything once; a step that fails, such as without a database, is tried again the next time.
+    """Run all steps once. A step that fails, for example because the database does not respond, is logged.
 
     Raises
     ------
     DamagedDatabase
+        If SQLite can't read its file.
     """
 
     def free_leases() -> None:
@@ -54,7 +55,7 @@ def reap(
     def plan_again() -> None:
         for job_id in store.plans.unclaimable():
             if not store.plans.is_run(stage_codes().values()):
-                return  # workers of this version may come later
+                return  # workers of this version may start later
             job = store.jobs.get(job_id)
             if store.plans.replace(job_id, plan_job(store.sessions.get(job.session_id), job.spec, chunk_frames)):
                 log.info("job_planned_again", job=job_id)
@@ -67,7 +68,7 @@ def reap(
     def remove() -> None:
         disk.using_reserve(lambda: remove_files(store.removals, artifacts))
 
-    # Each step by itself: on a full disk the last one makes room for the others.
+    # Each step runs even if another fails: on a full disk the last step makes space for the others.
     for step in (free_leases, plan_again, expire, remove):
         try:
             step()
@@ -87,7 +88,7 @@ def main() -> None:
     require_usable_database(store)
     artifacts = settings.open_artifacts()
     disk = DiskSpace(settings.data_dir, settings.headroom_bytes)
-    # In a thread of its own: receivers of webhooks may be slow.
+    # A thread of its own, because receivers of webhooks may be slow.
     threading.Thread(target=deliver_forever, args=[store, Sender(settings.webhook_private)], daemon=True).start()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     exit_code = 0
@@ -101,7 +102,7 @@ def main() -> None:
         sys.stderr.write(f"error: {error}\n{error.instructions()}\n")
         sys.stderr.flush()
         exit_code = 1
-    # Without waiting for messages under way: they are sent again when their leases end.
+    # End without waiting for webhooks that are being sent: they are sent again when their leases end.
     os._exit(exit_code)
 
 

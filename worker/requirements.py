@@ -1,4 +1,4 @@
-"""Requirements of a JSON Schema on a value, in words for the person who sent another one."""
+"""Requirements of a JSON Schema on a value, described in words for error messages."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,18 +24,18 @@ Schema = Mapping[str, Any]
 
 
 def requirement(schema: Schema, root: Schema, *, null: bool = True) -> str:
-    """Put in words what values a schema allows.
+    """Describe the values that a schema allows.
 
     Parameters
     ----------
     root
-        The document that references in the schema lead into.
+        Document that contains the targets of references in the schema.
     null
-        Whether to name null where it is allowed: not for what can only be sent as text.
+        Whether to mention null where it is allowed; false for values that are sent as text.
 
     Returns
     -------
-        What follows "must be": with all values, limits and fields that are allowed.
+        Words that follow "must be", with all allowed values, limits and fields.
 
     >>> requirement({"anyOf": [{"const": "auto"}, {"type": "integer", "minimum": 1, "maximum": 1000}]}, {})
     'auto, or a whole number from 1 to 1000'
@@ -43,8 +43,8 @@ def requirement(schema: Schema, root: Schema, *, null: bool = True) -> str:
     schema = resolve(schema, root)
     if branches := branches_of(schema):
         examples = {"examples": schema["examples"]} if "examples" in schema else {}
-        each = [requirement({**one, **examples}, root) for one in branches if null or one.get("type") != "null"]
-        return ", or ".join(dict.fromkeys(each))
+        described = [branch for branch in branches if null or branch.get("type") != "null"]
+        return ", or ".join(dict.fromkeys(requirement({**branch, **examples}, root) for branch in described))
     if "const" in schema:
         words = str(schema["const"])
     elif "enum" in schema:
@@ -70,17 +70,17 @@ def _of_type(schema: Schema, root: Schema) -> str:
 
 
 def resolve(schema: Schema, root: Schema) -> Schema:
-    """Follow a schema's reference, if it is one."""
+    """Follow the references of a schema to their target."""
     while "$ref" in schema:
-        found: Any = root
+        target: Any = root
         for step in schema["$ref"].removeprefix("#/").split("/"):
-            found = found[step]
-        schema = found
+            target = target[step]
+        schema = target
     return schema
 
 
 def branches_of(schema: Schema) -> Sequence[Schema]:
-    """The schemas of which a value has to meet one; empty if the schema is no such choice."""
+    """Alternatives of a schema with ``anyOf`` or ``oneOf``; empty for other schemas."""
     return schema.get("anyOf") or schema.get("oneOf") or ()
 
 
@@ -94,8 +94,8 @@ def _range(schema: Schema) -> str:
         "of at most": high,
         "below": schema.get("exclusiveMaximum"),
     }
-    said = [f"{words} {_number(bound)}" for words, bound in bounds.items() if bound is not None]
-    return f" {' and '.join(said)}" if said else ""
+    described = [f"{words} {_number(bound)}" for words, bound in bounds.items() if bound is not None]
+    return f" {' and '.join(described)}" if described else ""
 
 
 def _number(value: float) -> str:

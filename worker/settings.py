@@ -1,4 +1,4 @@
-"""What a worker process is told by its environment; every variable begins with ``MULTICAP_``."""
+"""Settings of workers and reaper, from environment variables that begin with ``MULTICAP_``."""
 
 import json
 import os
@@ -28,7 +28,7 @@ _Settings = TypeVar("_Settings", bound=BaseSettings)
 
 
 def read_settings(kind: type[_Settings]) -> _Settings:
-    """Read the environment; a program that finds it wrong ends with a sentence a variable."""
+    """Read settings from the environment; exit with a sentence for each wrong variable."""
     try:
         return kind()
     except (ValidationError, SettingsError) as error:
@@ -36,7 +36,7 @@ def read_settings(kind: type[_Settings]) -> _Settings:
 
 
 def explain(kind: type[BaseSettings], error: ValidationError | SettingsError) -> list[str]:
-    """Faults of the environment's variables, a sentence each, with all that is allowed."""
+    """Sentences about wrong environment variables, with all allowed values."""
     root = kind.model_json_schema()
     wrong = _undecodable(root) if isinstance(error, SettingsError) else _refused(error)
     sentences = []
@@ -48,7 +48,7 @@ def explain(kind: type[BaseSettings], error: ValidationError | SettingsError) ->
 
 
 def _refused(error: ValidationError) -> dict[str, str]:
-    """Settings that were refused, with their values; of an item of a list only the setting is named."""
+    """Refused settings with their values, as ``=value``; empty text if an item of a list is wrong."""
     return {
         str(detail["loc"][0]): f"={detail['input']}" if len(detail["loc"]) == 1 else ""
         for detail in reversed(error.errors())
@@ -56,16 +56,16 @@ def _refused(error: ValidationError) -> dict[str, str]:
 
 
 def _undecodable(root: Schema) -> dict[str, str]:
-    """Settings that are to be JSON and are not."""
-    found = {}
+    """Settings that must be JSON and are not, with their values."""
+    wrong = {}
     for name, schema in root["properties"].items():
         value = os.environ.get(f"MULTICAP_{name.upper()}")
         if value is not None and _is_json(schema):
             try:
                 json.loads(value)
             except ValueError:
-                found[name] = f"={value}"
-    return found
+                wrong[name] = f"={value}"
+    return wrong
 
 
 def _is_json(schema: Schema) -> bool:
@@ -73,7 +73,7 @@ def _is_json(schema: Schema) -> bool:
 
 
 def require_usable_database(store: JobStore) -> None:
-    """End the program with sentences if the database is damaged, or of a newer version of Multicap."""
+    """Exit with a message if the database is damaged, or belongs to a newer version of Multicap."""
     try:
         store.require_whole()
         store.require_known_schema()
@@ -81,7 +81,7 @@ def require_usable_database(store: JobStore) -> None:
         sys.exit(f"error: {error}\n{error.instructions()}")
     except NewerDatabase as error:
         sys.exit(f"error: {error}")
-    except SQLAlchemyError:  # it may come later
+    except SQLAlchemyError:  # the database may start later
         return
 
 
@@ -102,42 +102,51 @@ class WorkerSettings(BaseSettings):
         description="s3://bucket/prefix; empty for a folder in data_dir.",
     )
     cache_bytes: int = Field(
-        default=DEFAULT_CACHE_BYTES, gt=0, description="Size of the copies in data_dir of files at artifacts_url."
+        default=DEFAULT_CACHE_BYTES,
+        gt=0,
+        description="Largest size of the local copies in data_dir of files at artifacts_url.",
     )
-    cache_hours: float = Field(default=DEFAULT_CACHE_HOURS, gt=0, description="How long an unused copy is kept.")
+    cache_hours: float = Field(
+        default=DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused local copy is kept."
+    )
     broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
     headroom_bytes: int | None = Field(
         default=None,
         ge=0,
-        description="Room on data_dir's disk that is kept free; with less room no chunk is begun. Default: 5 % of the "
-        "disk, at most 256 MiB.",
+        description="Bytes on data_dir's disk that are kept free; with fewer free bytes no chunk is started. Default: "
+        "5 % of the disk, at most 256 MiB.",
     )
     log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
     lease_s: float = Field(
-        default=20.0, gt=0, description="A worker that does not renew its lease for this time loses its chunk."
+        default=20.0, gt=0, description="Time without a heartbeat after which a worker loses its chunk."
     )
-    heartbeat_s: float = Field(default=2.0, gt=0, description="How often a worker reports its progress.")
+    heartbeat_s: float = Field(
+        default=2.0, gt=0, description="Time between heartbeats, with which a worker reports its progress."
+    )
     webhook_private: bool = Field(
         default=False, description="Whether webhooks may go to addresses of private networks and of this machine."
     )
-    reap_interval_s: float = Field(default=5.0, gt=0, description="How often the reaper looks for lost work.")
+    reap_interval_s: float = Field(default=5.0, gt=0, description="Time between two checks for lost work.")
     nice: int = Field(
         default=10,
         ge=0,
         le=19,
-        description="Niceness of workers: how far their priority is lowered for other programs.",
+        description="Niceness of workers, by which their priority is lowered.",
     )
     memory_bytes: int = Field(
         default=7 * 2**29,
         ge=2**29,
-        description="Memory of a worker process; a chunk that needs more fails with memory_limit.",
+        description="Memory limit of a worker process; a chunk that needs more fails with memory_limit.",
     )
     chunk_frames: int = Field(
         default=DEFAULT_CHUNK_FRAMES,
         gt=0,
-        description="As the API's: for jobs that are planned again after an upgrade.",
+        description="Output frames of a chunk of a camera, for jobs that are planned again after an upgrade; use the "
+        "API's value.",
     )
-    claim_for_s: float = Field(default=300.0, gt=0, description="How long one message keeps a worker claiming.")
+    claim_for_s: float = Field(
+        default=300.0, gt=0, description="Time for which a worker claims chunks after one message."
+    )
 
     @property
     def resolved_database_url(self) -> str:

@@ -1,4 +1,4 @@
-"""The one task: work on whatever is ready."""
+"""Task of the workers: run ready chunks. Also what a worker process loads, and the state that it reports."""
 
 import contextlib
 import functools
@@ -20,7 +20,7 @@ from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.compilation import COMPILING
-from worker.process.presence import Presence, forget_lost, process_name
+from worker.process.presence import Presence, process_name, remove_killed
 from worker.runner import Runner
 from worker.settings import WorkerSettings
 
@@ -29,40 +29,40 @@ log = structlog.get_logger()
 _SWEEP_INTERVAL_S = 600.0
 
 LOADING, CONNECTING = "A worker loads its libraries", "A worker connects to the broker"
-NO_ROOM = "A worker has no room on its disk"
-FAILED = "A worker can't load what it needs; its log says why"
-WORKING = "A worker works on what is ready"
+NO_ROOM = "A worker has no free space on its disk"
+FAILED = "A worker can't load its libraries; its log says why"
+WORKING = "A worker works on ready chunks"
 
 
 class ForkedFlag:
-    """A flag that the main process sets and its forked children see.
+    """Flag that the main process sets and its forked children see.
 
-    It has no lock, so a child that was killed can't hold it, and a signal handler may set it.
+    It has no lock, so that a killed child can't hold a lock, and a signal handler may set it.
     """
 
     def __init__(self) -> None:
         self._byte = mmap.mmap(-1, 1)
 
     def set(self) -> None:
-        """Set it for good."""
+        """Set the flag; it is never cleared."""
         self._byte[0] = 1
 
     def is_set(self) -> bool:
-        """Whether anybody set it."""
+        """Whether the flag is set."""
         return self._byte[0] == 1
 
 
 shutting_down = ForkedFlag()
-# The main process takes messages from the broker: a child that is loaded can be given work.
+# Set when the main process receives messages from the broker: a loaded child can get work.
 consuming = ForkedFlag()
 
 
-# This process could not load the science. Another one is forked in its place when it ends.
+# Set when this process could not load its libraries. Celery forks another process in its place when it ends.
 _failed = threading.Event()
 
 
 def load() -> None:
-    """Load the science; what keeps it from that is logged, and said in the list of workers."""
+    """Load the pipeline; a failure is logged and reported in the list of workers."""
     try:
         process_runner()
     except Exception:
@@ -73,8 +73,8 @@ def load() -> None:
 
 @functools.cache
 def process_runner() -> Runner:
-    """Connect this process to the store and load the science, once."""
-    # The main process never loads it: its children are forked, and libraries with threads don't survive that.
+    """Connect this process to the store and load the pipeline, once."""
+    # The main process never loads it, because libraries with threads don't survive a fork.
     from worker.execution import run_chunk, warm_up  # noqa: PLC0415
 
     warm_up()
@@ -101,21 +101,21 @@ def _disk() -> DiskSpace:
 
 
 def is_loaded() -> bool:
-    """Whether this process has loaded the science."""
+    """Whether this process has loaded the pipeline."""
     return process_runner.cache_info().currsize > 0
 
 
-def tell_loading() -> None:
-    """List the main process among the workers for a moment, until its children list themselves."""
+def report_loading() -> None:
+    """List the main process among the workers until its children list themselves."""
     store = JobStore(WorkerSettings().resolved_database_url)
-    with contextlib.suppress(SQLAlchemyError):  # the database may come later
-        forget_lost(store.workers)
+    with contextlib.suppress(SQLAlchemyError):  # the database may start later
+        remove_killed(store.workers)
         store.workers.report(WorkerStatus(process_name(), WorkerState.STARTING, LOADING))
     store.close()  # before children are forked
 
 
 def start_presence() -> Presence:
-    """List this process among the workers from now on, and say whether it could start a chunk."""
+    """List this process among the workers from now on, with its state."""
     store = JobStore(WorkerSettings().resolved_database_url)
     presence = Presence(store.workers, _status)
     presence.start()
@@ -139,22 +139,22 @@ def _status() -> WorkerStatus | None:
 
 
 def _installed_detectors() -> tuple[str, ...]:
-    # Each time: one may be installed while this runs.
-    from pipeline.detect.models import status  # noqa: PLC0415 - see above
+    # Read each time, because a detector may be installed while the worker runs.
+    from pipeline.detect.models import status  # noqa: PLC0415 - see `process_runner`
 
     return tuple(model.name for model in status() if model.installed)
 
 
 def work() -> None:
-    """Run ready chunks until there are none."""
+    """Run ready chunks until no chunk is ready."""
     try:
         process_runner().work(WorkerSettings().claim_for_s)
     except DamagedDatabase as error:
-        log.error("database_damaged", detail=str(error), instructions=error.instructions())  # noqa: TRY400 - no mistake
+        log.error("database_damaged", detail=str(error), instructions=error.instructions())  # noqa: TRY400 - the instructions are the message
 
 
 def _sweep_forever(artifacts: ArtifactStore) -> None:
-    # Also while there is no work: what was deleted in a distant store must not stay here.
+    # Local copies of files that were deleted in the bucket are removed even while there is no work.
     while True:
         try:
             artifacts.sweep()

@@ -1,1 +1,1 @@
-"""The command line."""
+"""Command line ``multicap``: its commands, and the client of a service."""

@@ -1,4 +1,4 @@
-"""Client of a running service: send a session, wait for its job, download the results."""
+"""Client of a service: send a session, wait for its job, download the results."""
 
 import contextlib
 import hashlib
@@ -26,13 +26,13 @@ class Stage(TypedDict):
     Parameters
     ----------
     name
-        Such as ``detect`` or ``fit``.
+        Name, such as ``detect`` or ``fit``.
     state
-        Of the stage.
+        State, such as ``running`` or ``done``.
     done, total
-        Steps, such as frames, that are done, and all of them.
+        Number of finished units of work, such as frames, and number of all units.
     started_at, finished_at
-        ISO 8601 times, ``None`` before.
+        ISO 8601 times; ``None`` before.
     """
 
     name: str
@@ -57,11 +57,11 @@ class Job(TypedDict):
     eta_s
         Estimated seconds left; ``None`` before any work is done, and at the end.
     error
-        Why the job failed, with ``code``, ``detail`` and ``hint``; ``None`` if it did not.
+        Error of a failed job, with ``code``, ``detail`` and ``hint``; ``None`` for other jobs.
     warnings
         Sentences about the files, the choices and the result.
     links
-        Paths of what belongs to the job, by name, such as ``self`` and ``results``.
+        Paths by name, such as ``self`` and ``results``.
     """
 
     id: str
@@ -77,21 +77,21 @@ class Job(TypedDict):
 
 
 class ServiceError(PipelineError):
-    """The service refused, failed, did not start or did not answer; the text says why."""
+    """The service refused a request, failed, did not start or did not respond; the text states the reason."""
 
     code = "service_error"
 
 
 @dataclass(frozen=True, slots=True)
 class Client:
-    """Calls of a service.
+    """Client of a service.
 
-    ``Client.connect`` makes one for an address; close it after use, or use it in a ``with`` block.
+    ``Client.connect`` creates a client for an address. Close it after use, or use it in a ``with`` block.
 
     Parameters
     ----------
     http
-        HTTP client with the service's address, the key if the service wants one, and the time-out of a call.
+        HTTP client with the service's address, the key if the service requires keys, and the timeout of a call.
 
     Examples
     --------
@@ -105,23 +105,24 @@ class Client:
 
     @classmethod
     def connect(cls, url: str, key: str | None = None, timeout_s: float = 300.0, *, trust_env: bool = True) -> Self:
-        """Make a client of the service at an address; nothing is sent yet.
+        """Create a client of the service at an address; nothing is sent yet.
 
         Parameters
         ----------
         url
-            Such as ``http://127.0.0.1:8000``.
+            Address, such as ``http://127.0.0.1:8000``.
         key
             API key, ``mc_...``; ``None`` for a service without keys.
         timeout_s
-            Longest time without a byte from the service in a call. An upload is answered once its files are checked.
+            Longest time without a byte from the service in a call. The response to an upload comes after the check of
+            its files.
         trust_env
             Whether proxies of the environment (``HTTP_PROXY``) are used.
 
         Raises
         ------
         ServiceError
-            If the address is not one of HTTP.
+            If the address is not an HTTP address.
         """
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         try:
@@ -144,7 +145,7 @@ class Client:
 
     @property
     def url(self) -> str:
-        """Where the service is."""
+        """Address of the service."""
         return str(self.http.base_url)
 
     def submit(
@@ -157,20 +158,20 @@ class Client:
         name
             Name of the session.
         videos
-            One of each camera, named as the cameras in the calibration.
+            One video of each camera, named as the cameras in the calibration.
         calibration
             Calibration file of any format that ``open_session`` reads.
         spec
-            Choices of the job, such as ``{"method": "clustering", "exports": ["glb"]}``; ``None``: the defaults.
+            Choices of the job, such as ``{"method": "clustering", "exports": ["glb"]}``; ``None`` for the defaults.
 
         Returns
         -------
-            The job, which waits in the queue or runs.
+            Queued or running job.
 
         Raises
         ------
         ServiceError
-            If the service refuses the files, with all problems of all files, or does not answer.
+            If the service refuses the files, with all problems of all files, or does not respond.
         OSError
             If a file can't be read.
         """
@@ -189,17 +190,17 @@ class Client:
         Parameters
         ----------
         archives
-            Zip of a camera's OpenPose files, by camera name.
+            Zip of each camera's OpenPose files, by camera name.
         calibration
-            In Multicap's own format, JSON.
+            Calibration in Multicap's own format, JSON.
         timestamps
-            CSV with the columns camera, frame, time_s.
+            Timestamps as CSV with the columns camera, frame, time_s.
         spec
             Choices of the job.
         """
-        one_each = [("calibration", "calibration.json", calibration), ("timestamps", "timestamps.csv", timestamps)]
+        shared = [("calibration", "calibration.json", calibration), ("timestamps", "timestamps.csv", timestamps)]
         zips = [("keypoints", f"{camera}.zip", content) for camera, content in archives.items()]
-        files = [(part, (name, content)) for part, name, content in (*zips, *one_each)]
+        files = [(part, (name, content)) for part, name, content in (*zips, *shared)]
         return _job(self._call("POST", "/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))]))
 
     def get(self, path: str) -> Json:
@@ -220,13 +221,13 @@ class Client:
         Parameters
         ----------
         on_job
-            Called four times a second with the job as it is then: ``progress``, ``eta_s``, ``stages``.
+            Called four times a second with the current job: ``progress``, ``eta_s``, ``stages``.
         timeout_s
-            Longest wait; ``None``: until the job ends. The job goes on after a time-out.
+            Longest waiting time; ``None``: until the job ends. The job continues after a timeout.
 
         Returns
         -------
-            The job at its end.
+            Job at its end.
 
         Raises
         ------
@@ -238,22 +239,22 @@ class Client:
         while now["state"] not in _ENDS:
             if time.monotonic() >= deadline_s:
                 raise ServiceError(
-                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and goes on."
+                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and continues."
                 )
             time.sleep(_POLL_S)
             now = _job(self.get(now["links"]["self"]))
             on_job(now)
         if now["state"] != "succeeded":
-            raise ServiceError(f"The job {_ENDS[now['state']]}. {_words(now['error'] or {})}".strip())
+            raise ServiceError(f"The job {_ENDS[now['state']]}. {_sentences(now['error'] or {})}".strip())
         return now
 
     def download(self, job: Json, folder: Path) -> list[Path]:
-        """Save all result files of a job into a folder, which is made if it is missing.
+        """Download all result files of a job to a folder, which is created if it is missing.
 
         Raises
         ------
         ServiceError
-            A file is damaged, or its download broke off.
+            If a file is damaged, or its download breaks off.
         """
         folder.mkdir(parents=True, exist_ok=True)
         return [self._save(result, folder) for result in self._call("GET", job["links"]["results"])["results"]]
@@ -285,10 +286,10 @@ class Client:
             raise ServiceError(f"The service at {self.url} does not answer.") from error
         if answer.is_error:
             raise _refusal(answer)
-        found = _object(answer) if answer.content else {}
-        if found is None:
-            raise ServiceError(f"What answers at {self.url} is not a Multicap service.")
-        return found
+        document = _object(answer) if answer.content else {}
+        if document is None:
+            raise ServiceError(f"The server at {self.url} is not a Multicap service.")
+        return document
 
 
 def _job(answer: Json) -> Job:
@@ -296,21 +297,21 @@ def _job(answer: Json) -> Job:
 
 
 def _object(answer: httpx2.Response) -> Json | None:
-    """JSON object in an answer's body; ``None`` if there is none."""
+    """JSON object in the body of a response; ``None`` if the body is anything else."""
     try:
-        found = answer.json()
+        document = answer.json()
     except ValueError:
         return None
-    return found if isinstance(found, dict) else None
+    return document if isinstance(document, dict) else None
 
 
 def _refusal(answer: httpx2.Response) -> ServiceError:
-    """Error with the service's own words; a proxy before it may answer without."""
-    words = _words(_object(answer) or {})
-    return ServiceError(words or f"The service at {answer.url.host} answered {answer.status_code}.")
+    """Error with the sentences of the service; a proxy may answer without any."""
+    sentences = _sentences(_object(answer) or {})
+    return ServiceError(sentences or f"The service at {answer.url.host} answered {answer.status_code}.")
 
 
-def _words(problem: Json) -> str:
-    """A problem, or a job's error, as sentences."""
+def _sentences(problem: Json) -> str:
+    """Sentences of a problem, or of a job's error."""
     items = [": ".join(filter(None, [item["file"], item["message"]])) for item in problem.get("errors", ())]
     return " ".join(filter(None, [problem.get("detail"), *items, problem.get("hint")]))

@@ -1,4 +1,4 @@
-"""`multicap`, the command line."""
+"""Entry point of the command line `multicap`: the list of commands, which are imported when they are used."""
 
 import atexit
 import gc
@@ -15,16 +15,16 @@ from typer.main import get_command, get_group
 from api.cli.start import end_interrupted
 from pipeline.runtime.memory import keep_freed_memory
 
-# Commands, named as their modules, with their lines in the help: `multicap --help` imports no module.
+# Names of the commands' modules with their sentences in the help: `multicap --help` imports no module.
 COMMANDS: Mapping[str, str] = {
-    "demo": "Reconstruct the sample capture through a service of its own: BVH, JSON, metrics and pictures.",
+    "demo": "Reconstruct the sample capture with a temporary service: BVH, JSON, metrics and pictures.",
     "serve": "Run the service on this machine: web API, workers, broker and database.",
     "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
     "models": "Detector networks: list, install, add from a file, verify.",
-    "samples": "Sample capture of two people by four cameras: install.",
+    "samples": "Sample capture of two people with four cameras: install.",
     "keys": "API keys of the service: create, list, revoke.",
     "webhooks": "Webhooks of the service: secrets and undelivered messages.",
-    "audit": "List who created, changed or deleted what in the service.",
+    "audit": "Audit trail: creations, changes and deletions in the service.",
     "backup": "Backups of the service: create, restore, verify.",
     "simulate": "Write a simulated scene: keypoints, timestamps, calibration and the truth.",
     "evaluate": "Accuracy against a known truth.",
@@ -33,7 +33,7 @@ COMMANDS: Mapping[str, str] = {
 
 
 class LazyGroup(TyperGroup):
-    """Group of ``COMMANDS`` that imports a command's module when the command is used."""
+    """Group of the commands in ``COMMANDS``; a command's module is imported when the command is used."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -98,7 +98,7 @@ def main() -> None:
 
 
 def _refuse_settings(error: ValueError) -> None:
-    """End the program with a sentence a setting if the error is one of the service's settings."""
+    """Exit with a sentence for each wrong setting if the error is about the service's settings."""
     from pydantic import ValidationError  # noqa: PLC0415 - only after an error, so that the help answers at once
     from pydantic_settings import SettingsError  # noqa: PLC0415
 

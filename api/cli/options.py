@@ -1,4 +1,4 @@
-"""Options that several commands share; those of a reconstruction are made from ``pipeline.config``."""
+"""Options that several commands share; the options of a reconstruction are made from ``pipeline.config``."""
 
 import functools
 import inspect
@@ -21,7 +21,7 @@ from pipeline.config import (
 from pipeline.errors import InputError, Problem
 
 DEFAULTS = JobChoices()
-# Choices that only this machine's reconstruction has.
+# Choices of a reconstruction on this machine that jobs of a service do not have.
 _LOCAL = tuple(choice for choice in choices_of(ReconstructionConfig) if choice.name not in CHOICES)
 
 
@@ -31,7 +31,7 @@ def _option(choice: Choice) -> Any:
     make = functools.partial(typer.Option, f"--{choice.option}")
     match choice.kind:
         case "one":
-            # Values are checked by `checked`, not by Typer: a wrong one is reported as any other problem.
+            # Values are checked by `checked`, not by Typer: a wrong value is reported as any other problem.
             return make(metavar="|".join(choice.values), help=text)
         case "several":
             names = list(choice.values)
@@ -39,7 +39,7 @@ def _option(choice: Choice) -> Any:
             return make(metavar="LIST", help=text)
         case "frame_range":
             return make(metavar="FIRST:STOP", help=_with_unset(choice, text))
-    # Typer has no limit that is excluded itself: the pipeline refuses that number.
+    # Typer has no exclusive minimum: the pipeline refuses the limit itself.
     least = about.minimum if about.above is None else about.above
     return make(min=least, max=about.maximum, help=_with_unset(choice, text))
 
@@ -59,7 +59,7 @@ FeetOption = Annotated[str, _option(CHOICES["feet"])]
 def with_choices(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command an option for each choice of a reconstruction, in place of its parameter ``chosen``.
 
-    The command gets a mapping of the options' values, as they were typed, by the choices' names: see ``checked``.
+    The command gets a mapping from the names of the choices to the values as they were typed; ``checked`` checks them.
     """
     choices = (*CHOICES.values(), *_LOCAL)
     signature = inspect.signature(command, eval_str=True)
@@ -74,7 +74,7 @@ def with_choices(command: Callable[..., None]) -> Callable[..., None]:
     with_options.__doc__ = command.__doc__
     # Typer reads the names, types and defaults of options from these.
     with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    with_options.__annotations__ = {one.name: one.annotation for one in parameters}
+    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return with_options
 
 
@@ -142,7 +142,7 @@ def known_smoothing(name: str) -> Smoothing:
 
 
 def known_feet(name: str) -> Feet:
-    """Check what to do with feet; ``InputError`` if there is nothing of that name."""
+    """Check the name of a treatment of feet; ``InputError`` if there is none of that name."""
     return cast(Feet, known(CHOICES["feet"], name))
 
 

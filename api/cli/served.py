@@ -1,4 +1,4 @@
-"""A service of our own for the time of a block, as our own commands use it."""
+"""Temporary service in a child process, for commands that need one."""
 
 import contextlib
 import subprocess
@@ -8,32 +8,32 @@ from pathlib import Path
 from api.cli.client import Client, ServiceError
 from api.cli.commands.serve import READY
 from pipeline.runtime.child_processes import module_command
-from worker.process.lifeline import tied
+from worker.process.lifeline import tied_to_parent
 
 _STOP_S = 30.0
 
 
 @contextlib.contextmanager
 def served(data_dir: Path, workers: int) -> Iterator[Client]:
-    """A service of our own on a free port, for the time of the block.
+    """Run a service on a free port during the block; yield its client.
 
     Raises
     ------
     ServiceError
-        If it does not start.
+        If the service does not start.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
     command = module_command("api.cli.main", "serve", "--port", "0")
     log = data_dir / "serve.log"
     with (
         log.open("wb") as output,
-        subprocess.Popen(  # noqa: S603 - the command is ours
-            tied([*command, "--data", str(data_dir), "--workers", str(workers)]),
+        subprocess.Popen(  # noqa: S603 - our own command
+            tied_to_parent([*command, "--data", str(data_dir), "--workers", str(workers)]),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=output,
             text=True,
-            start_new_session=True,  # Ctrl-C reaches us alone, and we stop it
+            start_new_session=True,  # Ctrl-C reaches only this process, which stops the service
         ) as process,
     ):
         try:

@@ -1,4 +1,4 @@
-"""Entry point of `multicap`: Ctrl-C ends it with a sentence while modules are imported, too."""
+"""Start of the command line: Ctrl-C ends it with a message, even while modules are imported."""
 
 import json
 import signal
@@ -9,14 +9,14 @@ from typing import NoReturn
 def main() -> None:
     """Import the command line and run it."""
     try:
-        from api.cli.main import main as run  # noqa: PLC0415 - may be interrupted
+        from api.cli.main import main as run  # noqa: PLC0415 - the import may be interrupted
     except KeyboardInterrupt:
         end_interrupted()
     run()
 
 
 def end_interrupted() -> NoReturn:
-    """End a program that was interrupted before its work began."""
+    """Exit after an interruption before the work began."""
     sentence = "Interrupted by SIGINT. Nothing was done."
     if "--json" in sys.argv:
         sys.stdout.write(json.dumps({"problems": [{"code": "interrupted", "message": sentence}]}) + "\n")

@@ -1,4 +1,4 @@
-"""The service's job store, for commands that stand beside it."""
+"""Job store of a service, opened by commands that work beside it."""
 
 import contextlib
 from collections.abc import Iterator
@@ -18,13 +18,13 @@ from worker.jobs.store import JobStore
 
 @contextlib.contextmanager
 def opened_store(settings: Settings) -> Iterator[JobStore]:
-    """The store, its schema up to date, for the time of the block; without it the command ends with a sentence."""
+    """Open the store with the current schema during the block; exit with a message if it can't be opened."""
     keep_files_private()
     try:
         make_private(settings.data_dir)
         store = JobStore(settings.resolved_database_url)
-        DiskSpace(settings.data_dir).using_reserve(store.migrate)  # to open a database takes room, too
-    except (SQLAlchemyError, ImportError, OSError) as error:  # of another database there is no driver
+        DiskSpace(settings.data_dir).using_reserve(store.migrate)  # opening a database writes, too
+    except (SQLAlchemyError, ImportError, OSError) as error:  # ImportError: no driver for the URL's database
         raise refusal(unusable_database(settings, error)) from error
     except NewerDatabase as error:
         raise refusal(str(error)) from error
@@ -37,10 +37,10 @@ def opened_store(settings: Settings) -> Iterator[JobStore]:
 
 
 def settings_in(data: Path | None) -> Settings:
-    """Settings of the service in a folder; ``None``: in the usual one."""
+    """Settings of the service in a data folder; ``None`` for the default folder."""
     return Settings() if data is None else Settings(data_dir=data)
 
 
 def store_in(data: Path | None) -> AbstractContextManager[JobStore]:
-    """The store of the service in a folder; ``None``: in the usual one."""
+    """Open the store of the service in a data folder; ``None`` for the default folder."""
     return opened_store(settings_in(data))

@@ -1,1 +1,1 @@
-"""The contract: OpenAPI, its examples, problem codes, documentation made from the code."""
+"""Contract of the web API: OpenAPI with examples, problem codes, and the pages that are made from the code."""

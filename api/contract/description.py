@@ -1,4 +1,4 @@
-"""What the routes declare of themselves in OpenAPI: their errors, their forms."""
+"""OpenAPI document of the web API, and helpers with which routes declare responses, forms and webhooks."""
 
 from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, Any
@@ -22,92 +22,95 @@ _SCHEMA_REF = "#/components/schemas/{model}"
 _DOCUMENTS: dict[str, type[BaseModel]] = {"manifest": Manifest, "spec": JobSpec}
 
 _ENDED = "Receive a job's end"
-_GONE: Responses = {410: {"description": "The receiver is gone: the message is not sent again."}}
+_GONE: Responses = {410: {"description": "The receiver is gone; the message is not sent again."}}
 
 _CONVENTIONS = """
 
-- `HEAD` is answered wherever `GET` is: by the same headers, without a body.
-- Every POST that makes or changes something takes an `Idempotency-Key`. A repeated request with the same key gets the
-  first answer, with `Idempotent-Replayed: true`.
-- `ETag` and `If-None-Match` save a client from getting a job or a session again that has not changed (304).
-- Where requests a minute are limited, every answer to a key has `RateLimit-Limit`, `RateLimit-Remaining` and
-  `RateLimit-Reset` (seconds).
-- Errors are `application/problem+json` with a stable `code`; `errors` lists all that is wrong with the request."""
+- `HEAD` is answered wherever `GET` is, with the same headers and without a body.
+- Every POST that creates or changes something takes an `Idempotency-Key`. A repeated request with the same key gets the
+  first response, with `Idempotent-Replayed: true`.
+- With `ETag` and `If-None-Match` a client gets a job or a session only if it has changed; else the response is 304.
+- If requests a minute are limited, every response to a request with a key has `RateLimit-Limit`, `RateLimit-Remaining`
+  and `RateLimit-Reset` (seconds).
+- Errors are `application/problem+json` with a stable `code`; `errors` lists all problems of the request."""
 _TAGS = {
-    "uploads": "Send large files in pieces, by tus 1.0: after a broken line a client goes on where it was.",
+    "uploads": "Large files in pieces, by tus 1.0. After an interrupted connection a client continues at the offset.",
     "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
     "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
-    "results": "Files that a job made: BVH and other formats for each person, joints, metrics.",
-    "callers": "The key of the caller, and browsers that have shown one.",
-    "health": "Whether the service is alive and ready, and its metrics.",
+    "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
+    "callers": "Caller of a request, and signing browsers in and out.",
+    "health": "Liveness, readiness and metrics of the service.",
 }
 _RATE_HEADERS = dict(
     zip(
         RATE_HEADERS,
         (
-            {"description": "Requests a minute.", "schema": {"type": "integer"}},
-            {"description": "Requests that are left.", "schema": {"type": "integer"}},
-            {"description": "Seconds until there are more.", "schema": {"type": "integer"}},
+            {"description": "Allowed requests a minute.", "schema": {"type": "integer"}},
+            {"description": "Requests left.", "schema": {"type": "integer"}},
+            {"description": "Seconds until the limit resets.", "schema": {"type": "integer"}},
         ),
         strict=True,
     )
 )
-RETRY_AFTER = {"Retry-After": {"description": "Seconds until it is worth asking.", "schema": {"type": "integer"}}}
+RETRY_AFTER = {
+    "Retry-After": {"description": "Seconds to wait before the next request.", "schema": {"type": "integer"}}
+}
 _PROBLEM_HEADERS: Mapping[int, Mapping[str, Any]] = {429: RETRY_AFTER | _RATE_HEADERS, 503: RETRY_AFTER}
 
 _MEANINGS = {
     400: "The request can't be read.",
-    401: "The service asks for a key, and none that is valid came along.",
-    403: "The request comes by a name, from a page, or with a key, that may not do this.",
-    404: "There is no such thing.",
-    408: "The request comes too slowly.",
-    409: "Its state does not allow it.",
-    410: "It was there, and was removed.",
-    412: "Not the version of the upload protocol that is spoken here.",
-    413: "Larger than the service takes.",
-    415: "Not a type of content that is taken here.",
+    401: "The request has no valid key.",
+    403: "The request's host, origin or key does not allow this.",
+    404: "There is no such session, job, upload, result or address.",
+    408: "The request arrives too slowly.",
+    409: "The state of the job, session or upload does not allow this.",
+    410: "The file was removed.",
+    412: "The service uses another version of the upload protocol.",
+    413: "The request is larger than the service accepts.",
+    415: "The address does not accept the content type.",
     416: "The file has no such range.",
-    422: "All that is wrong with the request.",
-    423: "Another request writes to it.",
-    460: "The piece is not what it was when it was sent.",
-    429: "The tenant has as many jobs as it may have, or makes too many requests.",
+    422: "Fields, parts or files of the request are wrong; `errors` lists all of them.",
+    423: "Another request is writing to the upload.",
+    460: "The piece that arrived does not have the checksum that was sent.",
+    429: "The tenant has too many unfinished jobs, or makes too many requests.",
     500: "The service failed.",
-    503: "A part of the service is away.",
-    507: "The service's disk is full; of a form nothing was kept.",
+    503: "A part of the service does not respond.",
+    507: "The service's disk is full; nothing of a form was kept.",
 }
 
 
 def answer(example: str) -> dict[str, Any]:
-    """Declare an answer's example, one of ``api.contract.examples.ANSWERS``."""
+    """Declare the example of a response, one of ``api.contract.examples.ANSWERS``."""
     return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
 
 
 def location(what: str, path: str) -> dict[str, Any]:
-    """Declare the header that says where something is."""
+    """Declare the header ``Location`` with an example."""
     example = path.format(**examples.PATH_PARAMETERS)
     return {"description": f"Address of the {what}.", "schema": {"type": "string"}, "example": example}
 
 
 def problems(*statuses: int) -> Responses:
-    """Declare errors."""
+    """Declare error responses by their statuses."""
     return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
 
 
 def session_body(*documents: str) -> dict[str, Any]:
-    """Declare a form of videos or keypoints, a calibration and some JSON parts, or JSON that names uploads instead."""
-    # The way of OpenAPI 3.0, which generators of clients know; 3.1's says the same to others.
+    """Declare the body that creates a session: a form of files and JSON parts, or JSON that names uploads."""
+    # `format` is OpenAPI 3.0's notation, which generators of clients support; `contentMediaType` is that of 3.1.
     file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
     parts = {part: {"$ref": _SCHEMA_REF.format(model=_DOCUMENTS[part].__name__)} for part in documents}
     properties = {
-        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "One a camera."},
+        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos, one for each camera."},
         KEYPOINTS: {
             "type": "array",
             "items": file,
             "minItems": 1,
-            "description": "Instead of videos: a zip a camera, named as the camera, of OpenPose's JSON files.",
+            "description": "Keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as the "
+            "camera.",
         },
-        CALIBRATION: file | {"description": "Of all cameras."},
-        TIMESTAMPS: file | {"description": "Of keypoints: CSV with the columns camera, frame and time_s."},
+        CALIBRATION: file | {"description": "Calibration of all cameras."},
+        TIMESTAMPS: file | {"description": "Timestamps of keypoints: CSV with the columns camera, frame and time_s."},
         **parts,
     }
     return {
@@ -148,18 +151,21 @@ def _uploaded(documents: Collection[str]) -> type[BaseModel]:
 def _job_ended(
     message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": examples.JOB_ENDED}})],
 ) -> None:
-    """Sent to `callback_url` when the job has ended. Repeated for a day until the receiver answers 2xx or 410."""
+    """The service sends this message to `callback_url` when the job has ended.
+
+    It repeats the message for a day, until the receiver answers with 2xx or 410.
+    """
 
 
 def declare_webhooks(app: FastAPI) -> None:
-    """Say what the service sends of itself."""
+    """Declare the webhooks that the service sends."""
     app.webhooks.post("job-ended", operation_id="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
         _job_ended
     )
 
 
 def job_ended_callbacks(operation_id: str, pointer: str) -> list[BaseRoute]:
-    """Declare that an operation leads to a message; ``pointer`` is where its body names the receiver."""
+    """Declare the webhook of an operation; ``pointer`` leads to the receiver's URL in the request's body."""
     router = APIRouter()
     address = f"{{$request.body#{pointer}}}"
     router.post(address, operation_id=operation_id, name="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
@@ -169,14 +175,14 @@ def job_ended_callbacks(operation_id: str, pointer: str) -> list[BaseRoute]:
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
-    """The app's OpenAPI, with what operations only refer to."""
+    """OpenAPI document of the app, with the shared responses, examples and schemas."""
     if app.openapi_schema is None:
         schema = get_openapi(
             title=app.title,
             version=app.version,
             description=app.description + _CONVENTIONS,
             license_info={"name": "Apache License 2.0", "identifier": "Apache-2.0"},
-            servers=[{"url": "/", "description": "Where this document comes from."}],
+            servers=[{"url": "/", "description": "Service that serves this document."}],
             tags=[{"name": name, "description": text} for name, text in _TAGS.items()],
             routes=app.routes,
             webhooks=app.webhooks.routes,
@@ -202,7 +208,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
 
 
 def _operations(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """All operations: those of the service, and those that it expects of others."""
+    """All operations of the service, and all webhooks that receivers implement."""
     for path in (*schema["paths"].values(), *schema.get("webhooks", {}).values()):
         for operation in path.values():
             yield operation
@@ -211,17 +217,20 @@ def _operations(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _finish(operation: dict[str, Any]) -> None:
-    """Take out the framework's own form of a 422, which no answer has; say where no key is needed."""
+    """Remove the framework's own 422, which is never sent; declare operations without a key."""
     if "content" in operation["responses"].get("422", {}):
         del operation["responses"]["422"]
     operation.setdefault("security", [])
     for answer in operation["responses"].values():
-        if "$ref" in answer:  # the framework's description would stand in the way of the problem's own
+        if "$ref" in answer:  # the framework's description would override the shared response's
             answer.pop("description", None)
 
 
 def _plain_tuples(node: Any) -> None:
-    """Describe tuples, whose items are of one kind here, as lists of so many items, which all generators know."""
+    """Describe tuples as lists with a fixed number of items: all generators of clients support these.
+
+    The items of every tuple in the contract have the same type.
+    """
     if isinstance(node, dict):
         if "prefixItems" in node:
             node["items"], *_ = node.pop("prefixItems")
@@ -233,7 +242,7 @@ def _plain_tuples(node: Any) -> None:
 
 
 def _describe(models: dict[str, Any], model: type[BaseModel], mode: JsonSchemaMode) -> None:
-    """Add a model, and those that it is made of."""
+    """Add the schema of a model, and the schemas that it contains."""
     described = model.model_json_schema(ref_template=_SCHEMA_REF, mode=mode)
     parts = described.pop("$defs", {})
     for name, schema in {**parts, model.__name__: described}.items():

@@ -1,4 +1,4 @@
-"""Examples of the contract: one capture on its way through the service."""
+"""Examples of the contract: requests and responses for one capture."""
 
 import json
 from typing import Any
@@ -177,7 +177,7 @@ _ATTEMPTS: dict[str, Any] = {
                     "failed_at": "2026-03-01T09:31:40Z",
                     "reason": {
                         "code": "worker_lost",
-                        "detail": f"A worker of the stage {DETECT} fell silent.",
+                        "detail": f"A worker of the stage {DETECT} stopped responding.",
                         "stage": DETECT,
                         "camera": None,
                         "hint": "It may lack memory.",
@@ -253,21 +253,21 @@ ANSWERS: dict[str, dict[str, Any]] = {
 _PROBLEMS: dict[int, tuple[str, str]] = {
     400: ("malformed_request", "The request can't be read."),
     401: ("key_required", "The service asks for a key."),
-    403: ("host_not_allowed", "The service does not answer to this name."),
+    403: ("host_not_allowed", "The request's Host is not a name of the service."),
     404: ("not_found", "There is no such job."),
-    408: ("client_too_slow", "The body comes too slowly. Send it again over a better line."),
+    408: ("client_too_slow", "The body arrives too slowly. Send it again over a faster connection."),
     409: ("conflict", "The job's state does not allow it."),
     410: ("expired", "The file was removed."),
-    412: ("tus_version", "The service speaks tus 1.0.0."),
-    413: ("content_too_large", "The session is larger than the service takes."),
+    412: ("tus_version", "The service uses tus 1.0.0."),
+    413: ("content_too_large", "The session is larger than the service accepts."),
     415: ("unsupported_media_type", "A session is sent as multipart/form-data."),
     416: ("range_not_satisfiable", "The file has no such range."),
     422: ("invalid_request", "One thing is wrong with the request."),
-    423: ("upload_locked", "Another request writes to this upload."),
-    460: ("checksum_mismatch", "The piece is not what it was when it was sent."),
+    423: ("upload_locked", "Another request is writing to this upload."),
+    460: ("checksum_mismatch", "The piece that arrived does not have the checksum that was sent."),
     429: ("too_many_requests", "At most 600 requests a minute are allowed."),
     500: ("internal_error", "The service failed; the log says why."),
-    503: ("database_unavailable", "The database is away."),
+    503: ("database_unavailable", "The database does not respond."),
     507: ("storage_full", "The service's disk is full."),
 }
 _TRUNCATED: dict[str, Any] = {
@@ -282,7 +282,7 @@ _TRUNCATED: dict[str, Any] = {
 
 
 def problem(status: int) -> dict[str, Any]:
-    """A problem of some status."""
+    """Example of a problem with an HTTP status."""
     code, detail = _PROBLEMS[status]
     return {
         "type": "about:blank",

@@ -1,6 +1,6 @@
-"""``python -m api.contract.openapi``: write what is in ``openapi/``, or with ``--check`` compare it with the code.
+"""``python -m api.contract.openapi``: write the files in ``openapi/``, or compare them with the code (``--check``).
 
-``openapi.json`` is the contract; ``examples/`` holds an exchange of each operation, as a client sends and gets it.
+``openapi.json`` is the contract; ``examples/`` holds requests and responses of each operation.
 """
 
 import argparse
@@ -21,14 +21,14 @@ _METHODS = ("get", "head", "options", "post", "patch", "delete")
 
 
 def document() -> str:
-    """The contract as the file holds it."""
+    """Content of ``openapi.json``."""
     return _text(create_app(Settings()).openapi())
 
 
 def documents() -> dict[Path, str]:
-    """All files, with what they hold."""
+    """Contents of all files by path."""
     contract = json.loads(document())
-    exchanges = {FOLDER / "examples" / f"{name}.json": _text(found) for name, found in _exchanges(contract)}
+    exchanges = {FOLDER / "examples" / f"{name}.json": _text(exchange) for name, exchange in _exchanges(contract)}
     return {COMMITTED: document(), **exchanges}
 
 
@@ -37,7 +37,7 @@ def _text(value: object) -> str:
 
 
 def _exchanges(contract: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Every operation's name, with its requests and what is answered when all is well."""
+    """Name of each operation with example requests and successful responses."""
     for path, item in contract["paths"].items():
         for method in _METHODS:
             if method not in item:
@@ -54,35 +54,36 @@ def _exchanges(contract: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any
 
 
 def _requests(method: str, path: str, operation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One of each type of content that is taken."""
+    """Example requests of an operation, one for each accepted content type."""
     for name, value in examples.PATH_PARAMETERS.items():
         path = path.replace(f"{{{name}}}", value)
-    named = {one["name"].lower() for one in operation.get("parameters", ()) if one["in"] == "header"}
+    parameters = operation.get("parameters", ())
+    named = {parameter["name"].lower() for parameter in parameters if parameter["in"] == "header"}
     headers = {name: value for name, value in examples.REQUEST_HEADERS.items() if name.lower() in named}
     if operation.get("security"):
         headers = {"Authorization": "Bearer mc_...", **headers}
-    said = {"method": method.upper(), "path": path}
+    line = {"method": method.upper(), "path": path}
     contents = operation.get("requestBody", {"content": {}})["content"]
     for content_type, content in contents.items():
-        yield {**said, "headers": headers | {"Content-Type": content_type}, "body": _example(content)}
+        yield {**line, "headers": headers | {"Content-Type": content_type}, "body": _example(content)}
     if not contents:
-        yield {**said, "headers": headers}
+        yield {**line, "headers": headers}
 
 
 def _answers(contract: Mapping[str, Any], operation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for status, answer in operation["responses"].items():
-        if "$ref" in answer:  # a problem, which all operations share
+        if "$ref" in answer:  # a problem, which is shared by all operations
             continue
         declared = answer.get("headers", {})
-        headers = {name: one.get("example", examples.ANSWER_HEADERS.get(name)) for name, one in declared.items()}
-        said = {"status": int(status), "headers": headers}
+        headers = {name: header.get("example", examples.ANSWER_HEADERS.get(name)) for name, header in declared.items()}
+        line = {"status": int(status), "headers": headers}
         for content_type, content in answer.get("content", {}).items():
             body = _example(content)
             if isinstance(body, dict) and "$ref" in body:
                 body = contract["components"]["examples"][body["$ref"].rpartition("/")[2]]["value"]
-            yield {**said, "headers": headers | {"Content-Type": content_type}, "body": body}
+            yield {**line, "headers": headers | {"Content-Type": content_type}, "body": body}
         if not answer.get("content"):
-            yield said
+            yield line
 
 
 def _example(content: Mapping[str, Any]) -> Any:
@@ -93,21 +94,23 @@ def _example(content: Mapping[str, Any]) -> Any:
 
 
 def main() -> int:
-    """Write or compare, and return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m api.contract.openapi", description="The API's contract as files.")
-    parser.add_argument("--check", action="store_true", help="Compare with the files; 1 if they differ.")
-    found = set(FOLDER.rglob("*.json"))
-    wanted = documents()
+    """Write or compare the files, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m api.contract.openapi", description="Write the contract of the web API to openapi/."
+    )
+    parser.add_argument("--check", action="store_true", help="Compare with the files; exit with 1 if they differ.")
+    present = set(FOLDER.rglob("*.json"))
+    texts = documents()
     if not parser.parse_args().check:
-        for path in found - wanted.keys():
+        for path in present - texts.keys():
             path.unlink()
-        for path, text in wanted.items():
+        for path, text in texts.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
         return 0
-    if found == wanted.keys() and all(path.read_text(encoding="utf-8") == text for path, text in wanted.items()):
+    if present == texts.keys() and all(path.read_text(encoding="utf-8") == text for path, text in texts.items()):
         return 0
-    sys.stderr.write("openapi/ is not what the code says. Run: python -m api.contract.openapi\n")
+    sys.stderr.write("openapi/ differs from the code. Run: python -m api.contract.openapi\n")
     return 1
 
 

@@ -1,4 +1,4 @@
-"""``python -m api.contract.options_page``: write ``docs/options.md``, or with ``--check`` compare it with the code."""
+"""``python -m api.contract.options_page``: write ``docs/options.md``, or compare it with the code (``--check``)."""
 
 import argparse
 import sys
@@ -45,7 +45,7 @@ def document() -> str:
 
 
 def _row(choice: Choice) -> str:
-    """Cells of a table from the option on."""
+    """Cells of a choice: option, meaning, values and default."""
     return f"| `--{choice.option}` | {choice.about.sentence} | {_kind(choice)} | {_default(choice)} |"
 
 
@@ -79,8 +79,10 @@ def _values(choice: Choice) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Write or compare the page, and return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m api.contract.options_page", description="The page of options.")
-    parser.add_argument("--check", action="store_true", help="Compare with the file; 1 if it differs.")
+    parser = argparse.ArgumentParser(
+        prog="python -m api.contract.options_page", description="Write docs/options.md from the code."
+    )
+    parser.add_argument("--check", action="store_true", help="Compare with the file; exit with 1 if it differs.")
     if not parser.parse_args(words).check:
         PAGE.write_text(document(), encoding="utf-8")
         return 0

@@ -1,1 +1,1 @@
-"""HTTP around the routes: middleware, connections, limits, ranges."""
+"""HTTP below the routes: server, connections, middleware, rate limits, byte ranges, entity tags."""

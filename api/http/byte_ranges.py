@@ -1,4 +1,4 @@
-"""Ranges and validators of a file whose content never changes (RFC 9110, sections 13 and 14)."""
+"""Byte ranges and entity tags of files whose content never changes (RFC 9110, sections 13 and 14)."""
 
 import re
 from dataclasses import dataclass
@@ -9,28 +9,28 @@ _ETAG = re.compile(r'(?:W/)?("[^"]*")')
 
 @dataclass(frozen=True, slots=True)
 class ByteRange:
-    """Bytes ``start`` to ``stop``, without the last."""
+    """Bytes from ``start`` up to ``stop``, which is excluded."""
 
     start: int
     stop: int
 
 
 class UnsatisfiableRange(Exception):  # noqa: N818 - RFC 9110's word
-    """The range begins after the file's end."""
+    """The range begins after the end of the file."""
 
 
 def requested_range(header: str | None, size: int) -> ByteRange | None:
-    """The range that a ``Range`` header asks for.
+    """Parse a ``Range`` header.
 
     Returns
     -------
-        ``None`` for the whole file: without a header, and for headers that are malformed, of another unit or of several
-        ranges, all of which a server may ignore.
+        ``None`` for the whole file: without a header, and if the header is malformed, has another unit or several
+        ranges. A server may ignore such headers.
 
     Raises
     ------
     UnsatisfiableRange
-        If no byte of the file is in it.
+        If the range contains no byte of the file.
 
     >>> requested_range("bytes=-100", 1000)
     ByteRange(start=900, stop=1000)
@@ -51,7 +51,7 @@ def requested_range(header: str | None, size: int) -> ByteRange | None:
 
 
 def matches(header: str | None, etag: str) -> bool:
-    """Whether an ``If-None-Match`` header names an entity tag, or any."""
+    """Whether an ``If-None-Match`` header names an entity tag or is ``*``."""
     if header is None:
         return False
     return header.strip() == "*" or etag in _ETAG.findall(header)

@@ -1,4 +1,4 @@
-"""Clients without keys: told apart by the networks that they call from."""
+"""Networks of clients: requests without a key are counted by the network that they come from."""
 
 import ipaddress
 
@@ -12,7 +12,7 @@ _IPV6_NETWORK_BITS = 64
 def network_of(host: str) -> str:
     """Network whose addresses count as one client: an IPv4 address, or the /64 of an IPv6 address.
 
-    One subscriber has at least a /64 of addresses. A host that is no address is returned as it is.
+    A subscriber of IPv6 has at least a /64. A host that is not an IP address is returned unchanged.
 
     >>> network_of("192.0.2.7"), network_of("::ffff:192.0.2.7"), network_of("2001:db8:1:2:3::4")
     ('192.0.2.7', '192.0.2.7', '2001:db8:1:2::/64')
@@ -29,5 +29,5 @@ def network_of(host: str) -> str:
 
 
 def client_network(connection: HTTPConnection) -> str:
-    """Network of the client of a request; behind a trusted proxy the one that the proxy names."""
+    """Network of a request's client; behind a trusted proxy, the network of the address that the proxy names."""
     return network_of(connection.client.host) if connection.client else "unknown"

@@ -1,4 +1,4 @@
-"""Answers that a client need not get again: ``ETag`` and ``If-None-Match`` (RFC 9110, section 13)."""
+"""Conditional requests: ``ETag`` and ``If-None-Match`` of JSON records (RFC 9110, section 13)."""
 
 import hashlib
 from typing import Annotated, Any
@@ -8,14 +8,14 @@ from pydantic import BaseModel
 
 from api.http.byte_ranges import matches
 
-IfNoneMatch = Annotated[str | None, Header(description="ETags that the client has.")]
+IfNoneMatch = Annotated[str | None, Header(description="Entity tags of the versions that the client has.")]
 
-NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "The client has it already."}}
-ETAG = {"ETag": {"description": "Changes whenever the body does.", "schema": {"type": "string"}}}
+NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "The client has the current version."}}
+ETAG = {"ETag": {"description": "Entity tag; it changes whenever the body does.", "schema": {"type": "string"}}}
 
 
 def conditional(record: BaseModel, if_none_match: str | None) -> Response:
-    """Send a record with its entity tag, or 304 if the client names that tag."""
+    """Answer with a record and its entity tag, or with 304 if the client has that version."""
     body = record.model_dump_json().encode()
     etag = f'"{hashlib.sha256(body).hexdigest()}"'
     headers = {"ETag": etag, "Cache-Control": "private, no-cache"}

@@ -1,4 +1,4 @@
-"""Connections of clients: how many there may be, and an end to those whose requests never begin in earnest."""
+"""Connections of clients: limits on their number, and on the time and size of request headers."""
 
 import asyncio
 import ipaddress
@@ -15,7 +15,7 @@ from api.http.clients import Network, network_of
 _log = structlog.get_logger(__name__)
 
 _MAX_HEAD_BYTES = 64 * 2**10
-# Of a body whose request was answered before all of it had come: most clients read the answer only after their body.
+# Largest rest of a body that is read after its response was sent: most clients read a response only after their body.
 _MAX_REST_BYTES = 64 * 2**20
 _LOG_EVERY_S = 60.0
 _REFUSAL_TEXT = b"Too many connections are open.\n"
@@ -26,27 +26,27 @@ _REFUSAL = (
 
 
 class Closable(Protocol):
-    """A connection."""
+    """Connection that can be closed."""
 
     def close(self) -> None:
-        """Close it soon."""
+        """Close the connection soon."""
 
 
 class Connections:
-    """Open connections of a process, all in all and by client network.
+    """Open connections of a process, in total and by client network.
 
-    A connection is idle while none of its requests is being answered. Where one connection is too many, an idle one
-    goes: of the same client, or of all clients the one that was idle for longest. Without an idle one the new
-    connection is refused.
+    A connection is idle while none of its requests is being answered. At the limit of a client, its longest idle
+    connection is closed for a new connection; at the limit of the process, the longest idle connection of all clients.
+    Without an idle connection the new connection is refused.
 
     Parameters
     ----------
     max_connections
-        Of all clients.
+        Largest number of connections of all clients.
     max_per_client
-        Of one client network.
+        Largest number of connections of a client network.
     trusted_proxies
-        Networks of proxies, whose connections are those of many clients: they count in the sum only.
+        Networks of proxies. Their connections belong to many clients, so they count in the total only.
     """
 
     def __init__(self, max_connections: int, max_per_client: int, trusted_proxies: Collection[Network] = ()) -> None:
@@ -54,17 +54,17 @@ class Connections:
         self._trusted_proxies = tuple(trusted_proxies)
         self._clients: dict[Closable, str | None] = {}
         self._counts: Counter[str | None] = Counter()
-        # By client, and of all; the one that was idle for longest comes first.
+        # Idle connections by client, and of all clients; the longest idle connection comes first.
         self._idle_of: dict[str | None, OrderedDict[Closable, None]] = {}
         self._idle: OrderedDict[Closable, None] = OrderedDict()
         self._log_at_s = 0.0
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of open connections."""
         return len(self._clients)
 
     def admit(self, connection: Closable, host: str) -> bool:
-        """Count a new connection, which is idle; returns false if it is to be refused."""
+        """Count a new, idle connection; return whether it is accepted."""
         client = None if self._is_trusted(host) else network_of(host)
         is_one_too_many = client is not None and self._counts[client] >= self._max_per_client
         room = (
@@ -73,26 +73,26 @@ class Connections:
             else len(self._clients) < self._max_connections or self._close_idle(self._idle)
         )
         if not room:
-            self._tell(host)
+            self._log_refusal(host)
             return False
         self._clients[connection] = client
         self._counts[client] += 1
-        self.rest(connection)
+        self.mark_idle(connection)
         return True
 
-    def work(self, connection: Closable) -> None:
-        """Note that a request of a connection is being answered."""
+    def mark_busy(self, connection: Closable) -> None:
+        """Record that a request of a connection is being answered."""
         if connection in self._clients:
             self._remove_idle(connection)
 
-    def rest(self, connection: Closable) -> None:
-        """Note that a connection is idle from now on."""
+    def mark_idle(self, connection: Closable) -> None:
+        """Record that a connection is idle from now on."""
         if connection in self._clients:
             self._idle[connection] = None
             self._idle_of.setdefault(self._clients[connection], OrderedDict())[connection] = None
 
-    def forget(self, connection: Closable) -> None:
-        """Forget a connection that is closed; one that is unknown is none."""
+    def remove(self, connection: Closable) -> None:
+        """Remove a closed connection; a refused connection is unknown and ignored."""
         if connection in self._clients:
             self._remove_idle(connection)
             client = self._clients.pop(connection)
@@ -101,11 +101,11 @@ class Connections:
                 del self._counts[client]
 
     def _close_idle(self, idle: OrderedDict[Closable, None] | None) -> bool:
-        """Close the first of some idle connections; returns whether there was one."""
+        """Close the first idle connection; return whether there is an idle connection."""
         if not idle:
             return False
         connection = next(iter(idle))
-        self.forget(connection)
+        self.remove(connection)
         connection.close()
         return True
 
@@ -126,8 +126,8 @@ class Connections:
             return False
         return any(address in network for network in self._trusted_proxies)
 
-    def _tell(self, host: str) -> None:
-        """Log that connections are refused, now and then."""
+    def _log_refusal(self, host: str) -> None:
+        """Log that connections are refused, at most once a minute."""
         now_s = time.monotonic()
         if now_s >= self._log_at_s:
             self._log_at_s = now_s + _LOG_EVERY_S
@@ -135,13 +135,15 @@ class Connections:
 
 
 def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsProtocol]:
-    """The server's protocol, with limits on connections, heads of requests, and bodies that come after their answers.
+    """Protocol of the HTTP server with limits on connections, request headers and rests of bodies.
+
+    The rest of a body is what a client still sends after its request was answered.
 
     Parameters
     ----------
     head_s
-        How long a head may take: from the connection on, or from the first byte of a further request, until the last
-        header. Also how long the rest of a body may take whose request was answered.
+        Time limit of the request headers, from the connection or from the first byte of a further request to the last
+        header. Also the time limit of the rest of a body.
     connections
         All connections of this process.
     """
@@ -160,7 +162,7 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
                 transport.close()
 
         def connection_lost(self, exc: Exception | None) -> None:
-            connections.forget(self)
+            connections.remove(self)
             self._stop_waiting()
             super().connection_lost(exc)
 
@@ -172,10 +174,10 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
                 return
             self._num_bytes += len(data)
             super().data_received(data)
-            # What is left of the data after a head's end is a body's; then nobody waits for the head any more.
+            # Without a timer the headers are complete: further data belongs to a body and is not limited here.
             if self._timer is not None and self._num_bytes > self._max_bytes:
                 self.transport.close()
-            elif self._timer is None and self._is_idle():  # empty lines, which begin no request
+            elif self._timer is None and self._is_idle():  # empty lines between requests
                 self._await(_MAX_HEAD_BYTES)
 
         def on_message_begin(self) -> None:
@@ -185,12 +187,12 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
 
         def on_headers_complete(self) -> None:
             self._stop_waiting()
-            connections.work(self)
+            connections.mark_busy(self)
             super().on_headers_complete()
 
         def on_message_complete(self) -> None:
             super().on_message_complete()
-            if self.cycle.response_complete:  # the rest of an answered request's body has come
+            if self.cycle.response_complete:  # the rest of an answered request's body has arrived
                 self._stop_waiting()
                 self._await(_MAX_HEAD_BYTES)
 
@@ -198,7 +200,7 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
             super().on_response_complete()
             if not self._is_idle() or self.transport.is_closing():
                 return
-            connections.rest(self)
+            connections.mark_idle(self)
             if self.cycle.more_body:
                 self._discard_rest()
 
@@ -206,8 +208,8 @@ def bounded_protocol(head_s: float, connections: Connections) -> type[HttpToolsP
             return not self.pipeline and (self.cycle is None or self.cycle.response_complete)
 
         def _discard_rest(self) -> None:
-            """Take the rest of an answered request's body, within limits, so that the next request can be found."""
-            if self.expect_100_continue:  # nobody can say whether the client still sends its body
+            """Read the rest of an answered request's body, within limits: the next request begins after it."""
+            if self.expect_100_continue:  # the client may or may not send its body now
                 self.transport.close()
             else:
                 self._await(_MAX_REST_BYTES)

@@ -1,4 +1,7 @@
-"""Requests end when their key does: event streams and downloads may go on for hours after the key was checked."""
+"""Keys of running requests: a request ends when its key is revoked or expires.
+
+Event streams and downloads may run for hours after their key was checked.
+"""
 
 import asyncio
 import contextlib
@@ -17,14 +20,14 @@ _INTERVAL_S = 0.25
 
 
 class KeysInUse:
-    """Watches the keys of requests that are under way, with one query for all of them.
+    """Polls the validity of the keys of running requests, with one query for all keys.
 
-    Keys are revoked by other processes too, so the database is asked.
+    Other processes revoke keys too, so the database is polled.
 
     Parameters
     ----------
     store
-        Where keys are.
+        Job store with the keys.
     """
 
     def __init__(self, store: JobStore) -> None:
@@ -34,12 +37,12 @@ class KeysInUse:
 
     @contextlib.contextmanager
     def watching(self, key_id: str | None) -> Iterator[asyncio.Event]:
-        """Watch a key for the length of the block; the event is set when the key is no longer valid.
+        """Watch a key during the block; the event is set when the key is no longer valid.
 
         Parameters
         ----------
         key_id
-            ``None``: no key, which is valid as long as there are no keys at all.
+            ``None`` for a request without a key, which is allowed as long as the service has no keys.
         """
         ended = asyncio.Event()
         self._requests[key_id].add(ended)
@@ -52,19 +55,19 @@ class KeysInUse:
                 del self._requests[key_id]
 
     async def poll(self) -> None:
-        """Look as long as a key is in use; runs until it is canceled."""
+        """Poll the database as long as a key is in use; runs until it is canceled."""
         while True:
             await self._in_use.wait()
             try:
-                await self._look()
+                await self._poll_once()
             except Exception:
-                # The database may be away for a while; keys count as valid until it is back.
+                # The database may be unreachable for a while; keys count as valid until it responds.
                 _log.exception("keys_not_read")
             if not self._requests:
                 self._in_use.clear()
             await asyncio.sleep(_INTERVAL_S)
 
-    async def _look(self) -> None:
+    async def _poll_once(self) -> None:
         watched = set(self._requests)
         valid = await run_in_threadpool(self._valid, watched)
         for key_id in watched - valid:
@@ -81,9 +84,9 @@ class KeysInUse:
 
 
 class RevokedKeyGuard:
-    """Let requests see their client as gone once their key is no longer valid.
+    """Report the client as disconnected to a request whose key is no longer valid.
 
-    What a client sends is not read any further, what it is sent breaks off, and the connection is closed.
+    The request's body is not read any further, its response breaks off, and the connection is closed.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -103,7 +106,7 @@ class RevokedKeyGuard:
             if ended is None and (caller := scope["state"].get("caller")) is not None:
                 ended = watches.enter_context(keys_in_use.watching(caller.key.id if caller.key else None))
             if ended is None or not complete:
-                # Of a body the next piece comes soon, or the client is cut off for being slow.
+                # The next piece of a body arrives soon: `SlowClientGuard` ends the request otherwise.
                 message = await receive()
                 complete = not message.get("more_body", False)
                 return message if ended is None or not ended.is_set() else {"type": "http.disconnect"}
@@ -116,7 +119,7 @@ class RevokedKeyGuard:
 
 
 async def _first(receive: Receive, ended: asyncio.Event) -> Message:
-    """Next message of the client; its disconnection if the event is set first."""
+    """Return the client's next message, or a disconnection if the event is set first."""
     coming, ending = asyncio.ensure_future(receive()), asyncio.ensure_future(ended.wait())
     try:
         await asyncio.wait([coming, ending], return_when=asyncio.FIRST_COMPLETED)

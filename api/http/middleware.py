@@ -1,4 +1,4 @@
-"""Middleware of every request: an id, a guard against foreign pages, safe headers, and an answer to failures."""
+"""Middleware: request ids, log lines, safe headers, HEAD, tus, slow clients, foreign pages, unforeseen failures."""
 
 import time
 from collections.abc import Collection
@@ -21,7 +21,7 @@ from api.metrics import RequestMetrics
 _log = structlog.get_logger(__name__)
 
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
-# Of tus, whose clients may have to send them as POST.
+# Methods of tus that a client may send as POST.
 _METHODS_BY_POST = frozenset({"HEAD", "PATCH", "DELETE"})
 _MAX_LOGGED_PATH = 200
 SAFE_HEADERS = {
@@ -29,7 +29,7 @@ SAFE_HEADERS = {
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self'; "
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
-    # Default of answers that set nothing else: caches must not keep what only a key may read.
+    # Default of responses that set no other value: caches must not keep what only a key may read.
     "Cache-Control": "no-store",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -39,7 +39,7 @@ SAFE_HEADERS = {
 
 
 class RequestContext:
-    """Give a request its id, its answer safe headers, and the log a line; count it."""
+    """Give each request an id, safe response headers and a log line, and count it in the metrics."""
 
     def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
         self._app = app
@@ -55,7 +55,7 @@ class RequestContext:
         started_s = time.monotonic()
         status = 0
 
-        async def send_dressed(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
@@ -67,9 +67,9 @@ class RequestContext:
             await send(message)
 
         with structlog.contextvars.bound_contextvars(request_id=request_id):
-            await self._app(scope, receive, send_dressed)
+            await self._app(scope, receive, send_with_headers)
             seconds = time.monotonic() - started_s
-            # Ids in paths, and paths that strangers make up, would be series without end.
+            # The path template bounds the number of time series: paths contain ids, or are made up by clients.
             route = scope["route"].path if "route" in scope else "unknown"
             self._metrics.count(_known_method(scope["method"]), route, status, seconds)
             caller = scope["state"].get("caller")
@@ -88,10 +88,10 @@ def _known_method(method: str) -> str:
     return method if method in _METHODS else "other"
 
 
-class FailureAnswer:
-    """Answer failures that no route foresees, such as a full disk.
+class FailureResponse:
+    """Answer exceptions that no route handles, such as a full disk.
 
-    It is the innermost of all, so that these answers too get the headers that the others add.
+    This is the innermost middleware, so that its responses get the headers that the others add.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -104,31 +104,31 @@ class FailureAnswer:
             return
         started = False
 
-        async def send_noted(message: Message) -> None:
+        async def send_and_record(message: Message) -> None:
             nonlocal started
             started = True
             await send(message)
 
         try:
-            await self._app(scope, receive, send_noted)
+            await self._app(scope, receive, send_and_record)
         except Exception as error:
-            if started:  # Too late for another answer; the server cuts the connection.
+            if started:  # Too late for another response; the server closes the connection.
                 raise
             await handle(Request(scope), error)(scope, receive, send)
 
 
 class SlowClientGuard:
-    """Let go of clients that neither send nor take anything for long, or next to nothing on the whole.
+    """End requests of clients that neither send nor receive for too long, or send too slowly on average.
 
-    Each of them would keep a file, memory and a connection for as long as it likes. Streams of events are quiet for
-    long, but take what comes at once.
+    Such a client would occupy a file, memory and a connection without end. Event streams are quiet for long times, but
+    their clients receive each event at once.
 
     Parameters
     ----------
     idle_s
-        How long the next piece of a body may take to come, or an answer's to be taken.
+        Longest time until the next piece of a body arrives, or a piece of the response is received.
     min_bytes_per_s
-        What a body must come to on average, looked at from ``idle_s`` on.
+        Smallest average rate of a body, checked from ``idle_s`` on.
     """
 
     def __init__(self, app: ASGIApp, idle_s: float, min_bytes_per_s: float) -> None:
@@ -146,7 +146,7 @@ class SlowClientGuard:
 
         async def receive_in_time() -> Message:
             nonlocal num_bytes, complete
-            if complete:  # What comes now is that the client has gone.
+            if complete:  # The only message after the body is the client's disconnection.
                 return await receive()
             try:
                 with anyio.fail_after(self._idle_s):
@@ -168,19 +168,19 @@ class SlowClientGuard:
 
 
 def _too_slow() -> HTTPException:
-    # The framework lets only such an exception through where it reads a body itself.
+    # Where the framework reads a body itself, it passes on no other exception.
     return HTTPException(HTTPStatus.REQUEST_TIMEOUT, headers={"Connection": "close"})
 
 
 class TusProtocol:
-    """What tus asks of every request to an upload: a method by another name, and the version with every answer.
+    """Rules of tus for all requests to uploads: overridden methods, and the version in every response.
 
     Parameters
     ----------
     prefix
-        Of the addresses of uploads.
+        Prefix of the paths of uploads.
     version
-        Of the protocol.
+        Version of the protocol.
     """
 
     def __init__(self, app: ASGIApp, prefix: str, version: str) -> None:
@@ -199,22 +199,22 @@ class TusProtocol:
                 MutableHeaders(scope=message)["Tus-Resumable"] = self._version
             await send(message)
 
-        # There are proxies and browsers that know no PATCH. Everything behind this sees the method that is meant; the
-        # server still sees the method that came, which says how the answer is framed.
+        # Some proxies and browsers can't send PATCH. Inner middleware and routes see the overriding method. The server
+        # still sees POST, which decides how the response is framed.
         method = Headers(scope=scope).get("x-http-method-override", "").upper()
         if scope["method"] != "POST" or method not in _METHODS_BY_POST:
             await self._app(scope, receive, send_versioned)
             return
-        meant = {**scope, "method": method}
+        overridden = {**scope, "method": method}
         scope["state"]["sent_as_post"] = True
-        await self._app(meant, receive, send_versioned)
-        scope.update({name: meant[name] for name in ("route",) if name in meant})
+        await self._app(overridden, receive, send_versioned)
+        scope.update({name: overridden[name] for name in ("route",) if name in overridden})
 
 
 class HeadByGet:
-    """Answer HEAD wherever GET is answered: by GET's own answer, cut off before its body.
+    """Answer HEAD wherever GET is answered: with the headers of the response to GET, without its body.
 
-    What would be streamed is not even begun.
+    The body of a streamed response is never started.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -222,7 +222,7 @@ class HeadByGet:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request."""
-        # An answer to POST has a body, also where HEAD is meant.
+        # A request that was sent as POST gets a body, even if it overrides the method with HEAD.
         is_head = scope["type"] == "http" and scope["method"] == "HEAD" and "sent_as_post" not in scope["state"]
         if not is_head or _is_routed(scope):
             await self._app(scope, receive, send)
@@ -236,9 +236,9 @@ class HeadByGet:
                     answering.cancel()
                 await anyio.lowlevel.checkpoint()
 
-            # For routes whose answer would send a client elsewhere with its method.
+            # For routes that redirect: the client would repeat the redirected request with HEAD.
             scope["state"]["by_head"] = True
-            # A copy: the server must see HEAD, or it waits for the body. What the route notes goes back.
+            # A copy, because the server must see HEAD, or it waits for the body. The matched route is copied back.
             as_get = {**scope, "method": "GET"}
             await self._app(as_get, receive, send_head)
         scope.update({name: as_get[name] for name in ("route",) if name in as_get})
@@ -250,17 +250,17 @@ def _is_routed(scope: Scope) -> bool:
 
 
 class ForeignPageGuard:
-    """Refuse what a web page from elsewhere makes a browser send.
+    """Refuse requests that a web page of another origin makes a browser send.
 
-    Without keys any page could use the service through the browser of someone at this machine: directly (its ``Origin``
-    says so), or by a name of its own that resolves to loopback (its ``Host`` says so).
+    Without keys, any page could use the service through the browser of a person at this machine: directly, which
+    ``Origin`` shows, or by a name that resolves to loopback, which ``Host`` shows.
 
     Parameters
     ----------
     allowed_hosts
         Names by which clients may call the service.
     allowed_origins
-        Origins whose pages may.
+        Origins whose pages may call the service.
     """
 
     def __init__(self, app: ASGIApp, allowed_hosts: Collection[str], allowed_origins: Collection[str]) -> None:
@@ -280,16 +280,16 @@ class ForeignPageGuard:
         if len(hosts) != 1 or _name_of(hosts[0]) not in self._allowed_hosts:
             return ApiError(
                 "host_not_allowed",
-                "The service does not answer to this name.",
-                hint="Call it by localhost, or add the name to MULTICAP_ALLOWED_HOSTS.",
+                "The request's Host is not a name of the service.",
+                hint="Call the service by localhost, or add the name to MULTICAP_ALLOWED_HOSTS.",
             )
         origin = headers.get("origin", "").lower()
         foreign = "origin" in headers and origin not in self._allowed_origins
         if foreign and origin.partition("://")[2] != hosts[0].lower():
             return ApiError(
                 "origin_not_allowed",
-                "Pages from elsewhere may not use the service.",
-                hint="If it is a page of yours, add its origin to MULTICAP_ALLOWED_ORIGINS.",
+                "Pages of other origins may not use the service.",
+                hint="If it is your page, add its origin to MULTICAP_ALLOWED_ORIGINS.",
             )
         return None
 

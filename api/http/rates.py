@@ -1,4 +1,4 @@
-"""How many requests a tenant may make, and how many wrong keys a client may show."""
+"""Rate limits of a process: requests of each tenant, and wrong keys of each client network."""
 
 import math
 import threading
@@ -12,19 +12,19 @@ from limits.strategies import MovingWindowRateLimiter
 from api.errors import ApiError
 
 RATE_HEADERS = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
-"""By the IETF's draft: how many requests a minute, how many of them are left, and seconds until there are more."""
+"""Headers of the IETF's draft: requests a minute, requests left, and seconds until the limit resets."""
 
 _MINUTE_S = 60.0
 _MAX_NETWORKS = 10_000
 
 
 class Rates:
-    """Counts the requests of the last minute by tenant, in this process.
+    """Counts of the requests of the last minute by tenant, in this process.
 
     Parameters
     ----------
     per_minute
-        How many each may make; ``None``: any number.
+        Requests that a tenant may make in a minute; ``None``: any number.
     """
 
     def __init__(self, per_minute: int | None) -> None:
@@ -32,11 +32,11 @@ class Rates:
         self._limiter = MovingWindowRateLimiter(MemoryStorage())
 
     def count(self, tenant: str) -> dict[str, str]:
-        """Count a request; 429 if it is one too many.
+        """Count a request; raise 429 above the limit.
 
         Returns
         -------
-            Headers that say how many more there may be; none without a limit.
+            ``RATE_HEADERS`` with their values; empty without a limit.
         """
         if self._item is None:
             return {}
@@ -48,34 +48,34 @@ class Rates:
         raise _too_many(
             "too_many_requests",
             f"At most {self._item.amount} requests a minute are allowed.",
-            "Ask less often: event streams tell of a job's changes by one request.",
+            "Send fewer requests: an event stream reports all changes of a job in one request.",
             headers,
         )
 
 
 class WrongKeys:
-    """Counts the wrong keys of each client network, in this process. A minute begins with the first of them.
+    """Counts of wrong keys by client network, in this process. A network's minute begins with its first wrong key.
 
     Parameters
     ----------
     per_minute
-        Wrong keys of a network that are answered by 401; more are answered by 429.
+        Wrong keys of a network that are answered by 401 in a minute; more are answered by 429.
     max_networks
-        Networks that are remembered; of more, the one that was quiet for longest is forgotten.
+        Largest number of networks with counts; then the network that was quiet for longest is dropped.
     """
 
     def __init__(self, per_minute: int, max_networks: int = _MAX_NETWORKS) -> None:
         self._per_minute, self._max_networks = per_minute, max_networks
-        # When the minute of a network began, and how many keys came in it; the last to show one stands last.
+        # Start of the minute and count of each network, in the order of their last wrong keys.
         self._counts: OrderedDict[str, tuple[float, int]] = OrderedDict()
         self._lock = threading.Lock()
 
     def count(self, network: str) -> dict[str, str]:
-        """Count a wrong key; 429 if it is one too many.
+        """Count a wrong key; raise 429 above the limit.
 
         Returns
         -------
-            Headers that say how many more there may be.
+            ``RATE_HEADERS`` with their values.
         """
         now_s = time.monotonic()
         with self._lock:
@@ -96,7 +96,7 @@ class WrongKeys:
         )
 
     def __len__(self) -> int:
-        """How many networks are remembered."""
+        """Number of networks with counts."""
         return len(self._counts)
 
 

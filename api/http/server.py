@@ -1,4 +1,4 @@
-"""The HTTP server around the app: limits on connections, and which proxies it believes."""
+"""Configuration of the HTTP server: limits on connections and open files, and trusted proxies."""
 
 from fastapi import FastAPI
 from uvicorn import Config
@@ -7,21 +7,21 @@ from api.http.connections import Connections, bounded_protocol
 from api.settings import Settings
 from worker.process.descriptors import raise_descriptor_limit
 
-# How long open requests may go on after SIGTERM.
+# Time that open requests have to end after SIGTERM.
 _GRACE_S = 5
-# Kept for the database, files, and children.
-_OWN_DESCRIPTORS = 256
-# A connection's own, and one of a file that is received or sent.
-_DESCRIPTORS_A_CONNECTION = 2
+# Descriptors for the database, files and child processes.
+_RESERVED_DESCRIPTORS = 256
+# A connection's socket, and a file that is received or sent.
+_DESCRIPTORS_PER_CONNECTION = 2
 
 
 def server_config(app: FastAPI, settings: Settings) -> Config:
-    """Configure the server, and raise this process's limit on open files to what it may be."""
+    """Configure the server, and raise this process's limit on open files as far as allowed."""
     descriptors = raise_descriptor_limit()
-    own = min(_OWN_DESCRIPTORS, descriptors // 2)
-    room = max(1, (descriptors - own) // _DESCRIPTORS_A_CONNECTION)
+    reserved = min(_RESERVED_DESCRIPTORS, descriptors // 2)
+    max_connections = max(1, (descriptors - reserved) // _DESCRIPTORS_PER_CONNECTION)
     proxies = settings.trusted_proxies
-    connections = Connections(min(settings.max_connections, room), settings.max_client_connections, proxies)
+    connections = Connections(min(settings.max_connections, max_connections), settings.max_client_connections, proxies)
     return Config(
         app,
         host=settings.host,

@@ -1,4 +1,5 @@
-// Jobs as they go on, and a form to send a capture. All text goes in by textContent: names are a stranger's words.
+// Page of the service: its jobs with their progress, and a form to send a capture. Texts are set by textContent, because
+// names come from clients.
 
 const POLL_MS = 1000;
 const IDLE_POLL_MS = 5000;
@@ -13,11 +14,11 @@ const STATES = {
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 
 const at = (id) => document.getElementById(id);
-const cards = new Map(); // id of a job -> its element and what it showed last
+const cards = new Map(); // id of a job -> its element, and the version that it shows
 let limit = PAGE;
 let timer = 0;
-let choices = []; // of a job, as the service lists them
-let optionsAt = -Infinity; // when the service was last asked what it can do
+let choices = []; // choices of a job that the service lists
+let optionsAt = -Infinity; // time of the last request of the options
 
 class Problem extends Error {
   constructor(body, status = 0) {
@@ -148,7 +149,7 @@ function showWarnings(place, warnings) {
   place.hidden = warnings.length === 0;
 }
 
-// A result that is empty, or that needs a look, is not simply done.
+// Text and style of a job's state; a succeeded job may be empty or have warnings.
 function stateOf(job) {
   if (job.state !== "succeeded") return [STATES[job.state] ?? job.state, job.state];
   if (job.result_warnings.some((warning) => warning.code === "nobody_found")) return ["Done: nobody was found", "empty"];
@@ -177,7 +178,7 @@ function fillCard(entry, job) {
   state.dataset.state = kind;
   card.querySelector(".when").textContent = when(job);
   fillStages(card.querySelector(".stages"), job.stages);
-  // What the service offers: no retry where it would fail the same way.
+  // Actions that the service offers: no retry if it would fail the same way.
   entry.links = job.links;
   card.querySelector('[data-do="cancel"]').hidden = job.links.cancel === null;
   card.querySelector('[data-do="retry"]').hidden = job.links.retry === null;
@@ -230,11 +231,13 @@ function numberInput(choice, whole) {
   });
 }
 
-// The fields of a choice, as the service describes it.
+// Fields of the form by kind of choice.
 const FIELDS = {
   one(choice) {
     const select = Object.assign(document.createElement("select"), { name: choice.name, title: choice.description });
-    select.append(...choice.values.map(({ name, label }) => new Option(label, name, name === choice.default, name === choice.default)));
+    // An option is selected from the start only if the fourth argument says so; the third one is for a reset.
+    const isDefault = (name) => name === choice.default;
+    select.append(...choice.values.map(({ name, label }) => new Option(label, name, isDefault(name), isDefault(name))));
     return labelled(choice.label, select);
   },
   several(choice) {
@@ -267,7 +270,7 @@ const FIELDS = {
   },
 };
 
-// What is sent of a choice; undefined where the field is empty, and the service takes the default.
+// Value of a choice in the spec; undefined for an empty field, so that the service uses the default.
 const VALUES = {
   one: (field) => field.value,
   several: (boxes) => boxes.filter((box) => box.checked).map((box) => box.value),
@@ -290,7 +293,7 @@ function fillChoices(asked) {
   place.hidden = false;
 }
 
-// Detectors that no worker has: such a job would be refused.
+// Disable detectors that no worker has: the service would refuse such a job.
 function markDetectors(detectors) {
   const options = [...at("send").elements.detector.options];
   for (const { name, installed, install } of detectors) {
@@ -326,7 +329,7 @@ async function poll() {
   if (!document.hidden) timer = setTimeout(poll, busy ? POLL_MS : IDLE_POLL_MS);
 }
 
-// fetch can't say how much of an upload is through; XMLHttpRequest can.
+// fetch does not report the progress of an upload; XMLHttpRequest does.
 function send(form, onProgress, stopped) {
   return new Promise((resolve, reject) => {
     const request = new XMLHttpRequest();
@@ -397,7 +400,7 @@ at("more").addEventListener("click", () => {
   poll();
 });
 
-// A service with keys lets nobody in who has not shown one; a cookie remembers it.
+// A service with keys requires signing in with a key; a cookie keeps the browser signed in.
 function showEntrance() {
   clearTimeout(timer);
   cards.forEach(({ card }) => card.remove());

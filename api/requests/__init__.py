@@ -1,1 +1,1 @@
-"""Requests: their bodies, limits and validation; what a session is made of."""
+"""Bodies of requests: forms, JSON, limits, validation, idempotency, and the check of a session's files."""

@@ -1,4 +1,4 @@
-"""How bodies of requests are read: small ones with a limit, large ones in blocks."""
+"""Reading request bodies: small bodies with a limit, large bodies in blocks."""
 
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any
@@ -9,14 +9,14 @@ from starlette.types import Message
 
 from api.dependencies import services_of
 
-# Handed to a thread at a time: large enough that threads cost nothing, small against any limit on memory.
+# Bytes that are passed to a thread at once: enough to make the thread's overhead small, little beside any memory limit.
 _BLOCK_BYTES = 2**20
-# What a refused client may still send before it is cut off, so that most get to read why.
+# Bytes that a refused client may still send: most clients read the response only after they have sent their body.
 _DRAIN_BYTES = 64 * 2**20
 
 
 class SmallBodyRoute(APIRoute):
-    """A route that takes ``Settings.max_json_bytes`` at most, whatever the content's type and announced length."""
+    """Route whose body has at most ``Settings.max_json_bytes``, whatever its type and announced length."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Wrap the route's handler."""
@@ -29,7 +29,7 @@ class SmallBodyRoute(APIRoute):
 
 
 def limited(request: Request, max_bytes: int) -> Request:
-    """The same request, with a body that is refused (413) as soon as it is longer."""
+    """Return the same request with a limited body: 413 is raised as soon as the body is longer."""
     num_bytes = 0
 
     async def receive() -> Message:
@@ -44,13 +44,13 @@ def limited(request: Request, max_bytes: int) -> Request:
 
 
 def announced_bytes(request: Request) -> int:
-    """How long a body is said to be; 0 if nothing is said."""
+    """Length of a body by ``Content-Length``; 0 without the header."""
     announced = request.headers.get("content-length", "")
     return int(announced) if announced.isdecimal() else 0
 
 
 async def blocks(stream: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-    """Join what comes from the network into blocks worth a thread's while."""
+    """Join the pieces of a stream into blocks of about a MiB; the last block may be empty."""
     pending: list[bytes] = []
     num_bytes = 0
     async for data in stream:
@@ -63,7 +63,10 @@ async def blocks(stream: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
 
 
 async def drain(stream: AsyncIterator[bytes]) -> None:
-    """Read on for a while: an answer to a client that still sends is lost with the connection."""
+    """Read and drop the rest of a body, up to a limit.
+
+    If the connection were closed while the client still sends, the client would lose the response.
+    """
     num_bytes = 0
     async for data in stream:
         num_bytes += len(data)

@@ -1,4 +1,4 @@
-"""Threads for long work of requests, such as checks of files: owners take turns, and nobody waits for ever."""
+"""Threads for long work of requests, such as checks of files: owners take turns, and waiting times are limited."""
 
 import asyncio
 from collections import Counter, OrderedDict, deque
@@ -9,26 +9,27 @@ from typing import TypeVar
 import anyio
 from anyio import CapacityLimiter
 
-from api.errors import ApiError, service_away
+from api.errors import ApiError, service_unavailable
 
 _Result = TypeVar("_Result")
 
 _RETRY_AFTER_S = 10
 _MAX_WAITING = 32
-"""Requests of one owner that wait; each holds its files on disk."""
+"""Largest number of waiting requests of an owner; the files of each are on disk."""
 
 
 class FairThreads:
-    """A few threads that owners share: the owner with the fewest running calls is next, equals take turns.
+    """Pool of threads that owners share.
 
-    One owner never has all threads, unless there is one thread only. For the event loop's thread.
+    The owner with the fewest running calls is next; owners with equally many take turns. An owner never has all
+    threads, unless there is only one thread. Methods must be called from the event loop's thread.
 
     Parameters
     ----------
     num_threads
-        How many calls run at once.
+        Number of calls that run at the same time.
     max_wait_s
-        How long a call waits for its turn before it is refused.
+        Longest time that a call waits for its turn before it is refused.
     """
 
     def __init__(self, num_threads: int, max_wait_s: float) -> None:
@@ -36,30 +37,30 @@ class FairThreads:
         self._share = max(1, num_threads - 1)
         self._max_wait_s = max_wait_s
         self._running: Counter[str] = Counter()
-        # The owner whose last turn was longest ago comes first.
+        # Waiting calls by owner; the owner whose last turn is longest ago comes first.
         self._waiting: OrderedDict[str, deque[asyncio.Future[None]]] = OrderedDict()
-        # Threads apart from those that serve all other requests.
+        # Separate from the threads that serve all other requests.
         self._threads = CapacityLimiter(num_threads)
 
     def require_room(self, owner: str) -> None:
-        """Raise 429 if so many calls of an owner wait that one more is refused."""
+        """Raise 429 if an owner has the largest number of waiting calls."""
         if len(self._waiting.get(owner, ())) >= _MAX_WAITING:
             raise _too_many_checks()
 
     async def run(
         self, owner: str, function: Callable[..., _Result], *arguments: object, further_wait_s: float = 0.0
     ) -> _Result:
-        """Run a function in a thread, when it is its owner's turn.
+        """Run a function in a thread when it is its owner's turn.
 
         Parameters
         ----------
         further_wait_s
-            How long this call waits beyond ``max_wait_s``.
+            Waiting time of this call in addition to ``max_wait_s``.
 
         Raises
         ------
         ApiError
-            429 if the owner's own calls keep the call waiting for too long, 503 if those of others do.
+            After the waiting time: 429 if calls of the same owner are running, else 503.
         """
         await self._take_turn(owner, self._max_wait_s + further_wait_s)
         try:
@@ -83,7 +84,7 @@ class FairThreads:
             raise
 
     def _leave(self, owner: str, turn: asyncio.Future[None]) -> None:
-        if turn.done() and not turn.cancelled():  # the turn came at this very moment
+        if turn.done() and not turn.cancelled():  # the turn was given at the same moment
             self._end_turn(owner)
             return
         queue = self._waiting[owner]
@@ -118,13 +119,13 @@ def _too_many_checks() -> ApiError:
     return ApiError(
         "too_many_checks",
         "Too many of your sessions are being checked at once.",
-        hint="Send it again when one of them has been answered. Files that are sent as uploads need not be sent again.",
+        hint="Send the session again when one of them has been answered. Files of uploads need not be sent again.",
         retryable=True,
         headers={"Retry-After": str(_RETRY_AFTER_S)},
     )
 
 
 def _busy() -> ApiError:
-    error = service_away("checks_busy", "The service is busy with the files of others.")
+    error = service_unavailable("checks_busy", "The service is busy with the files of other tenants.")
     error.headers["Retry-After"] = str(_RETRY_AFTER_S)
     return error

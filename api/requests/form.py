@@ -1,7 +1,7 @@
-"""The form of a session: its parts, what they may be called, how large they may be.
+"""Form of a session: its parts with their names and size limits.
 
-What goes over a limit is refused at once; all else that is wrong with names and parts is collected while the rest is
-read, so that one answer says all of it.
+A part above its limit is refused at once. All other problems with names and parts are collected while the rest is read,
+so that one response lists all of them.
 """
 
 import contextlib
@@ -16,16 +16,16 @@ from api.errors import ApiError, ErrorItem, pointer_to
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
 VIEWS = (VIDEOS, KEYPOINTS)
-"""Parts of which a form has one a camera; of the other files it has one."""
+"""Parts with a file for each camera; the other parts have one file."""
 
 _MAX_NAME_BYTES = 200
-# Parts beyond the videos: a few, right or wrong. Without an end to them their errors would fill the memory.
+# Limit on the parts beside the files of cameras: the errors of any number of wrong parts would fill the memory.
 _MAX_OTHER_PARTS = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How much is taken in."""
+    """Size limits of a form and of its parts."""
 
     max_file_bytes: int
     max_keypoints_bytes: int
@@ -37,7 +37,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class ReceivedFile:
-    """A file of a form, whole and on disk under its own name."""
+    """Complete file of a form, on disk under its own name."""
 
     name: str
     path: Path
@@ -47,14 +47,14 @@ class ReceivedFile:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """What a client sent.
+    """Received form of a session.
 
     Parameters
     ----------
     documents
-        The JSON parts by name, unparsed.
+        JSON parts by name, unparsed.
     errors
-        All that is wrong with names and parts; the files that they concern are not among the others.
+        Everything that is wrong with names and parts; files with errors are not in the other fields.
     """
 
     videos: tuple[ReceivedFile, ...]
@@ -67,7 +67,7 @@ class Form:
 
 @dataclass(slots=True)
 class _OpenFile:
-    """A file on its way to disk."""
+    """File that is being received."""
 
     name: str
     file: BufferedWriter
@@ -85,7 +85,7 @@ class _OpenFile:
 
 
 class Parts:
-    """What becomes of the parts of a form: files go to disk, JSON to memory, the rest nowhere."""
+    """Receiver of the parts of a form: files go to disk, JSON to memory; refused parts are dropped."""
 
     def __init__(self, folder: Path, limits: Limits, documents: frozenset[str]) -> None:
         self._folder = folder
@@ -114,7 +114,7 @@ class Parts:
         if self._num_parts > self._limits.max_videos + _MAX_OTHER_PARTS:
             raise ApiError("too_many_parts", "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
-        # A refused part is read to its end, so that the answer says that it is refused, not that it is large.
+        # A refused part is read to its end: the response states why it is refused, not that it is large.
         self._max_bytes = self._limits.max_session_bytes
         self._write = _discard
         if part in self._files:
@@ -126,13 +126,13 @@ class Parts:
             self._max_bytes = self._limits.max_json_bytes
             self._write = self._documents.setdefault(part, bytearray()).extend
         elif part in self._documents:
-            self._blame("duplicate_part", "This part is there more than once.", f"/{part}")
+            self._add_error("duplicate_part", "The form has this part more than once.", f"/{part}")
         else:
             known = ", ".join([*self._files, *sorted(self._document_names)])
-            self._blame("unknown_part", f"The form has a part that is not one of: {known}.", pointer_to(part[:100]))
+            self._add_error("unknown_part", f"The form has a part that is not one of: {known}.", pointer_to(part[:100]))
 
     def write(self, data: bytes) -> None:
-        """Take in some of a part."""
+        """Receive the next bytes of the part."""
         self._part_bytes += len(data)
         self._total_bytes += len(data)
         if self._part_bytes > self._max_bytes:
@@ -142,13 +142,13 @@ class Parts:
         self._write(data)
 
     def end(self) -> None:
-        """End a part."""
+        """End the part."""
         if self._open is not None:
             self._files[self._part].append(self._open.close())
             self._open = None
 
     def adopt(self, part: str, name: str, source: Path) -> None:
-        """Take in a file that is there already, by a name of its own in the folder; ``source`` stays."""
+        """Add a file that is on disk already, by a hard link in the folder; ``source`` stays."""
         self._part, self._max_bytes = part, self._max_file_bytes[part]
         num_bytes = source.stat().st_size
         self._total_bytes += num_bytes
@@ -164,23 +164,23 @@ class Parts:
             self._files[part].append(ReceivedFile(name, path, num_bytes, sha256))
 
     def lack(self, part: str, code: str, message: str, hint: str, file: str | None = None) -> None:
-        """Note that a file of a part is not there as it should be."""
+        """Record an error about a missing or unusable file of a part."""
         self._errors.append(
             ErrorItem(code=code, message=message, pointer=self._next_pointer(part), file=file, hint=hint)
         )
 
     def form(self) -> Form:
-        """All parts, once the body has ended."""
+        """Return all parts; for the end of the body."""
         if not any(self._counts[part] for part in VIEWS):
             message = "There are no videos and no keypoints: a session needs either."
-            self._blame("missing_part", message, f"/{VIDEOS}")
+            self._add_error("missing_part", message, f"/{VIDEOS}")
         if not self._counts[CALIBRATION]:
             message = "There is no calibration: a session needs one."
-            self._blame("missing_part", message, f"/{CALIBRATION}")
+            self._add_error("missing_part", message, f"/{CALIBRATION}")
         if self._counts[VIDEOS]:
             for part in (KEYPOINTS, TIMESTAMPS):
                 if self._counts[part]:
-                    self._blame("part_not_allowed", "A session of videos has no such files.", f"/{part}")
+                    self._add_error("part_not_allowed", "A session of videos has no such files.", f"/{part}")
         return Form(
             videos=tuple(self._files[VIDEOS]),
             keypoints=tuple(self._files[KEYPOINTS]),
@@ -191,52 +191,53 @@ class Parts:
         )
 
     def close(self) -> None:
-        """Let go of a file that did not come to its end."""
+        """Close a file that was not received completely."""
         if self._open is not None:
-            with contextlib.suppress(OSError):  # The disk may be full; the file is not wanted any more.
+            with contextlib.suppress(OSError):  # The disk may be full; the file is no longer needed.
                 self._open.file.close()
             self._open = None
 
     def _admit(self, part: str, name: str) -> bool:
-        """Whether a file becomes the session's; if not, why is noted."""
+        """Return whether a file is accepted; record an error if it is not."""
         index, pointer = self._counts[part], self._next_pointer(part)
         if part in VIEWS and index >= self._limits.max_videos:
             if index == self._limits.max_videos:
-                self._blame(f"too_many_{part}", f"A session has {self._limits.max_videos} {part} at most.", pointer)
+                limit = f"A session has {self._limits.max_videos} {part} at most."
+                self._add_error(f"too_many_{part}", limit, pointer)
         elif part not in VIEWS and index > 0:
-            self._blame("duplicate_part", f"A session has one file of {part}.", pointer)
+            self._add_error("duplicate_part", f"A session has one file of {part}.", pointer)
         elif message := name_error(name):
-            self._blame("file_name_invalid", message, pointer)
+            self._add_error("file_name_invalid", message, pointer)
         elif _folded(name) in self._names:
-            self._blame("duplicate_file_name", "Two files of the session have this name.", pointer, name)
+            self._add_error("duplicate_file_name", "Two files of the session have this name.", pointer, name)
         else:
             self._names.add(_folded(name))
             return True
         return False
 
     def _next_pointer(self, part: str) -> str:
-        """Count a file of a part; returns where it is."""
+        """Count a file of a part and return its JSON pointer."""
         index = self._counts[part]
         self._counts[part] += 1
         return f"/{part}/{index}" if part in VIEWS else f"/{part}"
 
-    def _blame(self, code: str, message: str, pointer: str | None, file: str | None = None) -> None:
+    def _add_error(self, code: str, message: str, pointer: str | None, file: str | None = None) -> None:
         self._errors.append(ErrorItem(code=code, message=message, pointer=pointer, file=file))
 
 
 def name_error(name: str) -> str | None:
-    """What is wrong with a file's name, if anything: it must be a name on any system, never a path.
+    """Sentence about a wrong file name, or ``None``; a name must be valid on any system and never a path.
 
     >>> name_error("../cam_0.mp4")
-    'The name of a file must not hold a path.'
+    'The name of a file must not contain a path.'
     """
     if not name or name in {".", ".."}:
         return "The file has no name."
     if "/" in name or "\\" in name:
-        return "The name of a file must not hold a path."
-    # Cc, Cf, Cs...: control characters, marks that turn the direction of writing, lone surrogates.
+        return "The name of a file must not contain a path."
+    # Categories Cc, Cf, Cs...: control characters, marks of the writing direction, lone surrogates.
     if any(unicodedata.category(character).startswith("C") for character in name):
-        return "The name of a file must not hold control characters."
+        return "The name of a file must not contain control characters."
     if len(name.encode()) > _MAX_NAME_BYTES:
         return f"The name of a file must not be longer than {_MAX_NAME_BYTES} bytes."
     return None
@@ -247,16 +248,16 @@ def _discard(_data: bytes) -> None:
 
 
 def _folded(name: str) -> str:
-    """A name as systems see it that tell no case from another and compose accents: what clashes there, clashes here."""
+    """Normalized name, by which names are compared as file systems without case and with composed accents do."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def too_large(what: str, max_bytes: int, part: str | None = None, file: str | None = None) -> ApiError:
-    """The answer to what goes over a limit."""
+    """Error 413 for a file, part, piece or session above its limit."""
     item = ErrorItem(
         code=f"{what}_too_large",
-        message=f"This is larger than {max_bytes} bytes.",
+        message=f"The {what} is larger than {max_bytes} bytes.",
         pointer=f"/{part}" if part else None,
         file=file if file and not name_error(file) else None,
     )
-    return ApiError("content_too_large", f"The {what} is larger than the service takes.", errors=(item,))
+    return ApiError("content_too_large", f"The {what} is larger than the service accepts.", errors=(item,))

@@ -1,6 +1,6 @@
-"""Take in a session's files as ``multipart/form-data``: streamed to disk, hashed on the way, in constant memory.
+"""Forms as ``multipart/form-data``: files are streamed to disk and hashed on the way, in constant memory.
 
-Whatever happens, the caller's folder is the only place where anything was written.
+Files are written only to the folder that the caller gives.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ from api.requests.bodies import announced_bytes, blocks, drain
 from api.requests.form import Form, Limits, Parts, too_large
 from worker.jobs.files.disk import DiskSpace
 
-# Boundaries and headers of the parts, on top of the files' own bytes.
+# Boundaries and headers of the parts, in addition to the bytes of the files.
 _ENVELOPE_BYTES = 2**20
 _TAKEN = "A session is sent as multipart/form-data, or as application/json that names uploads."
 
@@ -29,18 +29,18 @@ async def receive_form(
     Parameters
     ----------
     folder
-        An empty folder, the caller's to remove whatever happens.
+        Empty folder, which the caller removes in any case.
     documents
-        Names of the JSON parts that may be there.
+        Names of the allowed JSON parts.
     disk
-        Where there must be room for what comes.
+        Disk of the folder, whose free space is checked.
 
     Raises
     ------
     ApiError
-        400 if the body can't be parsed, 413 if it is too large, 415 if it is no form.
+        400 if the body can't be parsed, 413 if it is too large, 415 if it is not a form.
     ClientDisconnect
-        If the client hangs up.
+        If the client closes the connection.
     OSError
         If the disk is full.
     """
@@ -79,7 +79,7 @@ def _check_announced_length(request: Request, limits: Limits) -> None:
 
 
 class _Reader:
-    """The parser, and what it has found of the part at hand."""
+    """Parser of the body, with the headers of the current part."""
 
     def __init__(self, boundary: str, parts: Parts) -> None:
         self._parts = parts
@@ -105,14 +105,14 @@ class _Reader:
             raise _malformed() from error
 
     def feed(self, data: bytes) -> None:
-        """Take in some of the body."""
+        """Parse the next bytes of the body."""
         try:
             self._parser.write(data)
         except FormParserError as error:
             raise _malformed() from error
 
     def finish(self) -> Form:
-        """Take in the body's end."""
+        """Return the form at the end of the body."""
         if not self._complete:
             raise _malformed()
         return self._parts.form()
@@ -140,7 +140,7 @@ class _Reader:
         if b"filename" not in options:
             return None
         name = _decoded(options[b"filename"])
-        # The parser cuts off the folders of a Windows path; a path is refused here, so they are let be seen.
+        # The parser removes the folders of a Windows path. Paths are refused, so the backslash is put back.
         as_sent = self._headers[b"content-disposition"].replace(b'\\"', b'"')
         return f"\\{name}" if b"\\" in as_sent and "\\" not in name else name
 
@@ -155,9 +155,9 @@ class _Reader:
 
 
 def _decoded(value: bytes) -> str:
-    # What is not UTF-8 becomes lone surrogates, which no name may hold.
+    # Bytes that are not UTF-8 become lone surrogates, which no name may contain.
     return value.decode(errors="surrogateescape")
 
 
 def _malformed() -> ApiError:
-    return ApiError("malformed_multipart", "The body is not a whole multipart form.")
+    return ApiError("malformed_multipart", "The body is not a complete multipart form.")

@@ -1,6 +1,6 @@
-"""Preflight of a session: a child process with limits checks its files, which may be hostile.
+"""Preflight: the check of a session's files in a child process with limits on time, memory and output.
 
-The API does not open videos and calibrations. The program ``python -m pipeline.capture.preflight`` does, and prints one
+The web API never opens a client's file. The program ``python -m pipeline.capture.preflight`` opens them and prints one
 JSON object: the preflight record, or ``{"problems": [...]}``.
 """
 
@@ -23,25 +23,25 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from api.errors import ApiError, ErrorItem
 from api.requests.form import Form
 from pipeline.capture.preflight_record import Preflight
-from worker.process.priorities import stand_back
+from worker.process.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
 
 _EXIT_BAD_INPUT = 2
 _EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
-# Priority after the API and before the workers: a client waits for the answer.
+# Between the API's responses and the workers: a client waits for the check.
 _NICE = 5
-# Several times the time of a check on two cores, for good files with very few bytes a frame.
+# Several times the time of a check on two cores, measured with good files that have few bytes a frame.
 _S_PER_FILE = 0.2
 _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
-# At a line of about 140 Mbit/s.
+# Time of sending the files over a connection of some 140 Mbit/s.
 _S_PER_SENT_BYTE = 60 / 2**30
 
 
 def allowance_s(form: Form) -> float:
-    """Time for the check of a form's files, on top of ``PreflightProgram.timeout_s``: more for more or larger files."""
+    """Time that the check of a form's files may take in addition to ``PreflightProgram.timeout_s``."""
     views = (*form.videos, *form.keypoints)
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
     of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
@@ -49,7 +49,7 @@ def allowance_s(form: Form) -> float:
 
 
 def further_wait_s(form: Form) -> float:
-    """Additional time that a form waits for its check: about the time to send its files again."""
+    """Further time that a form's files may wait for their check: about the time of sending them again."""
     return sum(file.num_bytes for file in (*form.videos, *form.keypoints)) * _S_PER_SENT_BYTE
 
 
@@ -62,13 +62,13 @@ class PreflightProgram:
     command
         Program and first arguments.
     timeout_s
-        Time limit, on top of the allowance for the files (``allowance_s``); then it is killed with its children.
+        Time limit in addition to the time for the files (``allowance_s``); then it is killed with all its children.
     max_bytes
-        Maximum size of its output.
+        Largest size of the printed output.
     max_record_bytes
-        Maximum size of the file that it writes for the workers.
+        Largest size of a written file.
     max_memory_bytes
-        Maximum memory.
+        Largest memory of the process.
     """
 
     command: tuple[str, ...]
@@ -83,21 +83,21 @@ class PreflightProgram:
         Parameters
         ----------
         arguments
-            Files of the session, and facts about them that the client stated.
+            Files of the session and the choices of its manifest, as arguments of the program.
         record
-            Path of the file that the program writes for the workers. The caller removes its folder, because a killed
-            program leaves temporary files there.
+            Path to which the program writes the data for workers. The program's temporary files go to the same folder,
+            which the caller removes: a killed program leaves them behind.
         allowance_s
-            Time for these files, on top of ``timeout_s``.
+            Time for these files, in addition to ``timeout_s``.
 
         Returns
         -------
-            Record that the program printed.
+            Printed record.
 
         Raises
         ------
         InvalidFilesError
-            With everything that is wrong with the files.
+            If the files are not a session; with everything that is wrong.
         ApiError
             500 if the program itself fails.
         OSError
@@ -106,14 +106,14 @@ class PreflightProgram:
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
             command = [*self.command, *arguments, "--record", str(record)]
             exit_code = self._run(command, self.timeout_s + allowance_s, record.parent, output, log)
-            said = _read(output, self.max_bytes)
-            if exit_code == 0 and record.is_file() and (found := _parsed(said)) is not None:
-                return found
-            if exit_code == _EXIT_BAD_INPUT and (problems := _problems(said)):
+            printed = _read(output, self.max_bytes)
+            if exit_code == 0 and record.is_file() and (session := _parsed(printed)) is not None:
+                return session
+            if exit_code == _EXIT_BAD_INPUT and (problems := _problems(printed)):
                 raise InvalidFilesError(problems)
             if exit_code == _EXIT_DISK_FULL:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            _log.error("preflight_failed", exit_code=exit_code, said=len(said), log=_tail(log))
+            _log.error("preflight_failed", exit_code=exit_code, output_bytes=len(printed), log=_tail(log))
         raise ApiError("preflight_failed", "The check of the files failed; the log says why.", retryable=True)
 
     def _run(self, command: Sequence[str], timeout_s: float, temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
@@ -126,25 +126,25 @@ class PreflightProgram:
             start_new_session=True,
         ) as child:
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (self.max_record_bytes, self.max_record_bytes))
-            # Ends children of an API process that was killed, for which nobody waits any more.
+            # Limit for the child of a killed API process: then no process waits for it and applies the timeout.
             resource.prlimit(child.pid, resource.RLIMIT_CPU, (math.ceil(4 * timeout_s), resource.RLIM_INFINITY))
             resource.prlimit(child.pid, resource.RLIMIT_DATA, (self.max_memory_bytes, self.max_memory_bytes))
-            stand_back(_NICE, child.pid)
+            lower_priority(_NICE, child.pid)
             try:
                 return child.wait(timeout_s)
             except subprocess.TimeoutExpired:
                 _log.warning("preflight_timeout", timeout_s=timeout_s)
                 message = f"The check of the files took longer than {timeout_s:.3g} s."
-                hint = "Send fewer or smaller files at once, or the same files when the service is less busy."
+                hint = "Send fewer or smaller files, or send the same files again when the service is less busy."
                 raise InvalidFilesError([ErrorItem(code="preflight_timeout", message=message, hint=hint)]) from None
             finally:
-                # A living child was not waited for yet, so its id still names its own process group.
+                # A child that was not waited for keeps its process id, so the group is its own.
                 if child.returncode is None:
                     os.killpg(child.pid, signal.SIGKILL)
 
 
 class InvalidFilesError(Exception):
-    """The files are no valid session; ``errors`` lists all problems."""
+    """The files are not a session; ``errors`` lists everything that is wrong with them."""
 
     def __init__(self, errors: Sequence[ErrorItem]) -> None:
         super().__init__(f"{len(errors)} problems")
@@ -169,15 +169,15 @@ def _tail(file: IO[bytes]) -> str:
     return file.read().decode(errors="replace")
 
 
-def _parsed(said: bytes) -> Preflight | None:
+def _parsed(printed: bytes) -> Preflight | None:
     try:
-        return Preflight.from_json(json.loads(said))
+        return Preflight.from_json(json.loads(printed))
     except (ValueError, RecursionError):
         return None
 
 
-def _problems(said: bytes) -> tuple[ErrorItem, ...]:
+def _problems(printed: bytes) -> tuple[ErrorItem, ...]:
     try:
-        return _Problems.model_validate_json(said).problems
+        return _Problems.model_validate_json(printed).problems
     except ValidationError:
         return ()

@@ -1,8 +1,7 @@
-"""Problems with the fields and parameters of a request, in our own words.
+"""Errors of fields and parameters, translated from Pydantic's errors.
 
-Pydantic finds what is wrong. This module names it by a code of ``api.errors.MEANINGS`` and by the place that the client
-sent, once for each place, with a sentence that says all that is allowed there. The sentence is made from the JSON
-Schema that the client can read too, never taken from the library.
+Each wrong field gets one entry with a code of ``api.errors.MEANINGS``, a JSON pointer and a sentence with all allowed
+values. The sentence is made from the JSON Schema of the contract, never taken from the library.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -53,13 +52,13 @@ Steps = tuple[str | int, ...]
 
 
 def model_items(errors: Sequence[ErrorDetails], model: type[BaseModel], part: str = "") -> list[ErrorItem]:
-    """Pydantic's findings in a model, which is the body, or a part of the form."""
+    """Translate Pydantic's errors of a model, which is the body or a part of the form."""
     schema = _schema_of(model)
     return _items(errors, schema, schema, part)
 
 
 def install(app: FastAPI) -> None:
-    """Answer wrong bodies and parameters of routes by problems."""
+    """Register the handler that answers wrong bodies and parameters with problems."""
     app.add_exception_handler(RequestValidationError, _handle)
 
 
@@ -72,8 +71,8 @@ def _from_validation(request: Request, error: RequestValidationError) -> ApiErro
     details = error.errors()
     if any(detail["type"] == "json_invalid" for detail in details):
         return ApiError("malformed_json", "The body is not JSON.")
-    if isinstance(error.body, bytes):  # sent as another type, it was not read
-        message = "This address takes application/json."
+    if isinstance(error.body, bytes):  # a body of another type, which the framework does not parse
+        message = "This address accepts application/json."
         return ApiError("unsupported_media_type", message, hint="Send Content-Type: application/json.")
     contract = request.app.openapi()
     operation = contract["paths"][request.scope["route"].path][request.scope["method"].lower()]
@@ -86,48 +85,49 @@ def _from_validation(request: Request, error: RequestValidationError) -> ApiErro
 
 
 def _parameter_items(errors: Iterable[ErrorDetails], operation: Schema, contract: Schema) -> list[ErrorItem]:
-    """Findings in the query, the path and the headers, one for each parameter."""
-    declared = {(one["in"], one["name"].lower()): one for one in operation.get("parameters", ())}
-    found = {}
+    """Translate errors in the query, the path and the headers, one entry for each parameter."""
+    parameters = operation.get("parameters", ())
+    declared = {(parameter["in"], parameter["name"].lower()): parameter for parameter in parameters}
+    items = {}
     for error in errors:
         place, name = (str(step) for step in error["loc"][:2])
-        words = requirement(declared[place, name.lower()]["schema"], contract, null=False)
-        found[place, name] = ErrorItem(
+        allowed = requirement(declared[place, name.lower()]["schema"], contract, null=False)
+        items[place, name] = ErrorItem(
             code=_code(error),
-            message=f"The {_NOUNS[place]} {name} must be {words}.",
+            message=f"The {_NOUNS[place]} {name} must be {allowed}.",
             pointer=pointer_to(place, name),
         )
-    return list(found.values())
+    return list(items.values())
 
 
 def _items(errors: Iterable[ErrorDetails], schema: Schema, root: Schema, part: str) -> list[ErrorItem]:
-    """Findings in JSON, one for each place, with pointers below ``part``."""
-    by_place: dict[Steps, list[tuple[str, str]]] = {}
+    """Translate errors in JSON, one entry for each field, with pointers below ``part``."""
+    by_field: dict[Steps, list[tuple[str, str]]] = {}
     for error in errors:
-        steps, code, message = _finding(error, schema, root, part)
-        by_place.setdefault(steps, []).append((code, message))
+        steps, code, message = _translated(error, schema, root, part)
+        by_field.setdefault(steps, []).append((code, message))
     start = (part,) if part else ()
     items = []
-    for steps, found in by_place.items():
-        codes = {code for code, _ in found}
+    for steps, translations in by_field.items():
+        codes = {code for code, _ in translations}
         code = codes.pop() if len(codes) == 1 else "invalid_value"
-        items.append(ErrorItem(code=code, message=found[0][1], pointer=pointer_to(*start, *steps)))
+        items.append(ErrorItem(code=code, message=translations[0][1], pointer=pointer_to(*start, *steps)))
     return items
 
 
-def _finding(error: ErrorDetails, schema: Schema, root: Schema, part: str) -> tuple[Steps, str, str]:
-    """Place, code and sentence of a finding."""
+def _translated(error: ErrorDetails, schema: Schema, root: Schema, part: str) -> tuple[Steps, str, str]:
+    """Steps to the field, code and sentence of an error."""
     code, where = _code(error), error["loc"]
     if code == UNKNOWN:
         steps, holder = _follow(where[:-1], schema, root)
         known = ", ".join(_properties(holder, root))
         name = _name((*steps, str(where[-1])[:_MAX_SHOWN]), "")
         return (*steps, where[-1]), code, f"There is no field {name} here. The fields are {known}."
-    if code == MISSING and where and isinstance(where[-1], int):  # of a list of so many items
+    if code == MISSING and where and isinstance(where[-1], int):  # an item of a list with a fixed number of items
         code, where = "wrong_length", where[:-1]
     steps, node = _follow(where, schema, root)
     name = _name(steps, part)
-    if error["type"] not in _LIBRARY_TYPES:  # a validator of ours, which has its own code and words
+    if error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
         return steps, code, error["msg"]
     if code == MALFORMED:
         return steps, code, f"{name} is not JSON."
@@ -145,7 +145,7 @@ def _code(error: ErrorDetails) -> str:
 
 
 def _follow(where: Sequence[str | int], schema: Schema, root: Schema) -> tuple[Steps, Schema]:
-    """Go along pydantic's location; leave out its steps that are no places but branches of a choice."""
+    """Follow Pydantic's location; omit steps that name branches of a union instead of fields."""
     steps: Steps = ()
     for step in where:
         inner = _inner(schema, step, root)
@@ -155,7 +155,7 @@ def _follow(where: Sequence[str | int], schema: Schema, root: Schema) -> tuple[S
 
 
 def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:
-    """The schema of a field or an item; ``None`` if there is no such."""
+    """Schema of a field or an item; ``None`` if the schema has no such field."""
     schema = resolve(schema, root)
     if isinstance(step, int):
         items = schema.get("items") or next(iter(schema.get("prefixItems", ())), None)
@@ -163,17 +163,18 @@ def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:
             return dict(items)
     elif step in schema.get("properties", {}):
         return dict(schema["properties"][step])
-    found = (_inner(branch, step, root) for branch in branches_of(schema))
-    return next((one for one in found if one is not None), None)
+    inner = (_inner(branch, step, root) for branch in branches_of(schema))
+    return next((schema for schema in inner if schema is not None), None)
 
 
 def _properties(schema: Schema, root: Schema) -> Iterable[str]:
     schema = resolve(schema, root)
-    return [*schema.get("properties", ()), *(name for one in branches_of(schema) for name in _properties(one, root))]
+    inner = (name for branch in branches_of(schema) for name in _properties(branch, root))
+    return [*schema.get("properties", ()), *inner]
 
 
 def _name(steps: Steps, part: str) -> str:
-    """How a sentence calls a place.
+    """Name of a field in a sentence.
 
     >>> _name(("cameras", 1, "offset_s"), "manifest")
     'cameras[1].offset_s'

@@ -1,1 +1,1 @@
-"""One resource a module."""
+"""Routes of the web API, a module for each resource."""

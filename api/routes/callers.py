@@ -1,4 +1,4 @@
-"""Who calls, and browsers that have shown a key."""
+"""Routes of the caller: its tenant and quotas, and signing a browser in and out."""
 
 from typing import Annotated
 
@@ -22,7 +22,7 @@ _LIFETIME_S = 12 * 3600
     responses={200: answer("Caller"), **problems(401, 429)},
 )
 def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
-    """Say who calls, by the key or the browser's session that came along, and how much their tenant has."""
+    """Read the name, the scopes and the expiry of the caller's key, and the tenant's usage and quotas."""
     key = caller.key
     return CallerOut(
         tenant=caller.tenant,
@@ -39,7 +39,7 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
     summary="Sign a browser in",
     status_code=status.HTTP_204_NO_CONTENT,
     responses={
-        204: {"headers": {"Set-Cookie": {"description": "For this browser.", "schema": {"type": "string"}}}},
+        204: {"headers": {"Set-Cookie": {"description": "Session of this browser.", "schema": {"type": "string"}}}},
         **problems(400, 401, 413, 415, 422, 429, 507),
     },
 )
@@ -49,7 +49,10 @@ def open_browser_session(
     response: Response,
     services: ServicesDep,
 ) -> None:
-    """Let a browser in that shows a key: event streams and downloads of a page send no headers of its own."""
+    """Sign a browser in with a key, for 12 hours.
+
+    Pages need a cookie, because they can't add a key to the requests of event streams and downloads.
+    """
     key = services.store.keys.find(shown.key)
     if key is None:
         raise wrong_key(request, services)
@@ -73,7 +76,7 @@ def open_browser_session(
     responses=problems(507),
 )
 def close_browser_session(request: Request, response: Response, services: ServicesDep) -> None:
-    """Forget this browser."""
+    """Sign this browser out, and delete its session."""
     if COOKIE in request.cookies:
         secret = request.cookies[COOKIE]
         services.disk.using_reserve(lambda: services.store.browser_sessions.close(secret))

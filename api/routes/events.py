@@ -1,4 +1,4 @@
-"""Events: a job's changes as they happen."""
+"""Event stream of a job: its changes as server-sent events."""
 
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
@@ -19,20 +19,20 @@ router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["jobs"])
 
 _RETRY_MS = 2000
 _PING_S = 15
-# A client that takes nothing for so long is cut off.
+# Time after which a client that receives nothing is disconnected.
 _SEND_TIMEOUT_S = 30.0
 _EVENT = {
     "description": "One event of the stream, by its fields.",
     "type": "object",
     "properties": {
-        "id": {"type": "string", "description": "For `Last-Event-ID`."},
-        "event": {"enum": ["job", "gone"]},
+        "id": {"type": "string", "description": "Id of the event, for `Last-Event-ID`."},
+        "event": {"enum": ["job", "gone"], "description": "`job`: the job has changed; `gone`: it was deleted."},
         "data": {
             "type": "string",
             "contentMediaType": "application/json",
             "contentSchema": {"$ref": "#/components/schemas/JobOut"},
         },
-        "retry": {"type": "integer", "description": "Milliseconds until it is worth coming back."},
+        "retry": {"type": "integer", "description": "Milliseconds to wait before connecting again."},
     },
     "required": ["event", "data"],
 }
@@ -46,7 +46,7 @@ _STREAM: dict[str, Any] = {"text/event-stream": {"schema": _EVENT, "example": EV
     response_class=Response,
     responses={
         200: {"description": "A stream of server-sent events.", "content": _STREAM},
-        204: {"description": "The job has ended, and the client knows it: there will be no more."},
+        204: {"description": "The job has ended, and the client has seen its last event."},
         **problems(404),
     },
 )
@@ -55,13 +55,12 @@ async def stream_job_events(
     services: ServicesDep,
     records: RecordsDep,
     caller: AnyCallerDep,
-    last_event_id: Annotated[str | None, Header(description="The last event that the client has seen.")] = None,
+    last_event_id: Annotated[str | None, Header(description="Id of the last event that the client has seen.")] = None,
 ) -> Response:
-    """Follow a job: an event `job` with the job as it is, at first, whenever it changes, and when it ends.
+    """Follow a job. An event `job` holds the whole job: at the start, after every change, and at the end.
 
-    The stream ends with the job. Events that go by while a client is away are not lost, but told as one: with
-    `Last-Event-ID` a client hears of the job again as soon as there is more than it has seen. An event `gone` says that
-    the job was deleted.
+    The stream ends with the job. A client that reconnects with `Last-Event-ID` gets one event with the current job as
+    soon as it differs from the last event seen. An event `gone` reports that the job was deleted.
     """
     owner = caller.owner
     services.changes.require_room(owner)
@@ -78,9 +77,9 @@ async def stream_job_events(
 
 
 async def _events(services: Services, owner: str, job_id: str, known: Change | None) -> AsyncIterator[ServerSentEvent]:
-    async for news in services.changes.follow(owner, job_id, known):
-        if news.job is None:
+    async for update in services.changes.follow(owner, job_id, known):
+        if update.job is None:
             yield ServerSentEvent(event="gone", data="{}")
         else:
-            document = JobOut.of(news.job).model_dump_json()
-            yield ServerSentEvent(event="job", id=str(news.event), data=document, retry=_RETRY_MS)
+            document = JobOut.of(update.job).model_dump_json()
+            yield ServerSentEvent(event="job", id=str(update.event), data=document, retry=_RETRY_MS)

@@ -1,4 +1,4 @@
-"""Whether the service is alive, and whether it can work."""
+"""Routes of health: liveness, readiness, and metrics for Prometheus."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from api.auth import AdminDep
 from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
-from api.errors import ErrorItem, database_damaged, problem_response, service_away
+from api.errors import ErrorItem, database_damaged, problem_response, service_unavailable
 from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
 from pipeline.config import install_command
@@ -26,8 +26,8 @@ _FIGURES: dict[str, Any] = {
     "text/plain": {"schema": {"type": "string"}, "example": 'multicap_jobs{state="succeeded"} 17.0\n'}
 }
 _MESSAGES = {
-    "database": "The database does not answer.",
-    "broker": "The broker does not answer.",
+    "database": "The database does not respond.",
+    "broker": "The broker does not respond.",
     "artifacts": "The artifact store can't be used.",
 }
 
@@ -36,7 +36,7 @@ _MESSAGES = {
     "/healthz", operation_id="getHealth", summary="Check that the service is alive", responses={200: answer("Health")}
 )
 def get_health() -> Health:
-    """Say that the process is alive."""
+    """Answer while the API process is alive."""
     return Health()
 
 
@@ -48,7 +48,7 @@ def get_health() -> Health:
     responses={200: answer("Readiness")},
 )
 def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
-    """Say whether a worker could start a job's work now; if not, what is missing or on its way."""
+    """Check whether a worker could start a job now. If not, `errors` lists what is missing or starting."""
     checks: dict[str, ErrorItem | None] = {
         "database": _database_check(services.store),
         "broker": _check("broker", services.queue.ping()),
@@ -57,8 +57,9 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
         **_worker_checks(services.store),
     }
     if errors := [item for item in checks.values() if item is not None]:
-        # Nothing failed that the log should explain: whoever waits for the service asks all the time.
-        return problem_response(request, service_away("not_ready", "The service can't start a job's work now.", errors))
+        # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
+        problem = service_unavailable("not_ready", "The service can't start a job now.", errors)
+        return problem_response(request, problem)
     return Readiness(checks=dict.fromkeys(checks, True), disk_free_bytes=services.disk.free_bytes)
 
 
@@ -67,22 +68,22 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
     operation_id="getMetrics",
     summary="Read the metrics",
     response_class=Response,
-    responses={200: {"description": "Figures for Prometheus.", "content": _FIGURES}, **problems(401, 429)},
+    responses={200: {"description": "Metrics for Prometheus.", "content": _FIGURES}, **problems(401, 429)},
 )
 def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Response:
-    """Say how much is asked, done and waiting, in Prometheus' text format. Needs the scope `admin`."""
+    """Read counts of requests, jobs and chunks in Prometheus' text format. Needs the scope `admin`."""
     metrics: RequestMetrics = request.app.state.metrics
     return Response(metrics.expose(services.store, services.disk), media_type=CONTENT_TYPE_LATEST)
 
 
-def _check(name: str, there: bool) -> ErrorItem | None:
-    return None if there else ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name])
+def _check(name: str, responds: bool) -> ErrorItem | None:
+    return None if responds else ErrorItem(code=f"{name}_unavailable", message=_MESSAGES[name])
 
 
 def _database_check(store: JobStore) -> ErrorItem | None:
-    found = _check("database", store.ping())
+    item = _check("database", store.ping())
     if not store.is_damaged:
-        return found
+        return item
     problem = database_damaged()
     return ErrorItem(code=problem.code, message=problem.detail, hint=problem.hint)
 
@@ -91,19 +92,19 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
     if disk.has_room():
         return None
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
-    message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is taken in."
+    message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
     return ErrorItem(code="storage_full", message=message, hint="Delete sessions that are no longer needed.")
 
 
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
-    """Check that a worker is ready and has the default detector; empty without a database."""
+    """Check that a worker is ready and has the default detector; empty if the database does not respond."""
     try:
-        found = store.workers.all()
+        workers = store.workers.all()
     except SQLAlchemyError:
         return {}
-    installed = installed_detectors(found)
+    installed = installed_detectors(workers)
     if installed is None:
-        return {"worker": _no_worker_yet(found)}
+        return {"worker": _no_worker_ready(workers)}
     detector = JobSpec().detector
     if detector in installed:
         return {"worker": None, "model": None}
@@ -115,10 +116,11 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     return {"worker": None, "model": item}
 
 
-def _no_worker_yet(found: Sequence[WorkerStatus]) -> ErrorItem:
-    if not found:
-        return ErrorItem(code="worker_unavailable", message="There is no worker.", hint="Start one; see its log.")
-    furthest = max(found, key=lambda worker: worker.done)
+def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
+    if not workers:
+        hint = "Start a worker, and see its log."
+        return ErrorItem(code="worker_unavailable", message="There is no worker.", hint=hint)
+    furthest = max(workers, key=lambda worker: worker.done)
     if furthest.total == 0:
         return ErrorItem(code="worker_starting", message=f"{furthest.activity}.")
     message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes about a minute."

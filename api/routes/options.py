@@ -1,4 +1,4 @@
-"""Options: what jobs can ask for here."""
+"""Route of options: the choices of a job, and the installed detectors."""
 
 from fastapi import APIRouter, Response
 
@@ -16,7 +16,7 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 @router.get(
     "/options",
     operation_id="getOptions",
-    summary="Read what jobs can ask for",
+    summary="Read the choices of a job",
     response_model=Options,
     responses={200: answer("Options") | {"headers": ETAG}, **NOT_MODIFIED},
 )

@@ -14,14 +14,17 @@ from api.http.middleware import SAFE_HEADERS
 router = APIRouter(include_in_schema=False)
 
 _FOLDER = Path(__file__).parents[1] / "portal"
-# Files of another version of the service have the same names: browsers ask each time, and get 304.
+# Another version of the service has other files of the same names, so browsers revalidate them each time.
 _REVALIDATED = {"Cache-Control": "no-cache"}
-# Swagger UI's style draws its arrows from pictures that are part of it.
+# Swagger UI's style sheet contains its arrows as data: images.
 _DOCS_POLICY = SAFE_HEADERS["Content-Security-Policy"].replace("img-src 'self'", "img-src 'self' data:")
 
 
 class PortalFiles(StaticFiles):
-    """Files of the page, and Swagger UI's release files; the code of its package, which loads a script, is not used."""
+    """Static files of the page and of Swagger UI.
+
+    Only the release files of the package ``fastapi_swagger`` are served. Its code, which loads a script, is not used.
+    """
 
     def __init__(self) -> None:
         super().__init__(directory=_FOLDER, packages=[("fastapi_swagger", "resources")])
@@ -29,19 +32,19 @@ class PortalFiles(StaticFiles):
     def file_response(
         self, full_path: PathLike[str] | str, stat_result: os.stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
-        """Answer with a file, or with 304."""
-        answer = super().file_response(full_path, stat_result, scope, status_code)
-        answer.headers.update(_REVALIDATED)
-        return answer
+        """Answer with a file, or with 304 if the browser has its current version."""
+        response = super().file_response(full_path, stat_result, scope, status_code)
+        response.headers.update(_REVALIDATED)
+        return response
 
 
 @router.get("/")
 def get_page() -> FileResponse:
-    """Show the page."""
+    """Answer with the page."""
     return FileResponse(_FOLDER / "index.html", headers=_REVALIDATED)
 
 
 @router.get("/docs")
 def get_docs() -> FileResponse:
-    """Show the contract."""
+    """Answer with Swagger UI, which shows the contract."""
     return FileResponse(_FOLDER / "docs.html", headers={**_REVALIDATED, "Content-Security-Policy": _DOCS_POLICY})

@@ -1,4 +1,4 @@
-"""Results: what a job made, and the files themselves."""
+"""Routes of results: list a job's result files, download one file, a range of it, or all files as a zip."""
 
 import contextlib
 from collections.abc import Generator, Sequence
@@ -28,8 +28,8 @@ _FILE: dict[str, Any] = {
     "application/json": {"schema": {}, "example": {"schema_version": 1}},
 }
 _HEADERS = {
-    "ETag": {"description": "The file's sha256.", "schema": {"type": "string"}},
-    "Content-Disposition": {"description": "The file's name.", "schema": {"type": "string"}},
+    "ETag": {"description": "SHA-256 of the file.", "schema": {"type": "string"}},
+    "Content-Disposition": {"description": "Name of the file.", "schema": {"type": "string"}},
     "Accept-Ranges": {"schema": {"type": "string", "const": "bytes"}},
 }
 
@@ -53,7 +53,7 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
     response_class=Response,
     responses={
         200: {
-            "description": "The files under their names.",
+            "description": "Zip archive of all result files.",
             "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}, "example": "PK..."}},
             "headers": {"Content-Disposition": _HEADERS["Content-Disposition"]},
         },
@@ -65,7 +65,7 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -
     results = records.results.of_job(job_id)
     _require_whole(services, results)
     session = records.sessions.get(records.jobs.get(job_id).session_id)
-    # Made while it is sent, by the API's own processor: the fastest compression, which halves a session's files.
+    # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
         archive.add(_content(services, result), result.name)
@@ -74,12 +74,12 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -
 
 
 def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
-    """A file's blocks; it is opened for the first one."""
+    """Blocks of a file, which is opened with the first block."""
     yield from _blocks(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
 
 
 def _require_whole(services: Services, results: Sequence[Result]) -> None:
-    """Raise the problem of all files that are damaged, or of one that is missing."""
+    """Raise the problem of all damaged files, or of the first missing file."""
     damaged = []
     for result in results:
         try:
@@ -93,7 +93,7 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
 
 
 def _opened(services: Services, result: Result) -> BinaryIO:
-    """Open a whole file, or raise its problem."""
+    """Open a file, or raise the problem of a missing or damaged file."""
     try:
         return services.artifacts.open(result.key, result.sha256)
     except NotFound:
@@ -110,12 +110,15 @@ def _expired() -> ApiError:
     return ApiError(
         "expired",
         "The file was removed.",
-        hint="Start another job of its session: what this one found in the videos is used again.",
+        hint="Start another job of its session: it reuses what this job detected in the videos.",
     )
 
 
 def _require_size(services: Services, result: Result) -> None:
-    """Raise the problem of a file that is missing, or longer or shorter than it was: all that the store says of it."""
+    """Raise the problem of a missing file, or of a file with a wrong size.
+
+    A bucket reports the size of a file without its content, so its SHA-256 is not compared here.
+    """
     try:
         num_bytes = services.artifacts.size(result.key)
     except NotFound:
@@ -125,15 +128,15 @@ def _require_size(services: Services, result: Result) -> None:
 
 
 def _damaged(results: Sequence[Result]) -> ApiError:
-    message = "The stored file does not have the SHA-256 that it was made with."
+    message = "The stored file does not have the SHA-256 that it was written with."
     return ApiError(
         "result_damaged",
         f"{len(results)} stored result files are damaged."
         if len(results) > 1
         else "The stored result file is damaged.",
         errors=[ErrorItem(code="result_damaged", message=message, file=result.name) for result in results],
-        hint="Start another job of its session with the same spec: it makes the file anew, of stages whose outputs are "
-        "verified first.",
+        hint="Start another job of its session with the same spec: it writes the file again, from verified outputs of "
+        "earlier stages.",
     )
 
 
@@ -143,11 +146,11 @@ def _damaged(results: Sequence[Result]) -> ApiError:
     summary="Download a result file",
     response_class=Response,
     responses={
-        200: {"description": "The file.", "content": _FILE, "headers": _HEADERS},
-        206: {"description": "A range of the file.", "content": _FILE, "headers": _HEADERS},
+        200: {"description": "Whole file.", "content": _FILE, "headers": _HEADERS},
+        206: {"description": "Range of the file.", "content": _FILE, "headers": _HEADERS},
         **NOT_MODIFIED,
         307: {
-            "description": "The store sends it.",
+            "description": "Redirect to the artifact store, which sends the file.",
             "headers": {
                 "Location": location("file", "https://bucket.s3.example/jobs/{job_id}/results/{name}?X-Amz-...")
             },
@@ -157,15 +160,19 @@ def _damaged(results: Sequence[Result]) -> ApiError:
 )
 def get_result(
     job_id: JobId,
-    name: Annotated[str, Path(description="Name of a result.", openapi_examples={"bvh": {"value": "person-1.bvh"}})],
+    name: Annotated[
+        str, Path(description="Name of a result file.", openapi_examples={"bvh": {"value": "person-1.bvh"}})
+    ],
     request: Request,
     services: ServicesDep,
     records: RecordsDep,
-    range_: Annotated[str | None, Header(alias="Range", description="One range of bytes.")] = None,
-    if_range: Annotated[str | None, Header(description="Heed `Range` only for this ETag.")] = None,
+    range_: Annotated[str | None, Header(alias="Range", description="A single range of bytes.")] = None,
+    if_range: Annotated[
+        str | None, Header(description="Entity tag for which `Range` applies; else the whole file is sent.")
+    ] = None,
     if_none_match: IfNoneMatch = None,
 ) -> Response:
-    """Download a result file, whole or from where an earlier download broke off."""
+    """Download a result file: the whole file, or a range, such as the rest of an interrupted download."""
     result = records.results.get(job_id, name)
     etag = f'"{result.sha256}"'
     headers = {
@@ -174,7 +181,7 @@ def get_result(
         "Cache-Control": "private, no-cache",
         **_attachment(result.name),
     }
-    # A signature is for GET: HEAD is answered here.
+    # A signed address is valid for GET only, so HEAD is answered here.
     signed_s = None if request.scope["state"].get("by_head") else services.settings.signed_downloads_s
     if signed_s and (address := services.artifacts.signed_url(result.key, signed_s)):
         _require_size(services, result)
@@ -198,9 +205,9 @@ def get_result(
 
 
 class _Stream(StreamingResponse):
-    """Sends what a generator gives, and ends it also if the client goes away in the middle.
+    """Response from a generator, which is closed even if the client disconnects early.
 
-    A generator that was not begun, as by HEAD, does not close its ``file``: this does.
+    A generator that was never started, as for HEAD, can't close its ``file``, so the response closes it.
     """
 
     def __init__(
@@ -215,7 +222,7 @@ class _Stream(StreamingResponse):
         self._content, self._file = content, file
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
+        """Send the response."""
         try:
             await super().__call__(scope, receive, send)
         finally:

@@ -1,4 +1,7 @@
-"""Files in pieces, by tus 1.0: over a line that breaks, what has come need not be sent again."""
+"""Routes of uploads: files in pieces, by tus 1.0.
+
+After an interrupted connection a client continues at the upload's offset.
+"""
 
 import base64
 import re
@@ -23,7 +26,7 @@ from worker.jobs.tenant_records import TenantRecords
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,expiration,checksum"
-# As the protocol calls them, and as hashlib does.
+# Algorithms by their names in the protocol, with their names in hashlib.
 CHECKSUMS: Mapping[str, str] = {"sha1": "sha1", "sha256": "sha256", "md5": "md5"}
 PIECE_TYPE = "application/offset+octet-stream"
 
@@ -33,11 +36,14 @@ _METADATA_KEY = re.compile(r"[\x21-\x2b\x2d-\x7e]+", re.ASCII)  # no space, no c
 
 _LENGTH = {"type": "integer", "minimum": 0}
 _HEADERS = {
-    "Tus-Resumable": {"description": "The version that is spoken.", "schema": {"type": "string"}},
-    "Upload-Offset": {"description": "How many bytes are on disk.", "schema": _LENGTH},
-    "Upload-Length": {"description": "How many there are to be.", "schema": _LENGTH},
-    "Upload-Metadata": {"description": "As the client sent it.", "schema": {"type": "string"}},
-    "Upload-Expires": {"description": "When it goes unless it is gone on with.", "schema": {"type": "string"}},
+    "Tus-Resumable": {"description": "Version of the protocol.", "schema": {"type": "string"}},
+    "Upload-Offset": {"description": "Bytes of the upload that are stored.", "schema": _LENGTH},
+    "Upload-Length": {"description": "Bytes of the whole file.", "schema": _LENGTH},
+    "Upload-Metadata": {"description": "Metadata as the client sent it.", "schema": {"type": "string"}},
+    "Upload-Expires": {
+        "description": "Time at which the upload is removed unless another piece arrives.",
+        "schema": {"type": "string"},
+    },
     "Location": location("upload", "/v1/uploads/{upload_id}"),
 }
 
@@ -46,23 +52,24 @@ def _answers(code: int, *headers: str) -> Responses:
     return {code: {"headers": {name: _HEADERS[name] for name in ("Tus-Resumable", *headers)}}}
 
 
-def _speaks_tus(
+def _require_version(
     tus_resumable: Annotated[
-        str | None, Header(description="1.0.0", openapi_examples={"default": {"value": VERSION}})
+        str | None,
+        Header(description="Version of the protocol: 1.0.0.", openapi_examples={"default": {"value": VERSION}}),
     ] = None,
 ) -> None:
-    """Refuse clients of another version."""
+    """Raise 412 for clients of another version of tus."""
     if tus_resumable != VERSION:
         raise ApiError(
             "tus_version",
-            f"The service speaks tus {VERSION}.",
+            f"The service uses tus {VERSION}.",
             hint=f"Send Tus-Resumable: {VERSION}.",
             headers={"Tus-Version": VERSION},
         )
 
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
-# Where nobody needs a key: what a client asks first.
+# Routes that need no key: a client's first request.
 described = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
 
@@ -70,7 +77,7 @@ described = APIRouter(prefix="/v1/uploads", tags=["uploads"])
     "", operation_id="describeUploads", summary="Describe uploads", status_code=status.HTTP_204_NO_CONTENT
 )
 def describe_uploads(response: Response, services: ServicesDep) -> None:
-    """Say which versions and extensions of tus are spoken, and how large a file may be."""
+    """Describe the supported version and extensions of tus, and the largest size of a file."""
     response.headers["Tus-Version"] = VERSION
     response.headers["Tus-Extension"] = EXTENSIONS
     response.headers["Tus-Max-Size"] = str(services.settings.max_file_bytes)
@@ -92,18 +99,20 @@ async def create_upload(
     request: Request,
     services: ServicesDep,
     idempotent: IdempotentRequestDep,
-    _: Annotated[None, Depends(_speaks_tus)],
+    _: Annotated[None, Depends(_require_version)],
     upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
     upload_metadata: Annotated[
         str | None,
         Header(
-            description="`filename` and its base64; a session finds its cameras by it.",
+            description="`filename` and the file's name in base64; a session finds the camera by this name.",
             openapi_examples={"video": {"value": "filename Y2FtXzAubXA0"}},
         ),
     ] = None,
-    upload_checksum: Annotated[str | None, Header(description="Of what comes along: algorithm and base64.")] = None,
+    upload_checksum: Annotated[
+        str | None, Header(description="Checksum of the bytes in this request: algorithm and base64.")
+    ] = None,
 ) -> Response:
-    """Begin a file; its first bytes may come along."""
+    """Begin an upload. The request's body may hold the first bytes of the file."""
     length = _natural(upload_length, "Upload-Length")
     if length > services.settings.max_file_bytes:
         error = too_large("file", services.settings.max_file_bytes)
@@ -120,7 +129,7 @@ async def create_upload(
             idempotent.records.uploads.get, response.headers["location"].rpartition("/")[2]
         )
         offset = await run_in_threadpool(services.uploads.offset, upload.id)
-        if offset == 0:  # else the first answer was lost, and the piece is here
+        if offset == 0:  # else this is a repeated request whose piece was stored before
             offset, upload = await _append(request, services, idempotent.records, upload, 0, checksum)
         else:
             await drain(aiter(request.stream()))
@@ -139,9 +148,9 @@ async def create_upload(
     },
 )
 def get_upload(
-    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
+    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
-    """Say how much of a file has come: from there a client goes on."""
+    """Read the offset of an upload, at which a client continues."""
     upload = records.uploads.get(upload_id)
     headers = {
         "Upload-Offset": str(services.uploads.offset(upload_id)),
@@ -174,11 +183,16 @@ async def continue_upload(
     upload_id: UploadId,
     services: ServicesDep,
     records: RecordsDep,
-    _: Annotated[None, Depends(_speaks_tus)],
-    upload_offset: Annotated[str | None, Header(description="Where the piece begins: at the upload's offset.")] = None,
-    upload_checksum: Annotated[str | None, Header(description="Of the piece: algorithm and base64.")] = None,
+    _: Annotated[None, Depends(_require_version)],
+    upload_offset: Annotated[
+        str | None, Header(description="Position of the piece, which must be the upload's offset.")
+    ] = None,
+    upload_checksum: Annotated[str | None, Header(description="Checksum of the piece: algorithm and base64.")] = None,
 ) -> Response:
-    """Send a piece of a file. What has come of it stays when the line breaks, unless it has a checksum."""
+    """Send a piece of a file.
+
+    Bytes that arrive before a connection breaks are kept, unless the piece has a checksum.
+    """
     _require_piece_type(request)
     offset, checksum = _natural(upload_offset, "Upload-Offset"), _checksum(upload_checksum)
     upload = await run_in_threadpool(records.uploads.renew, upload_id, services.settings.upload_keep_s)
@@ -195,11 +209,11 @@ async def continue_upload(
     responses={**_answers(204), **problems(404, 412)},
 )
 async def delete_upload(
-    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_speaks_tus)]
+    upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
-    """Give an upload up."""
+    """Delete an upload with its file."""
     await run_in_threadpool(services.disk.using_reserve, lambda: records.uploads.delete(upload_id))
-    async with services.uploads.turn(upload_id):
+    async with services.uploads.writing(upload_id):
         await run_in_threadpool(services.uploads.remove, upload_id)
     return Response(status_code=204)
 
@@ -232,7 +246,7 @@ async def _append(
     try:
         if announced_bytes(request) > upload.num_bytes - offset:
             raise too_large("piece", max(0, upload.num_bytes - offset))
-        async with services.uploads.turn(upload.id):
+        async with services.uploads.writing(upload.id):
             offset = await services.uploads.append(upload.id, offset, upload.num_bytes, stream, checksum)
     except (ApiError, OSError):
         await drain(stream)
@@ -247,31 +261,31 @@ def _common_headers(upload: Upload) -> dict[str, str]:
 
 def _natural(value: str | None, header: str) -> int:
     if value is None or not (value.isascii() and value.isdecimal() and len(value) <= _MAX_DIGITS):
-        raise ApiError("header_invalid", f"{header} must be there, and be a number of bytes.")
+        raise ApiError("header_invalid", f"The header {header} is required and must be a number of bytes.")
     return int(value)
 
 
 def _require_piece_type(request: Request) -> None:
     if request.headers.get("content-type") != PIECE_TYPE:
-        raise ApiError("unsupported_media_type", f"Pieces are sent as {PIECE_TYPE}.")
+        raise ApiError("unsupported_media_type", f"A piece must be sent as {PIECE_TYPE}.")
 
 
 def _file_name(metadata: str) -> str:
-    """The file's name out of ``Upload-Metadata``."""
+    """Name of the file in ``Upload-Metadata``."""
     pairs: dict[str, str] = {}
     if len(metadata) > _MAX_METADATA_BYTES:
         raise _metadata_error(f"Upload-Metadata is longer than {_MAX_METADATA_BYTES} bytes.")
     for pair in filter(None, metadata.split(",")):
         key, _, value = pair.strip().partition(" ")
         if not _METADATA_KEY.fullmatch(key) or key in pairs:
-            raise _metadata_error("Upload-Metadata must be pairs of a key, each once, and base64, with commas between.")
+            raise _metadata_error("Upload-Metadata must be pairs of a unique key and base64, separated by commas.")
         pairs[key] = value
     try:
         name = base64.b64decode(pairs.get("filename", ""), validate=True).decode()
-    except ValueError:  # also of letters that are not ASCII
-        raise _metadata_error("The filename of Upload-Metadata is no base64 of UTF-8.") from None
+    except ValueError:  # raised for letters that are not ASCII, too
+        raise _metadata_error("The filename of Upload-Metadata is not base64 of UTF-8.") from None
     if message := name_error(name):
-        raise _metadata_error(f"{message} Send its name as `filename` in Upload-Metadata.")
+        raise _metadata_error(f"{message} Send the file's name as `filename` in Upload-Metadata.")
     return name
 
 

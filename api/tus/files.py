@@ -1,7 +1,7 @@
-"""Uploads on the API's disk: one file each, which holds the bytes that have arrived.
+"""Files of uploads on the API's disk, one for each upload.
 
-The size of the file is the offset of the upload, and is stored nowhere else. So a client always continues from the
-bytes that are there, whenever a process is killed. Bytes are synced to disk before they are acknowledged.
+The size of the file is the upload's offset and is stored nowhere else, so that the offset is right after a crash at any
+moment. Bytes are synced to disk before they are acknowledged.
 """
 
 import asyncio
@@ -27,111 +27,127 @@ from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)
 
-# Handed to a thread at a time.
+# Bytes that are passed to a thread at once.
 _BLOCK_BYTES = 2**20
-# On a slow line less is written at once, so that a killed service costs a client a second, not a block.
+# Longest time between writes: on a slow connection, a killed service costs a client a second instead of a block.
 _BLOCK_S = 1.0
-# Synced on the way, so that the end of a long piece does not wait for all of it.
+# Bytes between syncs: at the end of a long piece only the last bytes have to be synced.
 _SYNC_BYTES = 64 * 2**20
 _SWEEP_INTERVAL_S = 60.0
-# Until a file that was begun must have been recorded.
+# Age at which a file without a row in the database is removed.
 _UNRECORDED_S = 600.0
-# Of a piece with a checksum, until that was compared.
+# Suffix of the file that holds a piece until its checksum was compared.
 _PIECE_SUFFIX = ".piece"
 
 
 @dataclass(frozen=True, slots=True)
 class Checksum:
-    """What a piece must come to."""
+    """Expected checksum of a piece.
 
-    algorithm: str  # of hashlib
+    Parameters
+    ----------
+    algorithm
+        Name of the algorithm in hashlib.
+    """
+
+    algorithm: str
     digest: bytes
 
 
 @dataclass(slots=True)
-class _Turn:
-    """Whoever writes to an upload."""
+class _Writer:
+    """Request that writes to an upload.
+
+    Parameters
+    ----------
+    scope
+        Cancels the request.
+    ended
+        Set when the request no longer writes.
+    """
 
     scope: anyio.CancelScope = field(default_factory=anyio.CancelScope)
-    over: asyncio.Event = field(default_factory=asyncio.Event)
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class UploadSpool:
-    """The folder of files on their way.
+    """Folder of the files of uploads.
 
     Parameters
     ----------
     folder
-        Made if it is missing.
+        Folder of the files; it is created if it is missing.
     disk
-        Where there must be room for what comes.
+        Disk of the folder, whose free space is checked.
     """
 
     def __init__(self, folder: Path, disk: DiskSpace) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._disk = disk
-        self._turns: dict[str, _Turn] = {}
+        self._writers: dict[str, _Writer] = {}
 
     def create(self) -> str:
-        """Begin a file; returns the id of its upload, which is to be recorded at once."""
+        """Create an empty file and return the id of its upload; the caller records the upload at once."""
         upload_id = str(uuid7())
         self.path(upload_id).open("xb").close()
         sync(self._folder)
         return upload_id
 
     def path(self, upload_id: str) -> Path:
-        """Where an upload's file is."""
+        """Path of an upload's file."""
         return self._folder / upload_id
 
     def offset(self, upload_id: str) -> int:
-        """How much of an upload is on disk; ``NotFound`` if it is not here."""
+        """Bytes of an upload that are on disk; raises ``NotFound`` if there is no file."""
         with self._open(upload_id) as file:
             os.fsync(file)
             return os.fstat(file.fileno()).st_size
 
     @contextlib.asynccontextmanager
-    async def turn(self, upload_id: str) -> AsyncIterator[None]:
-        """Be the only one who writes to an upload; who wrote before is stopped, and has 423 raised.
+    async def writing(self, upload_id: str) -> AsyncIterator[None]:
+        """Reserve an upload for writing during the block; a request that is writing is stopped and raises 423.
 
-        A client that lost its line comes back before the service has noticed: it must not wait for itself.
+        A client may reconnect before the service notices that its connection broke. The new request must not wait for
+        the old one.
         """
-        while (other := self._turns.get(upload_id)) is not None:
+        while (other := self._writers.get(upload_id)) is not None:
             other.scope.cancel()
-            await other.over.wait()
-        mine = self._turns[upload_id] = _Turn()
+            await other.ended.wait()
+        writer = self._writers[upload_id] = _Writer()
         try:
-            with mine.scope:
+            with writer.scope:
                 yield
         finally:
-            del self._turns[upload_id]
-            mine.over.set()
-        if mine.scope.cancelled_caught:
+            del self._writers[upload_id]
+            writer.ended.set()
+        if writer.scope.cancelled_caught:
             raise _locked()
 
     async def append(
         self, upload_id: str, offset: int, length: int, stream: AsyncIterator[bytes], checksum: Checksum | None
     ) -> int:
-        """Append a piece; within ``turn`` only.
+        """Append a piece; within ``writing`` only.
 
-        What comes stays, also when the rest does not; but a piece with a checksum stays as a whole or not at all.
+        Bytes that arrive before the connection breaks are kept. A piece with a checksum is kept as a whole or not at
+        all.
 
         Parameters
         ----------
         offset
-            Where the client believes the file to end.
+            Position of the piece by the client.
         length
-            Of the whole file.
+            Bytes of the whole file.
 
         Returns
         -------
-            The new offset.
+            New offset of the upload.
 
         Raises
         ------
         ApiError
-            409 at another offset, 413 if more comes than the file is long, 423 if another process writes, 460 if the
-            checksum is wrong.
+            409 if the upload has another offset, 413 if the piece goes beyond the file's length, 423 if another process
+            writes, 460 if the checksum is wrong.
         """
         target = await run_in_threadpool(self._lock, upload_id, offset)
         with contextlib.ExitStack() as stack:
@@ -144,41 +160,45 @@ class UploadSpool:
                 digest = hashlib.new(checksum.algorithm, usedforsecurity=False)
                 num_bytes = await _receive(piece, 0, length - offset, stream, self._disk.require_room, digest.update)
                 if digest.digest() != checksum.digest:
-                    raise ApiError("checksum_mismatch", "The piece is not what it was when it was sent.")
+                    message = "The piece that arrived does not have the checksum that was sent."
+                    raise ApiError("checksum_mismatch", message)
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
 
     def remove(self, upload_id: str) -> None:
-        """Remove a file with what was to become part of it; there may be none."""
+        """Remove the file of an upload and the file of its piece, if they exist."""
         for name in (upload_id, f"{upload_id}{_PIECE_SUFFIX}"):
             (self._folder / name).unlink(missing_ok=True)
 
-    def is_written(self, upload_id: str) -> bool:
-        """Whether somebody writes to an upload now."""
-        return upload_id in self._turns
+    def has_writer(self, upload_id: str) -> bool:
+        """Whether a request is writing to an upload."""
+        return upload_id in self._writers
 
     async def sweep_forever(self, store: JobStore) -> None:
-        """Delete expired uploads, remove files without an upload, and renew the reserve, once a minute."""
+        """Once a minute, remove expired uploads and files without an upload, and renew the disk's reserve."""
         while True:
             try:
                 await run_in_threadpool(self._disk.using_reserve, lambda: self.sweep(store))
                 await run_in_threadpool(self._disk.set_aside)
             except DamagedDatabase:
-                return  # requests answer with the problem
+                return  # requests report the damage
             except Exception:
                 _log.exception("upload_sweep_failed")
             await asyncio.sleep(_SWEEP_INTERVAL_S)
 
     def sweep(self, store: JobStore) -> None:
-        """Delete expired uploads and remove files without one. A file is made before its row, and removed after it."""
+        """Remove expired uploads and files without an upload, once.
+
+        A file is created just before its row in the database and removed after it, so only old files are removed.
+        """
         for upload_id in store.uploads.expired():
-            if not self.is_written(upload_id):
+            if not self.has_writer(upload_id):
                 store.uploads.delete_expired(upload_id)
-        found = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir() if _is_old(path)}
-        for upload_id in found - store.uploads.known(found):
+        old_ids = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir() if _is_old(path)}
+        for upload_id in old_ids - store.uploads.known(old_ids):
             self.remove(upload_id)
 
     def remove_pieces(self) -> None:
-        """Remove what was to be compared when an earlier process was killed."""
+        """Remove files of pieces that an earlier process left when it was killed."""
         for path in self._folder.glob(f"*{_PIECE_SUFFIX}"):
             path.unlink()
 
@@ -192,14 +212,14 @@ class UploadSpool:
         with contextlib.ExitStack() as stack:
             file = stack.enter_context(self._open(upload_id))
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # other processes may have the folder, too
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # other processes may share the folder
             except BlockingIOError:
                 raise _locked() from None
             if (size := os.fstat(file.fileno()).st_size) != offset:
                 raise ApiError(
                     "offset_mismatch",
                     f"The upload is at {size} bytes, not at {offset}.",
-                    hint="Ask for the offset by HEAD, and go on from there.",
+                    hint="Ask for the offset with HEAD, and continue from there.",
                     retryable=True,
                 )
             stack.pop_all()
@@ -214,9 +234,9 @@ async def _receive(
     require_room: Callable[[int], None],
     on_data: Callable[[bytes], None] = lambda _: None,
 ) -> int:
-    """Write a body to a file from ``offset`` on; returns where it ends.
+    """Write a body to a file from ``offset`` on; return the position after its last byte.
 
-    What has come is written whatever happens, as long as the disk has room.
+    Bytes that have arrived are written even if the request fails, as long as the disk has space.
     """
     pending: list[bytes] = []
     end, synced, written_s = offset, offset, time.monotonic()
@@ -259,7 +279,7 @@ def _write(file: BinaryIO, data: bytes, offset: int) -> None:
 
 
 def _move(piece: BinaryIO, target: BinaryIO, offset: int, num_bytes: int) -> int:
-    """Append a piece that was compared."""
+    """Append a piece whose checksum was compared; return the new offset."""
     for start in range(0, num_bytes, _BLOCK_BYTES):
         _write(target, os.pread(piece.fileno(), _BLOCK_BYTES, start), offset + start)
     os.fsync(target)
@@ -274,4 +294,4 @@ def _is_old(path: Path) -> bool:
 
 
 def _locked() -> ApiError:
-    return ApiError("upload_locked", "Another request writes to this upload.", retryable=True)
+    return ApiError("upload_locked", "Another request is writing to this upload.", retryable=True)

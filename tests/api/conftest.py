@@ -25,7 +25,7 @@ from api.settings import Settings
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model import Result, ResultWarning
 
-# Says what the real one would: what a video is stands in its first bytes.
+# Replaces the real preflight: the first bytes of a video choose the behaviour.
 PREFLIGHT = """
 import json, pathlib, sys, time
 arguments = sys.argv[1:]
@@ -66,7 +66,7 @@ print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_r
                   "recordings": recordings}))
 """
 
-# Nobody listens there: publishing fails at once, as it may.
+# Address without a broker: publishing fails at once, which is allowed.
 NO_BROKER = "redis://127.0.0.1:1/0"
 
 RESULT = bytes(range(256)) * 4
@@ -74,7 +74,7 @@ RESULT = bytes(range(256)) * 4
 
 @dataclass
 class Live:
-    """A running service."""
+    """Running service."""
 
     client: httpx2.Client
     address: tuple[str, int]
@@ -85,7 +85,7 @@ class Live:
         return self.services.settings
 
     def kept(self) -> list[Path]:
-        """All files that the service holds of sessions and uploads."""
+        """All files of sessions and uploads that the service stores."""
         folders = (self.settings.spool_dir, self.settings.uploads_dir, self.settings.data_dir / "artifacts")
         return [path for folder in folders for path in folder.rglob("*") if path.is_file()]
 
@@ -103,7 +103,7 @@ class Live:
         return str(answer.json()["id"])
 
     def finish(self, job_id: str, content: bytes = RESULT, warnings: Sequence[ResultWarning] = ()) -> None:
-        """Do a job's work as a worker would."""
+        """Finish a job as a worker would."""
         key = result_key(job_id, "person-1.bvh")
         digest = hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
@@ -117,20 +117,20 @@ class Live:
 
 
 def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:
-    """Parts of a good session."""
+    """Parts of a valid session of videos."""
     parts: list[tuple[str, Any]] = [("videos", (f"cam_{index}.mp4", content)) for index in range(videos)]
     return [*parts, ("calibration", ("calibration.toml", calibration))]
 
 
 def keypoint_form(archives: int = 2) -> list[tuple[str, Any]]:
-    """Parts of a good session of keypoints."""
+    """Parts of a valid session of keypoints."""
     parts: list[tuple[str, Any]] = [("keypoints", (f"cam_{index}.zip", b"archive")) for index in range(archives)]
     return [*parts, ("timestamps", ("timestamps.csv", b"camera,frame,time_s")), form(0)[0]]
 
 
 @contextlib.contextmanager
 def running(settings: Settings) -> Iterator[Live]:
-    """Serve on a free port of loopback."""
+    """Run the service on a free port of loopback during the block."""
     app = create_app(settings)
     server = uvicorn.Server(server_config(app, settings.model_copy(update={"host": "127.0.0.1", "port": 0})))
     thread = threading.Thread(target=server.run, daemon=True)
@@ -195,7 +195,7 @@ def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 
 @pytest.fixture
 def live(service: Live) -> Iterator[Live]:
-    """A running service with nothing in it."""
+    """Running service without sessions and jobs."""
     yield service
     with contextlib.closing(sqlite3.connect(service.settings.data_dir / "multicap.db")) as database, database:
         database.execute("PRAGMA foreign_keys = ON")
@@ -208,7 +208,7 @@ def live(service: Live) -> Iterator[Live]:
 
 
 def raw(address: tuple[str, int], request: bytes) -> bytes:
-    """Send bytes as they are, and read all of the answer."""
+    """Send raw bytes, and read the whole response."""
     with socket.create_connection(address[:2], timeout=10) as connection:
         connection.sendall(request)
         connection.shutdown(socket.SHUT_WR)
@@ -219,7 +219,7 @@ def raw(address: tuple[str, int], request: bytes) -> bytes:
 
 
 def problem_of(answer: httpx2.Response, status: int, code: str) -> dict[str, Any]:
-    """Check that an answer is a problem of the documented shape."""
+    """Check that a response is a documented problem; return its body."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     problem: dict[str, Any] = answer.json()

@@ -1,4 +1,4 @@
-"""The service in a process of its own, as it is run, and what it takes of memory."""
+"""Service in a child process, and its peak memory."""
 
 import contextlib
 import os
@@ -20,14 +20,14 @@ from tests.api.conftest import NO_BROKER
 def serving(
     settings: Settings, port: int = 0, descriptors: int | None = None, **variables: str
 ) -> Iterator[tuple[httpx2.Client, psutil.Process]]:
-    """The service in a process of its own, until the end of the block.
+    """Run the service in a child process during the block.
 
     Parameters
     ----------
     descriptors
         Soft limit on open files that the process starts with.
     variables
-        More of its environment, without the prefix.
+    Further environment variables, without the prefix.
     """
     environment = os.environ | {
         "MULTICAP_DATA_DIR": str(settings.data_dir),
@@ -62,7 +62,7 @@ def _limited(descriptors: int | None) -> list[str]:
 
 
 def peak_bytes(process: psutil.Process) -> int:
-    """Most resident memory that the process has had so far."""
+    """Peak resident memory of a process so far."""
     status = Path(f"/proc/{process.pid}/status").read_text(encoding="ascii")
     (kib,) = re.findall(r"VmHWM:\s+(\d+) kB", status)
     return int(kib) * 1024

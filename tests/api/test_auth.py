@@ -1,4 +1,4 @@
-"""Keys: every route of the contract with keys that are missing, wrong, too weak, or another tenant's."""
+"""Authorization: every route of the contract with missing, wrong and weak keys, and keys of another tenant."""
 
 import contextlib
 import json
@@ -13,7 +13,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from api.app import ExposedError, create_app, refuse_strangers
+from api.app import ExposedError, create_app, require_keys_if_exposed
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
@@ -28,14 +28,14 @@ OPERATIONS = [
     for method in item
     if method in {"get", "head", "post", "put", "patch", "delete"}
 ]
-# These say who may come in, or that the service is alive: nobody's data.
+# Routes that need no key: health, and signing a browser in and out.
 OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("POST", "/v1/browser-session"), ("DELETE", "/v1/browser-session")}
 GUARDED = [one for one in OPERATIONS if one not in OPEN]
 OWNED = [one for one in GUARDED if "{" in one[1]]
 ADMIN = ("GET", "/metrics")
 ANY_KEY = ("GET", "/v1/caller")
 
-# A piece of an upload, all of it right but for whose it is.
+# Valid piece of an upload of another tenant.
 TUS = {
     "Tus-Resumable": "1.0.0",
     "Upload-Length": "10",
@@ -50,7 +50,7 @@ USUAL = frozenset({Scope.READ, Scope.WRITE})
 
 @dataclass
 class Guarded:
-    """A service with keys, and a session with a finished and an unfinished job of the tenant ``theirs``."""
+    """Service with keys; the tenant ``theirs`` has a session with a finished and an unfinished job."""
 
     live: Live
     ids: dict[str, str]
@@ -72,7 +72,7 @@ class Guarded:
 
 
 def refused(answer: httpx2.Response, status: int, code: str) -> None:
-    """Check a refusal; answers to HEAD have no body to say why."""
+    """Check a refusal; responses to HEAD have no body."""
     if answer.request.method == "HEAD":
         assert answer.status_code == status
     else:
@@ -125,7 +125,7 @@ def test_a_key_that_is_too_weak_is_refused(guarded: Guarded, method: str, path: 
 
 
 @pytest.mark.parametrize(("method", "path"), OWNED)
-def test_what_is_another_tenant_s_is_not_found(guarded: Guarded, method: str, path: str) -> None:
+def test_records_of_another_tenant_are_not_found(guarded: Guarded, method: str, path: str) -> None:
     refused(guarded.ask(method, path, guarded.mine), 404, "not_found")
 
 
@@ -219,7 +219,7 @@ def test_without_keys_everybody_may_do_everything(live: Live) -> None:
 
 
 class TestBrowser:
-    """A browser that has shown a key has a cookie instead."""
+    """Browsers that have signed in use a cookie."""
 
     @pytest.fixture
     def browser(self, guarded: Guarded) -> Iterator[httpx2.Client]:
@@ -234,7 +234,7 @@ class TestBrowser:
         attributes = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}
         assert {"httponly", "samesite=strict", "path=/", "max-age=43200"} <= attributes
 
-    def test_it_does_what_its_key_does(self, guarded: Guarded, browser: httpx2.Client) -> None:
+    def test_a_browser_has_the_scopes_of_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
         assert browser.get("/v1/caller").json()["tenant"] == "theirs"
         assert browser.get(f"/v1/jobs/{guarded.ids['job_id']}/results/person-1.bvh").status_code == 200
         session = browser.post("/v1/sessions", files=form()).raise_for_status().json()
@@ -250,14 +250,14 @@ class TestBrowser:
         assert answer.status_code == 403
         assert answer.json()["code"] in {"cross_site_request", "origin_not_allowed"}
 
-    def test_it_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
+    def test_a_browser_session_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
         cookies = dict(browser.cookies)
         assert browser.delete("/v1/browser-session").status_code == 204
         assert not browser.cookies
         browser.cookies.update(cookies)
         problem_of(browser.get("/v1/jobs"), 401, "key_required")
 
-    def test_it_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
+    def test_a_browser_session_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
         key, secret = guarded.key(USUAL)
         browser.post("/v1/browser-session", json={"key": secret}).raise_for_status()
         assert browser.get("/v1/jobs").status_code == 200
@@ -304,17 +304,17 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
     exposed = settings.model_copy(update={"host": "0.0.0.0"})  # noqa: S104
     with running(settings) as live:
         store = live.services.store
-        refuse_strangers(settings, store)
+        require_keys_if_exposed(settings, store)
         with pytest.raises(ExposedError, match=f"`multicap keys create NAME --data {settings.data_dir}`"):
-            refuse_strangers(exposed, store)
+            require_keys_if_exposed(exposed, store)
         usual = exposed.model_copy(update={"data_dir": default_data_dir()})
         with pytest.raises(ExposedError, match="`multicap keys create NAME`"):
-            refuse_strangers(usual, store)
-        refuse_strangers(exposed.model_copy(update={"trust_network": True}), store)
+            require_keys_if_exposed(usual, store)
+        require_keys_if_exposed(exposed.model_copy(update={"trust_network": True}), store)
         key, _ = store.keys.add("mine", "portal", USUAL)
-        refuse_strangers(exposed, store)
+        require_keys_if_exposed(exposed, store)
         store.keys.revoke(key.id)
-        refuse_strangers(exposed, store)  # nobody comes in, but nobody comes in unasked
+        require_keys_if_exposed(exposed, store)  # the only key is not valid, but the service asks for keys
 
 
 def test_the_log_says_who_did_what(

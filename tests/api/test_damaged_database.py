@@ -1,4 +1,4 @@
-"""A database that is damaged under a running service, and commands on it: plain words, no trace, no 500."""
+"""Damaged database of a running service and of commands: clear messages, no stack trace, no 500."""
 
 import contextlib
 import json
@@ -68,7 +68,7 @@ def test_a_backup_says_it_as_json_too(whole: Path, tmp_path: Path) -> None:
 
 
 def damage_under(settings: Settings) -> None:
-    """Overwrite all pages but the first with zeros, and have every process read its pages anew."""
+    """Overwrite all pages except the first with zeros, and make every process read them again."""
     path = settings.data_dir / "multicap.db"
     with contextlib.closing(JobStore(f"sqlite:///{path}")) as other:
         other.webhook_secrets.rotate("studio", 0.0)

@@ -1,3 +1,5 @@
+"""Problems: statuses, codes, pointers and sentences of refused requests."""
+
 import json
 import sqlite3
 from collections.abc import Callable
@@ -106,7 +108,7 @@ def test_json_of_another_type_is_not_read(live: Live) -> None:
         f"/v1/sessions/{UNKNOWN}/jobs", content=b'{"method": "tracking"}', headers={"Content-Type": "text/plain"}
     )
     problem = problem_of(answer, 415, "unsupported_media_type")
-    assert problem["detail"] == "This address takes application/json."
+    assert problem["detail"] == "This address accepts application/json."
 
 
 def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,7 +155,7 @@ def test_numbers_that_are_none(live: Live, field: str, number: str) -> None:
     values = {"metadata": f'{{"a": {number}}}', "cameras": f'[{{"name": "a", "offset_s": {number}}}]'}
     manifest = f'{{"{field}": {values.get(field, number)}}}'
     answer = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, manifest))])
-    whole = field == "metadata" and number == "1" + "0" * 400  # JSON knows it, and it comes back
+    whole = field == "metadata" and number == "1" + "0" * 400  # valid JSON, which the response repeats
     assert answer.status_code == (201 if whole else 413 if len(number) > 1000 else 422), answer.text
     spec = f'{{"frame_range": [0, {number}]}}'
     headers = {"Content-Type": "application/json"}

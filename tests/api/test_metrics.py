@@ -1,4 +1,4 @@
-"""What Prometheus reads, by its own parser."""
+"""Metrics, read by Prometheus' own parser."""
 
 from prometheus_client.parser import text_string_to_metric_families
 

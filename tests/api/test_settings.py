@@ -1,3 +1,5 @@
+"""Settings of the web API: loopback addresses, agreement with the workers', messages for wrong variables."""
+
 import os
 import subprocess
 import sys
@@ -45,7 +47,9 @@ def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, t
         ("ALLOWED_HOSTS", "[1]", "MULTICAP_ALLOWED_HOSTS: must be JSON, a list, each item a text."),
     ],
 )
-def test_what_a_variable_must_be(monkeypatch: pytest.MonkeyPatch, name: str, value: str, sentence: str) -> None:
+def test_messages_state_allowed_values_of_variables(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, sentence: str
+) -> None:
     monkeypatch.setenv(f"MULTICAP_{name}", value)
     with pytest.raises(SystemExit) as ended:
         read_settings(Settings)

@@ -11,7 +11,7 @@ from tests.pipeline.media import write_video
 
 
 def keypoint_capture(folder: Path, duration_s: float = 2.0) -> list[str]:
-    """Simulated people in a room; options of `multicap reconstruct` that name the files."""
+    """Write simulated people in a room; return the options of `multicap reconstruct` for the files."""
     for name, content in simulation_files(record(replace(find_scene("room"), duration_s=duration_s), 0, 3)):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -21,7 +21,7 @@ def keypoint_capture(folder: Path, duration_s: float = 2.0) -> list[str]:
 
 
 def video_capture(folder: Path, num_frames: int = 20) -> list[str]:
-    """Two videos of an empty room; options of `multicap reconstruct` that name the files."""
+    """Write two videos of an empty room; return the options of `multicap reconstruct` for the files."""
     cameras = [replace(ring_camera(name, angle), size_px=(64, 48)) for name, angle in (("left", 0.3), ("right", 1.9))]
     videos = folder / "videos"
     videos.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""The real sample capture, reconstructed once for all tests that look at it."""
+"""Fixtures of the end-to-end tests: the reconstructed sample capture, and a running service."""
 
 import sys
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ def results(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """The service, and in the end that Ctrl-C leaves no process of it."""
+    """Running service; after the tests Ctrl-C must end all of its processes."""
     if sys.platform != "linux":
         pytest.skip("only Linux ties children to their parents")
     with serving(tmp_path_factory.mktemp("data")) as running:

@@ -1,4 +1,4 @@
-"""Where software that nobody here wrote finds the joints of exported files: what runs outside of Python's tests."""
+"""Independent software outside of Python: readers of exported files, and a client of uploads."""
 
 import json
 import subprocess
@@ -17,7 +17,7 @@ BLENDER = ROOT / ".venv-blender" / "bin" / "python"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animated:
-    """What a reader found: positions (frames, 3) of joints by name, on its axes and in its unit."""
+    """Output of a reader: positions (frames, 3) of joints by name, in the reader's axes and unit."""
 
     frame_rate_hz: float
     positions: dict[str, np.ndarray]
@@ -36,7 +36,7 @@ def _node(script: str, *arguments: object) -> Any:
 
 
 def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
-    """BVH by ``BVHLoader``, GLB by ``GLTFLoader``."""
+    """Read BVH with ``BVHLoader`` and GLB with ``GLTFLoader`` of three.js."""
     found = {}
     for path, read in _node("three_reader.mjs", *paths).items():
         positions = np.array(read["positions"])
@@ -48,19 +48,19 @@ def read_with_three(paths: Sequence[Path]) -> dict[Path, Animated]:
 
 
 def validate_with_khronos(paths: Sequence[Path]) -> dict[Path, dict[str, Any]]:
-    """Issues that the glTF validator has with each file."""
+    """Issues that the glTF validator reports for each file."""
     return {Path(path): report["issues"] for path, report in _node("validate_glb.mjs", *paths).items()}
 
 
 def upload_with_tus_js(endpoint: str, paths: Sequence[Path], chunk_bytes: int) -> list[str]:
-    """Addresses of files that tus-js-client sent, all at once."""
+    """Send files with tus-js-client, all at once; return the addresses of their uploads."""
     return list(_node("upload.mjs", endpoint, chunk_bytes, *paths))
 
 
 def read_with_blender(
     files: Sequence[tuple[Path, float, dict[str, object]]], folder: Path, picture: Path | None = None
 ) -> dict[Path, Animated]:
-    """Open files with what is changed in the importer's dialogue, at a frame rate; render those with bodies."""
+    """Open files with settings of Blender's importer at a frame rate; render the files with bodies."""
     if not BLENDER.is_file():
         pytest.skip("Blender is not installed (`make verify-exports` does it)")
     job, out = folder / "job.json", folder / "found.json"

@@ -1,4 +1,4 @@
-"""`multicap serve` as a process, and what tests do with it."""
+"""`multicap serve` as a process, with helpers for tests."""
 
 import hashlib
 import os
@@ -19,13 +19,13 @@ from api.cli.commands.serve import READY
 from pipeline.runtime.packages.samples import Sample
 
 COMMAND = [sys.executable, "-P", "-m", "api.cli.main", "serve", "--workers", "2"]
-# The supervisor, broker, worker with its two children, reaper and API.
+# Processes of a service: supervisor, broker, worker with its two children, reaper and API.
 NUM_PROCESSES = 7
 
 
 @dataclass
 class Served:
-    """A running service."""
+    """Running service."""
 
     process: Popen[str]
     data_dir: Path
@@ -36,7 +36,7 @@ class Served:
         return [supervisor, *supervisor.children(recursive=True)]
 
     def part(self, word: str) -> psutil.Process:
-        """The child of the supervisor that is called so, or whose command line has the word."""
+        """Child of the supervisor with a name, or with a word in its command line."""
         children = psutil.Process(self.process.pid).children()
         (found,) = [one for one in children if word in [one.name(), *one.cmdline()]]
         return found
@@ -73,7 +73,7 @@ class Served:
 
 @contextmanager
 def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
-    """A service of our own on a folder, until the end of the block."""
+    """Run a service on a folder during the block."""
     command = [*COMMAND, "--port", "0", "--data", str(data_dir)]
     with Popen(command, stdout=PIPE, text=True, env=os.environ | {"MULTICAP_NICE": "0"} | environment) as process:
         try:

@@ -1,4 +1,4 @@
-"""A backup in the middle of the work: the service is killed, restored elsewhere, and goes on."""
+"""Backup of a working service: the service is killed, restored in another folder, and continues."""
 
 import hashlib
 import json
@@ -26,10 +26,10 @@ __all__ = ["capture"]
 
 pytestmark = pytest.mark.xdist_group("sample")
 
-# Workers that stand back for other programs may get nothing done on a busy machine.
+# Workers with a low priority may make no progress on a busy machine.
 ENVIRONMENT = {"MULTICAP_NICE": "0"}
 TUS = {"Tus-Resumable": "1.0.0"}
-# Enough that some are still queued when the first ones run.
+# So many jobs that some are still queued when the first jobs run.
 SPECS: list[dict[str, Any]] = [
     {"method": "clustering"},
     {"method": "tracking", "smoothing": "none"},
@@ -40,7 +40,7 @@ SPECS: list[dict[str, Any]] = [
 
 
 def multicap(*arguments: str | Path) -> dict[str, Any]:
-    """The object that a command of the command line prints."""
+    """Run a command; return the JSON object that it prints."""
     command = [sys.executable, "-m", "api.cli.main", *map(str, arguments), "--json"]
     answer = subprocess.run(command, check=False, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stdout + answer.stderr
@@ -55,7 +55,7 @@ def as_the_library_does(capture: Path, folder: Path, spec: dict[str, Any]) -> di
 
 
 def begin_upload(client: httpx2.Client, name: str, content: bytes, num_bytes: int) -> str:
-    """Send the first bytes of a file; the upload's id."""
+    """Send the first bytes of a file; return the id of its upload."""
     headers = TUS | {
         "Upload-Length": str(len(content)),
         "Upload-Metadata": f"filename {b64encode(name.encode()).decode()}",
@@ -72,7 +72,7 @@ def append(client: httpx2.Client, address: str, content: bytes, offset: int) -> 
 
 @contextmanager
 def frozen_workers(served: Served) -> Iterator[None]:
-    """Workers hold still in the middle of their chunks."""
+    """Suspend the workers in the middle of their chunks."""
     children = served.part("worker").children()
     for child in children:
         child.suspend()
@@ -87,7 +87,7 @@ def frozen_workers(served: Served) -> Iterator[None]:
 def kill_all(served: Served) -> None:
     tree = served.tree()
     for process in tree:
-        with suppress(psutil.NoSuchProcess):  # it ends with its parent
+        with suppress(psutil.NoSuchProcess):  # the child ends with its parent
             process.kill()
     psutil.wait_procs(tree, timeout=20)
 

@@ -1,4 +1,4 @@
-"""Sessions with unusual clocks through the whole service: extremes that are legitimate, and those that are not."""
+"""Sessions with unusual clocks in the whole service: allowed extremes, and refused sessions."""
 
 import json
 from dataclasses import replace
@@ -40,7 +40,7 @@ def video_parts(videos: list[Path], rig: Path) -> Parts:
 
 
 def reconstruct(served: Served, parts: Parts, **spec: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Preflight and job of a session that succeeds."""
+    """Reconstruct a session; return its preflight and its job."""
     answer = served.client.post("/v1/jobs", files=[*parts, ("spec", (None, json.dumps(spec)))])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
@@ -90,7 +90,7 @@ def test_24_frames_a_second_on_a_clock_of_60_hz(served: Served, tmp_path: Path) 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
 def test_two_hours_of_keypoints_with_somebody_now_and_then(served: Served, method: str) -> None:
-    """A second at the start, in the middle and at the end, of a session whose other frames were dropped."""
+    """The session has frames for a second at the start, in the middle and at the end; other frames were dropped."""
     once = simulate(Clock(25.0), 1.0)
     files = {"calibration.json": keypoint_files(once)["calibration.json"]}
     for name, content in sorted(frames_of(once).items()):
@@ -110,7 +110,7 @@ def test_two_hours_of_keypoints_with_somebody_now_and_then(served: Served, metho
 
 @pytest.mark.benchmark
 def test_two_hours_of_keypoints_with_a_file_for_every_frame(served: Served) -> None:
-    """360,000 files; people for a second of every ten minutes."""
+    """The session has 360,000 files, with people for a second of every ten minutes."""
     once = simulate(Clock(25.0), 1.0)
     files = {"calibration.json": keypoint_files(once)["calibration.json"]}
     for name, content in sorted(frames_of(once).items())[:2]:
@@ -135,7 +135,7 @@ def test_two_hours_of_keypoints_with_a_file_for_every_frame(served: Served) -> N
 
 
 def peak_kib_of(process: psutil.Process) -> int:
-    """Most memory that a process has ever had."""
+    """Peak memory of a process so far."""
     status = Path(f"/proc/{process.pid}/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0])
 

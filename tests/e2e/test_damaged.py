@@ -1,4 +1,4 @@
-"""Damaged videos, and decoders that die, through the service and on the command line."""
+"""Damaged videos and crashing decoders, in the service and on the command line."""
 
 import json
 import time
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("damaged")
 
 DECODER = "pipeline.video.decoder"
 
-# Decoders misbehave as the name of their file says.
+# The name of the file chooses how the decoder fails.
 CHILDREN = """
 import json, os, signal, sys, time
 from pathlib import Path
@@ -61,7 +61,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 def capture(folder: Path, name: str, lost: range = range(0), num_frames: int = 60) -> list[Path]:
-    """Two videos of an empty room and their calibration; some frames of the first can't be decoded."""
+    """Two videos of an empty room with their calibration; some frames of the first video can't be decoded."""
     cameras = [replace(ring_camera(one, angle), size_px=(64, 48)) for one, angle in ((name, 0.3), ("right", 1.9))]
     good = write_video(folder / "good.mkv", num_frames, codec="mpeg4", options={"g": "10"})
     rewrite_packets(good, folder / f"{name}.mp4", lose(*lost))
@@ -158,7 +158,7 @@ def test_the_command_line_tells_the_same(tmp_path: Path, processes: int) -> None
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_a_video_that_changes_its_size_is_refused_on_the_command_line(tmp_path: Path, processes: int) -> None:
-    """An error of a detection process names the file, too."""
+    """The error of a detection process names the file."""
     video, _, calibration = capture(tmp_path, "left")
     video.unlink()
     write_sizes(tmp_path / "left.avi", [(64, 48), (96, 64), (64, 48)], 20, "mpeg4")

@@ -1,4 +1,4 @@
-"""Files that are damaged under a running service: no job and no download takes them for what was stored."""
+"""Stored files that are damaged while the service runs: no job and no download uses them."""
 
 import contextlib
 import json
@@ -85,7 +85,7 @@ def test_a_damaged_input_ends_the_job_with_its_name(
     assert job["links"]["retry"] is None
     (attempt,) = served.client.get(job["links"]["attempts"]).json()["attempts"]
     assert len(attempt["failures"]) == 1
-    # An operator who has a copy can put it back.
+    # An operator with a copy can restore the file.
     path.write_bytes(content)
     retried = served.client.post(f"/v1/jobs/{job['id']}/retry").raise_for_status().json()
     assert served.wait_for_end(retried["id"])["state"] == "succeeded"

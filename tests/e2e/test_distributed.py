@@ -1,4 +1,4 @@
-"""Parts that share no folder: PostgreSQL, S3, a broker on a port, two workers; the same bytes as on one machine."""
+"""Distributed service without a shared folder: PostgreSQL, S3, a broker, two workers; same bytes as on one machine."""
 
 import contextlib
 import hashlib
@@ -30,11 +30,11 @@ from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
 from tests.api.processes import peak_bytes
-from tests.api.test_upload_clients import free_port
+from tests.api.tus.test_upload_clients import free_port
 from tests.e2e.serving import digests, wait_for
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3
-from tests.worker.webhooks.test_sender import Receiver, receiver
+from tests.worker.webhooks.conftest import Receiver, receiver
 from worker.jobs.store import JobStore
 
 __all__ = ["receiver"]
@@ -46,7 +46,7 @@ NUM_WORKERS = 2
 
 @dataclass
 class Distributed:
-    """A running service."""
+    """Running service."""
 
     folder: Path
     client: httpx2.Client
@@ -63,7 +63,7 @@ class Distributed:
         return str(uploader.url).rpartition("/")[2]
 
     def submit(self, callback_url: str | None = None, **paths: Path | Sequence[Path]) -> dict[str, Any]:
-        """Send files, all at once, and have them reconstructed; returns the finished job."""
+        """Send files at once, and reconstruct them; return the finished job."""
         listed = [path for some in paths.values() for path in ([some] if isinstance(some, Path) else some)]
         with ThreadPoolExecutor(8) as pool:
             ids = dict(zip(listed, pool.map(self.upload, listed), strict=True))
@@ -75,7 +75,7 @@ class Distributed:
         )
 
     def wait_for(self, answer: httpx2.Response) -> dict[str, Any]:
-        """The job that was asked for, finished."""
+        """Wait for the end of a job; return the finished job."""
         assert answer.status_code == 202, answer.text
         address = answer.headers["location"]
         deadline_s = time.monotonic() + 600
@@ -86,7 +86,7 @@ class Distributed:
         return dict(job)
 
     def downloads(self, job: Mapping[str, Any]) -> dict[str, str]:
-        """SHA-256 of each result, which the bucket itself sends."""
+        """SHA-256 of each result, downloaded from the bucket itself."""
         found = {}
         for one in self.client.get(job["links"]["results"]).json()["results"]:
             answer = self.client.get(one["link"])
@@ -100,7 +100,7 @@ class Distributed:
 
 @contextlib.contextmanager
 def started(command: Sequence[str | Path], folder: Path, environment: Mapping[str, str]) -> Iterator[psutil.Process]:
-    """A part of the service with a folder of its own, until the end of the block."""
+    """Run a part of the service with its own folder during the block."""
     folder.mkdir(parents=True)
     own = {"MULTICAP_DATA_DIR": str(folder), "TMPDIR": str(folder)}
     with (
@@ -150,7 +150,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
 
 
 def keypoint_session(folder: Path, archive_bytes: int) -> None:
-    """Eight archives of about so many bytes: what was found, and images that it was found in."""
+    """Write a session of keypoints; each archive also has a large file, which is ignored, of about a size."""
     for name, content in simulation_files(record(replace(find_scene("contact"), duration_s=3.0), seed=4)):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

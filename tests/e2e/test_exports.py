@@ -1,4 +1,4 @@
-"""Exports of the sample and of a simulated walk, opened by software that nobody here wrote."""
+"""Exports of the sample and of a simulated walk, opened in independent software."""
 
 import json
 import os
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.xdist_group("sample")
 
 EXPORTS = tuple(FILE_FORMATS)
 PRESET_NAMES = tuple(PRESETS)
-# What x, y and z of a file are in the world, and how many units a metre is.
+# World axes of a file's x, y and z, and units a metre.
 WORLD, Y_UP = np.eye(3), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {
     "default": (Y_UP, 100.0),
@@ -41,7 +41,7 @@ IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {
     "unreal": (WORLD, 100.0),
     "mixamo": (Y_UP, 100.0),
 }
-# What is changed in the dialogue of Blender's importer.
+# Settings of Blender's importer.
 IN_BLENDER: dict[Preset, dict[str, object]] = {
     "default": {"global_scale": 0.01},
     "blender": {},
@@ -54,7 +54,7 @@ WITH_CHANNELS = [joint.name for joint in SKELETON if not joint.name.endswith("En
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
-    """A reconstruction and all of its exports; BVH files of each preset in a folder of its own."""
+    """Reconstruction with all exports; BVH files of each preset are in their own folder."""
 
     name: str
     reconstruction: Reconstruction
@@ -106,7 +106,7 @@ def test_bvh_in_python(capture: Capture, preset: Preset, read: Callable[[Path], 
             assert_same(found[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
 
 
-# Its loader does not find joints again whose names have a colon.
+# three.js's loader does not find joints whose names contain a colon.
 @pytest.mark.parametrize("preset", [preset for preset in PRESET_NAMES if preset != "mixamo"])
 def test_bvh_in_three(capture: Capture, preset: Preset) -> None:
     axes, units_per_m = IN_FILE[preset]
@@ -145,7 +145,7 @@ def test_markers(capture: Capture) -> None:
         assert read["header"]["points"]["frame_rate"] == pytest.approx(rate_hz)
         assert_same(np.transpose(read["data"]["points"][:3], (2, 1, 0))[known] / 1e3, expected_m[known], 1e-4, path)
         with path.open("rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that there are no analog channels
+            warnings.simplefilter("ignore")  # a warning that there are no analog channels
             frames = np.array([points for _, points, _ in c3d.Reader(file).read_frames()])
         assert_same(frames[known][:, :3] / 1e3, expected_m[known], 1e-4, path)
     for path, motion in capture.paths("trc").items():
@@ -169,7 +169,7 @@ def test_metrics_say_how_far_joints_are_in_each_format(capture: Capture) -> None
 
 
 def test_animations_are_where_the_fit_has_the_joints(capture: Capture) -> None:
-    """Of joints that the skeleton has itself: the track's final positions are its own."""
+    """Joints of the skeleton have the final positions of the track."""
     joints = capture.reconstruction.joints
     own = {one.name: one.landmarks[0] for one in SKELETON if len(one.landmarks) == 1}
     assert len(own) == 12
@@ -198,7 +198,7 @@ def test_nothing_flips(capture: Capture, preset: Preset) -> None:
 
 @pytest.mark.blender
 def test_blender(capture: Capture, tmp_path: Path) -> None:
-    """Everything is upright, faces the right way, and stands where it does in the world, in each frame."""
+    """In each frame people are upright, face the right way, and stand at their place in the world."""
     rate_hz = capture.reconstruction.timebase.frame_rate_hz
     opened: dict[Path, tuple[Preset, SkeletonMotion, float]] = {
         path: ("default", motion, 1e-4) for path, motion in capture.paths("glb").items()
@@ -230,7 +230,7 @@ def test_blender(capture: Capture, tmp_path: Path) -> None:
         for path, motion in capture.paths("glb").items()
         for contact in motion.contacts
     ]
-    # Over everybody: where the sample's bystander stands, its calibration has the floor 15 cm higher.
+    # Over all people: at the place of the sample's bystander the calibration has the floor 15 cm higher.
     assert np.median(floor.height_m(np.concatenate(ankles_m))) == pytest.approx(ANKLE_HEIGHT_M, abs=0.05)
     assert is_a_picture_of_people(picture)
 

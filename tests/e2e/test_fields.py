@@ -60,7 +60,7 @@ def test_both_main_people_are_found_by_many_views(clustered: Reconstruction) -> 
         assert (found > 0).sum(1).mean() >= 9
         assert found[found > 0].mean() >= 2.8
         assert np.nanmedian(errors_px[:, :, BODY]) <= 12
-    # The bystander may be a third.
+    # The bystander may be found as a third person.
     assert len(tracks) <= 3
     assert clustered.warnings == ()
 

@@ -1,4 +1,4 @@
-"""A first start, without any compiled kernel: the service says what it does, and is ready when a job would start."""
+"""First start without compiled kernels: the service reports its progress, and is ready when a job can start."""
 
 import json
 import os
@@ -18,11 +18,11 @@ from api.cli.commands.serve import READY
 from pipeline.detect import models
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import NUM_COMPILED
-from tests.api.test_upload_clients import free_port
+from tests.api.tus.test_upload_clients import free_port
 from tests.e2e.serving import COMMAND, wait_for
 
 COMPILING = re.compile(r"A worker compiles the numeric kernels: (\d+) of (\d+) steps\. A first start takes .*")
-# On a machine that has much else to do; compiling takes most of a minute.
+# Time limit on a busy machine; compiling takes most of a minute.
 LONGEST_S = 600.0
 
 
@@ -59,7 +59,7 @@ def post_session(client: httpx2.Client, sample: Sample) -> str:
 
 
 def wait_until_ready(client: httpx2.Client) -> list[str]:
-    """Sentences of the service meanwhile, each once."""
+    """Wait until the service is ready; return the sentences of ``/readyz`` meanwhile, each once."""
     said: list[str] = []
     deadline_s = time.monotonic() + LONGEST_S
     while (answer := client.get("/readyz")).status_code == 503:

@@ -1,4 +1,4 @@
-"""Modules in the current folder that are called like ours, or like ones that we use, are never run."""
+"""Modules in the current folder with the names of Multicap's modules or dependencies are never run."""
 
 import json
 import signal
@@ -19,15 +19,15 @@ from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import files
 from tests.pipeline.media import write_video
 
-# As a person starts it: Python puts the script's folder on the search path, and the current one for children only.
+# Started as by a user: the search path has the script's folder, and the current folder only in child processes.
 MULTICAP = str(Path(sys.executable).with_name("multicap"))
-# The last ones are what Python itself loads while a process of a pool starts, or late.
+# Python itself imports the last names when a process of a pool starts, or later.
 NAMES = ("pipeline", "worker", "api", "numpy", "av", "celery", "alembic", "queue", "socket", "struct", "random")
 
 
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
-    """A folder with such modules; each leaves a file there when it is run."""
+    """Folder with such modules; each module writes a file there when it is run."""
     folder = tmp_path / "foreign"
     folder.mkdir()
     for name in NAMES:

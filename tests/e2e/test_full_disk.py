@@ -1,4 +1,4 @@
-"""A disk that others filled to the last byte: deleting works, jobs wait, nothing is lost, and every answer says why."""
+"""Full disk: deleting works, jobs wait, nothing is lost, and every refusal states the reason."""
 
 import os
 import time
@@ -65,7 +65,7 @@ def test_a_full_disk_is_emptied_through_the_api_and_jobs_go_on(served: Served, c
         refused(client.patch(upload, headers=piece, content=bytes(1000)))
         assert client.get(f"/v1/jobs/{ended['id']}/results/skeletons.json").is_success
 
-        # It starts again on the full disk, too.
+        # The service can be started again on the full disk.
         served.part("api").kill()
         assert httpx2.get(client.base_url.join("/healthz"), timeout=60.0, trust_env=False).is_success
         assert client.delete(upload, headers=TUS).status_code == 204
@@ -74,7 +74,7 @@ def test_a_full_disk_is_emptied_through_the_api_and_jobs_go_on(served: Served, c
         assert client.delete(f"/v1/sessions/{ended['session_id']}").status_code == 204
         assert client.get(f"/v1/sessions/{ended['session_id']}").status_code == 404
         fill(served.data_dir / "filler")
-        time.sleep(5.0)  # longer than a lease: whoever works now finds no room
+        time.sleep(5.0)  # longer than a lease: a worker that claims now finds no free space
         assert served.job(waiting["id"])["state"] in {"queued", "running", "succeeded"}
     finally:
         (served.data_dir / "filler").unlink()

@@ -1,4 +1,4 @@
-"""`multicap reconstruct` that is interrupted says so, leaves no process and nothing half-written."""
+"""Interrupted `multicap reconstruct`: it reports the signal, and leaves neither processes nor incomplete files."""
 
 import contextlib
 import json
@@ -20,7 +20,7 @@ from tests.e2e.captures import keypoint_capture, video_capture
 
 COMMAND = [sys.executable, "-m", "api.cli.main", "reconstruct"]
 
-# Runs the command, and interrupts itself where ``{where}`` is called for the second time.
+# Runs the command, and interrupts itself at the second call of ``{where}``.
 AT = """
 import os, signal, sys
 import {module} as module
@@ -43,7 +43,7 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         models.verify("movenet-multipose")
     except ModelError:
         pytest.skip("the default detector is not installed")
-    # A minute of work and more.
+    # At least a minute of work.
     return video_capture(tmp_path_factory.mktemp("capture"), num_frames=3000)
 
 
@@ -87,7 +87,7 @@ def test_children_end_and_it_is_said(
         children += psutil.Process(process.pid).children(recursive=True)
         asked_s = time.monotonic()
         if number == signal.SIGINT:
-            os.killpg(process.pid, number)  # as a terminal does: everybody of the group
+            os.killpg(process.pid, number)  # as a terminal does: to all processes of the group
         else:
             process.send_signal(number)
         said, errors = process.communicate(timeout=30)

@@ -1,4 +1,4 @@
-"""What is said of cameras reaches the reconstruction: the service gives the library's files."""
+"""Manifest of a session: offsets give the same files as in the library, and all problems are reported."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_offsets(served: Served, sample: Sample, tmp_path: Path) -> None:
     assert preflight["timebase"]["start_time_s"] == -0.08
 
 
-def test_all_that_is_wrong_is_said(served: Served, tmp_path: Path) -> None:
+def test_all_problems_are_reported(served: Served, tmp_path: Path) -> None:
     videos = [write_video(tmp_path / f"{name}.mp4", 10) for name in ("a", "b")]
     rig = calibration(tmp_path / "rig.json", ["a", "b"])
     cameras = [{"name": "c"}, {"name": "a", "file": "x.mp4"}]

@@ -1,4 +1,4 @@
-"""The page at ``/`` in a real browser: the real sample from the form to the downloaded files."""
+"""Page at ``/`` in a real browser: the sample capture from the form to the downloaded files."""
 
 import contextlib
 import hashlib
@@ -22,13 +22,13 @@ from tests.e2e.serving import Served, digests, serving
 
 pytestmark = pytest.mark.xdist_group("sample")
 
-# It looks for nothing outside, and root may start it.
+# The browser makes no requests of its own, and root may start it.
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
 
 
 @contextlib.contextmanager
 def opened(url: str) -> Iterator[Page]:
-    """The page in a new browser; in the end that no script has failed."""
+    """Open the page in a new browser; at the end of the block check that no script has failed."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("there is no chromium (`make browser` installs it on Debian)")
@@ -57,7 +57,7 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
     expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
     expect(job.get_by_text("Done, with warnings", exact=True)).to_be_visible(timeout=240_000)
-    # The files of a job that is done are asked for then: they stand there an answer later.
+    # The page requests the files of a finished job then, and shows them after the response.
     expect(job.get_by_role("link", name="All as ZIP")).to_be_visible()
     found, packed = {}, {}
     for link in job.get_by_role("link").all():
@@ -201,4 +201,4 @@ def test_the_contract_is_shown_without_anybody_else(served: Served) -> None:
         page.get_by_role("button", name="Execute").click()
         expect(page.locator(".live-responses-table .response-col_status").last).to_contain_text("200")
     assert asked == {served.client.base_url.netloc.decode()}
-    assert refused == []  # by the Content-Security-Policy
+    assert refused == []  # requests refused by the Content-Security-Policy

@@ -1,4 +1,4 @@
-"""The service on PostgreSQL: the same bytes as on SQLite, also when the server is restarted in the middle."""
+"""Service on PostgreSQL: the same bytes as on SQLite, even if the server restarts during a job."""
 
 import time
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ def test_the_same_bytes_also_when_the_server_is_restarted(
     assert on_postgres.client.delete(answer.json()["links"]["session"]).status_code == 204
 
 
-def test_it_really_is_there(on_postgres: Served, postgres: Postgres) -> None:
+def test_the_tables_are_in_postgresql(on_postgres: Served, postgres: Postgres) -> None:
     assert not (on_postgres.data_dir / "multicap.db").exists()
     engine = sa.create_engine(sa.make_url(postgres.url).set(drivername="postgresql+psycopg"))
     with engine.connect() as connection:

@@ -1,4 +1,4 @@
-"""The examples of `docs/python.md` run as they are written: in this process, and by a service."""
+"""Examples of `docs/python.md`, run as they are written: in this process, and with a service."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Accuracy on a rendered capture with exact truth, where that folder is at hand."""
+"""Accuracy on a rendered capture with exact truth; skipped without its folder."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""From four real videos to animations."""
+"""Sample capture: four real videos to animations."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from pipeline.runtime.packages.samples import Sample
 from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 
-# All of this needs the same reconstruction: one worker does it once.
+# All tests need the same reconstruction, which one process of the tests computes once.
 pytestmark = pytest.mark.xdist_group("sample")
 
 
@@ -23,7 +23,7 @@ def test_two_people_live_through_the_take_and_nobody_is_made_up(reconstruction: 
     lengths = sorted((track.num_frames for track in reconstruction.tracks), reverse=True)
     assert lengths[0] >= 95
     assert lengths[1] >= 95
-    # The bystander, whom two cameras see, may be a third.
+    # The bystander, seen by two cameras, may be found as a third person.
     assert all(length <= 10 for length in lengths[3:])
 
 
@@ -51,7 +51,7 @@ def test_skeletons_json_is_the_documented_contract(results: Path, reconstruction
 def test_animations_in_other_software(
     results: Path, reconstruction: Reconstruction, read: Callable[[Path], dict[str, np.ndarray]]
 ) -> None:
-    """Within 1 mm of our forward kinematics, within 40 mm on average of the triangulated joints."""
+    """Joints are within 1 mm of our forward kinematics, and on average within 40 mm of the triangulated joints."""
     for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
         animated_m = forward_kinematics(motion)
         found = read(results / f"{motion.name}.bvh")

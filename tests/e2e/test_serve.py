@@ -1,4 +1,4 @@
-"""`multicap serve`: the real sample from POST to BVH, while parts of it are killed."""
+"""`multicap serve`: the sample capture from POST to BVH, while parts of the service are killed."""
 
 import re
 import shlex
@@ -79,12 +79,12 @@ def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None
     command = [*COMMAND, "--port", port, "--data", str(tmp_path)]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert refused.returncode == 2
-    assert f"Port {port} can't be had" in refused.stderr
+    assert f"Port {port} can't be used on" in refused.stderr
 
 
 def test_a_killed_api_comes_back_on_its_port(served: Served) -> None:
     served.part("api").kill()
-    # A new connection waits at the socket until the new process takes it.
+    # A new connection waits at the socket until the new process accepts it.
     assert httpx2.get(served.client.base_url.join("/healthz"), timeout=30.0, trust_env=False).is_success
     wait_for(lambda: len(served.tree()) == NUM_PROCESSES)
 
@@ -105,9 +105,9 @@ def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
 
 
 def test_the_command_that_a_refusal_names_lets_the_service_start(tmp_path: Path) -> None:
-    """Also for a folder that is not the default one, with a name that a shell would take apart."""
+    """The data folder is not the default folder, and a shell would split its name."""
     data = tmp_path / "a folder"
-    # Loopback in the end, by a name that the service can't know to be.
+    # A loopback address, by a name that the service does not know.
     serve = [*COMMAND, "--host", "127.1", "--port", "0", "--data", str(data)]
     refused = subprocess.run(serve, capture_output=True, text=True, timeout=120, check=False)
     assert refused.returncode == 2

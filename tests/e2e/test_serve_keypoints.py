@@ -1,4 +1,4 @@
-"""A session of keypoints through the service: the same files as without it."""
+"""Session of keypoints in the service: the same files as from the library."""
 
 import hashlib
 import importlib
@@ -107,7 +107,7 @@ def test_some_frames_and_some_people_at_another_rate(
 
 @pytest.fixture
 def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The client that somebody else's generator makes of the contract."""
+    """Client that `openapi-python-client` generates from the contract."""
     config = tmp_path / "config.yaml"
     config.write_text("post_hooks: []\ncontent_type_overrides: {application/zip: application/octet-stream}\n")
     package = f"multicap_client_{tmp_path.name}"

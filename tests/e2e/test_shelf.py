@@ -1,4 +1,4 @@
-"""Accuracy on the Shelf benchmark, where that folder is at hand."""
+"""Accuracy on the Shelf benchmark; skipped without its folder."""
 
 import json
 import os
@@ -53,9 +53,9 @@ def test_shelf_by_clustering() -> None:
 
 @pytest.mark.skipif(not FOLDER.is_dir(), reason="no Shelf benchmark at hand (MULTICAP_SHELF names its folder)")
 def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
-    # In a process of its own: checking the shapes of everything takes four times as long as the work.
+    # In a child process without checks of shapes, which would take four times as long as the work.
     command = [sys.executable, "-m", "api.cli.main", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]
-    command.append("--smoothing=none")  # the ablation is of what comes before
+    command.append("--smoothing=none")  # the ablation concerns the steps before smoothing
     result = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
     scores = json.loads(result.stdout)
     by_every = {row["every"]: row for row in scores["ablation"]["every"]}
@@ -70,7 +70,7 @@ def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
     assert set(scores["ablation"]["triangulation"]) >= {"conventional", "incremental_without_norm", "incremental"}
 
 
-def test_all_that_is_missing_is_said(tmp_path: Path) -> None:
+def test_all_missing_and_unreadable_files_are_reported(tmp_path: Path) -> None:
     (tmp_path / "gt.npz").write_text("no archive")
     np.savez(tmp_path / "other.npz", cam=np.zeros(1), frame=np.zeros(1))
     result = CliRunner().invoke(

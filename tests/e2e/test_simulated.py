@@ -1,4 +1,4 @@
-"""Tracking of simulated people, whose truth is exact, from what a faulty detector sees of them."""
+"""Tracking of simulated people with exact truth, seen by a simulated detector with faults."""
 
 import json
 import subprocess
@@ -38,7 +38,7 @@ def test_everybody_keeps_one_identity(name: str) -> None:
 
 
 def test_hands_that_touch_stay_both_peoples() -> None:
-    """Clapping, handshakes and a hug, seen as heatmaps and fields: while they touch, both keep both wrists."""
+    """Clapping, handshakes and a hug, from heatmaps and fields: people who touch keep both wrists."""
     simulation = record(replace(find_scene("contact"), duration_s=4.0), seed=2)
     with drawn_fields(simulation) as files:
         whole = score_simulated(cluster_fields(simulation, files)[0], simulation, COCO_18)

@@ -1,4 +1,4 @@
-"""Stopping: nobody has to be killed, at whatever moment, and it is quick where nothing runs."""
+"""Stop of the service: at any moment no process has to be killed, and an idle service stops quickly."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ def start(data_dir: Path) -> subprocess.Popen[str]:
 
 
 def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[float, str]:
-    """Seconds that a service takes to end, and what it says."""
+    """Stop a service; return the seconds until its end, and its output."""
     asked_s = time.monotonic()
     process.send_signal(number)
     process.wait(60)
@@ -41,7 +41,7 @@ def test_a_service_is_stopped_without_killing(tmp_path: Path, number: signal.Sig
     if is_ready:
         assert process.stdout is not None
         assert process.stdout.readline().startswith(READY)
-    else:  # its worker's processes are there, and load their libraries
+    else:  # the worker's processes exist and load their libraries
         wait_for(lambda: len(psutil.Process(process.pid).children(recursive=True)) == NUM_PROCESSES - 1)
     tree += tree[0].children(recursive=True)
     _, said = stop(process, number)

@@ -1,4 +1,4 @@
-"""A job's trace, as a collector receives it: from the request to every chunk."""
+"""Trace of a job at a collector: from the request to every chunk."""
 
 import threading
 from collections import defaultdict
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.xdist_group("sample")
 
 @dataclass
 class Collector:
-    """What was received: spans by their ids, and the services that sent them."""
+    """Received spans by their ids, and the services that sent them."""
 
     spans: dict[bytes, Any] = field(default_factory=dict)
     services: dict[bytes, str] = field(default_factory=dict)
@@ -35,14 +35,14 @@ class Collector:
                     self.spans[span.span_id] = span
 
     def trace_of(self, name: str) -> dict[bytes, Any]:
-        """All spans of the trace that the one span of a name is in."""
+        """All spans of the trace that contains the only span with a name."""
         (root,) = [span for span in list(self.spans.values()) if span.name == name]
         return {key: span for key, span in list(self.spans.items()) if span.trace_id == root.trace_id}
 
 
 @pytest.fixture
 def collector() -> Iterator[tuple[Collector, str]]:
-    """A collector of OTLP over HTTP, and its address."""
+    """Collector of OTLP over HTTP with its address."""
     found = Collector()
 
     class Handler(BaseHTTPRequestHandler):
@@ -80,19 +80,19 @@ def test_a_job_is_one_trace(collector: tuple[Collector, str], capture: Path, tmp
     (request,) = by_name["POST /v1/jobs"]
     assert request.parent_span_id == b""
     assert found.services[request.span_id] == "multicap-api"
-    # Through the database: chunks are children of the request that asked for the job ...
+    # Through the database: chunks are children of the request that created the job ...
     for stage in stages:
         for span in by_name[stage]:
             assert span.parent_span_id == request.span_id
             assert (attributes(span)["multicap.job"], attributes(span)["multicap.stage"]) == (job_id, stage)
             assert found.services[span.span_id] == "multicap-worker"
-            # ... and know the message that woke their worker.
+            # ... and link to the message that started their worker.
             assert len(span.links) == 1
-    # Through the broker: the request published a message, which a worker took.
+    # Through the broker: the request published a message, which a worker received.
     publishing = {span.span_id for span in by_name["publish"] if span.parent_span_id == request.span_id}
     assert publishing & {span.parent_span_id for span in by_name["work"]}
     assert by_name["preflight"][0].parent_span_id == request.span_id
-    # Who only watches is not traced.
+    # Requests of monitoring are not traced.
     assert not [span for span in found.spans.values() if "/readyz" in span.name]
     log = (tmp_path / "logs" / "worker.log").read_text()
     assert log.count(f'"trace_id": "{request.trace_id.hex()}"') >= len(stages)

@@ -1,4 +1,4 @@
-"""The wheel, installed where nothing of the checkout is: foreign modules and its own never meet."""
+"""Wheel, installed without the checkout: its modules do not conflict with other modules."""
 
 import ast
 import json
@@ -50,7 +50,7 @@ print(seen[-1])
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
-    """What a program prints; in the environment of a person who knows nothing of the checkout."""
+    """Output of a program in an environment without the checkout."""
     clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(
         list(map(str, command)), cwd=cwd, env=clean | environment, capture_output=True, text=True, check=False
@@ -61,7 +61,7 @@ def run(*command: str | Path, cwd: Path, **environment: str) -> str:
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The programs of an environment with the wheel and, beside it, the dependencies of this one."""
+    """Programs of an environment with the wheel and the dependencies of this environment."""
     folder = tmp_path_factory.mktemp("wheel")
     run(sys.executable, "-P", "-m", "hatchling", "build", "-t", "wheel", "-d", folder, cwd=ROOT)
     (wheel,) = folder.glob("*.whl")
@@ -69,7 +69,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     python = folder / "venv/bin/python"
     pip: list[str | Path] = [sys.executable, "-P", "-m", "pip", "--disable-pip-version-check", "--python", python]
     run(*pip, "install", "--no-deps", "--no-index", wheel, cwd=folder)
-    # A path in such a file is searched, but files of this kind in it, such as that of our checkout, are not read.
+    # A folder named in a `.pth` file is searched, but `.pth` files in it, such as that of the checkout, are not read.
     packages = run(python, "-P", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip()
     Path(packages, "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
     return python.parent
@@ -77,7 +77,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
-    """A folder of modules that are called like packages of ours and end whoever imports them."""
+    """Folder of modules with the names of our packages; each ends the process that imports it."""
     folder = tmp_path / "foreign"
     folder.mkdir()
     for name in ("api", "pipeline", "worker"):
@@ -87,7 +87,7 @@ def foreign(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def kernels(tmp_path_factory: pytest.TempPathFactory, programs: Path) -> str:
-    """A home with this one's networks, and the kernels of the wheel, which are compiled once."""
+    """Home folder with the installed networks, and with the wheel's kernels, which are compiled once."""
     folder = tmp_path_factory.mktemp("home")
     (folder / "models").symlink_to(home() / "models")
     run(programs / "python", "-P", "-m", "multicap.pipeline.runtime.warm_up", cwd=folder, MULTICAP_HOME=str(folder))
@@ -104,7 +104,7 @@ def test_the_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
 
 
 def test_stages_have_the_codes_of_the_checkout(programs: Path, foreign: Path) -> None:
-    text = "import json; from multicap.worker.stages.code import stage_codes; print(json.dumps({**stage_codes()}))"
+    text = "import json; from multicap.pipeline.stages.code import stage_codes; print(json.dumps({**stage_codes()}))"
     assert json.loads(run(programs / "python", "-c", text, cwd=foreign)) == {**stage_codes()}
 
 
@@ -121,7 +121,7 @@ def test_a_program_keeps_its_own_modules(programs: Path, tmp_path: Path) -> None
 
 
 def test_type_checkers_find_the_types(programs: Path, foreign: Path) -> None:
-    """What `multicap` imports for them is in the wheel, and the wheel says that it has types."""
+    """The wheel has the modules that `multicap` imports for type checkers, and is marked as typed."""
     text = "import multicap, pathlib; print(pathlib.Path(multicap.__file__).parent)"
     package = Path(run(programs / "python", "-c", text, cwd=foreign).strip())
     assert (package / "py.typed").is_file()
@@ -144,7 +144,7 @@ def test_processes_of_a_pool(programs: Path, foreign: Path, tmp_path: Path, kern
 
 @pytest.fixture
 def service(programs: Path, foreign: Path, tmp_path: Path, kernels: str) -> Iterator[str]:
-    """Address of a service of the wheel."""
+    """Address of a service that runs from the wheel."""
     clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command: list[str | Path] = [
         programs / "multicap",

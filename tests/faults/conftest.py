@@ -1,4 +1,4 @@
-"""A short capture of keypoints, and what the library makes of it."""
+"""Fixtures of the fault tests: a short capture of keypoints, and the library's results."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def undisturbed(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[Method, dict[str, str]]:
-    """SHA-256 of each result file of the library."""
+    """SHA-256 of each result file that the library writes."""
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
     found = {}
     for method in METHODS:

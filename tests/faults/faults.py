@@ -1,4 +1,4 @@
-"""Faults: what befalls a service while it works on a job."""
+"""Faults of a service that works on a job, such as kills, clock changes and a full disk."""
 
 import contextlib
 import hashlib
@@ -33,7 +33,7 @@ TUS = {"Tus-Resumable": "1.0.0", "Upload-Metadata": "filename Y2FtXzAubXA0"}
 
 
 def set_clock(folder: Path, offset_s: float) -> None:
-    """Have the service's clock, but for its monotonic one, show another time than ours."""
+    """Offset the service's clock, except the monotonic clock."""
     new = folder / f"{CLOCK}.new"
     new.write_text(f"{offset_s:.3f}")
     new.replace(folder / CLOCK)
@@ -72,7 +72,7 @@ def lock_database(service: Service, chance: random.Random, job_id: str) -> None:
 
 
 def lose_the_message(service: Service, chance: random.Random, job_id: str) -> None:
-    """The worker that has it dies, and the broker forgets it."""
+    """Kill the worker that has the message, and delete all messages of the broker."""
     kill(service.served.part("worker"))
     with valkey.Valkey(unix_socket_path=str(service.data_dir / "broker" / "socket")) as broker:
         broker.flushall()
@@ -83,7 +83,7 @@ def set_the_clock(service: Service, chance: random.Random, job_id: str) -> None:
 
 
 def freeze_worker_beyond_its_lease(service: Service, chance: random.Random, job_id: str) -> None:
-    """It goes on with work that is no longer its own."""
+    """Suspend a worker beyond its lease; it continues with a chunk that it has lost."""
     children = service.served.part("worker").children()
     for child in children:
         child.suspend()
@@ -99,7 +99,7 @@ def fill_the_disk(service: Service, chance: random.Random, job_id: str) -> None:
 
 
 def fill_the_disk_and_empty_it_through_the_api(service: Service, chance: random.Random, job_id: str) -> None:
-    """The filler stays until the job has ended; room comes from an upload that a client deletes."""
+    """Fill the disk until the job has ended; deleting an upload frees space for the job."""
     client = service.served.client
     begun = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(BALLAST_BYTES)}).raise_for_status()
     ballast = begun.headers["location"]
@@ -114,7 +114,7 @@ def fill_the_disk_and_empty_it_through_the_api(service: Service, chance: random.
 
 
 def back_up_and_restore_elsewhere(service: Service, chance: random.Random, job_id: str) -> None:
-    """The restored service ends the job, too, with the same files."""
+    """Back up the service and restore it in another folder; it finishes the job with the same files."""
     folder = service.disk.parent / "elsewhere"
     folder.mkdir()
     command = [sys.executable, "-P", "-m", "api.cli.main", "backup"]
@@ -123,7 +123,7 @@ def back_up_and_restore_elsewhere(service: Service, chance: random.Random, job_i
     subprocess.run(create, check=True, env=environment, capture_output=True)
     restore = [*command, "restore", str(folder / "backup"), "--data", str(folder / "data")]
     subprocess.run(restore, check=True, env=environment, capture_output=True)
-    # Its webhooks go nowhere: they would be told twice, by two services that know nothing of each other.
+    # The restored service sends no webhooks: two independent services would send each message twice.
     private = service.environment() | {"MULTICAP_WEBHOOK_PRIVATE": "false"}
     with serving(folder / "data", **private) as restored:
         wait_for(lambda: restored.job(job_id)["state"] in {"succeeded", "failed"}, timeout_s=END_S)
@@ -132,7 +132,7 @@ def back_up_and_restore_elsewhere(service: Service, chance: random.Random, job_i
 
 
 def kill_api_and_reaper_during_an_upload(service: Service, chance: random.Random, job_id: str) -> None:
-    """A client's upload goes on when the API is back, byte by byte; the job's webhook comes all the same."""
+    """Kill both; the upload continues when the API has restarted, and the job's webhook still arrives."""
     content = chance.randbytes(UPLOAD_BYTES)
     path = service.disk.parent / "upload.mp4"
     path.write_bytes(content)
@@ -160,7 +160,7 @@ def kill_api_and_reaper_during_an_upload(service: Service, chance: random.Random
 
 
 def upgrade_the_code(service: Service, chance: random.Random, job_id: str) -> None:
-    """The chunks that the earlier version planned are done by the later one."""
+    """Upgrade the code; the new version finishes the chunks that the old version planned."""
     service.upgrade(service.disk.parent / "other_version")
 
 
@@ -181,18 +181,18 @@ FAULTS: list[Fault] = [
     lose_the_message,
     set_the_clock,
 ]
-# These come as soon as the job was accepted, the others at any moment.
+# Faults that come as soon as the job is accepted; the others come at any moment.
 AT_ONCE = {lose_the_message}
 NEED_A_DISK = {fill_the_disk, fill_the_disk_and_empty_it_through_the_api}
 
 
 def is_possible(fault: Fault, service: Service) -> bool:
-    """Whether this machine lets us."""
+    """Whether this machine allows the fault."""
     return fault not in NEED_A_DISK or service.disk.is_mount()
 
 
 def call(service: Service, method: str, path: str) -> httpx2.Response:
-    """Ask until somebody answers: the API may just have been killed, or the database be locked."""
+    """Repeat a request until it is answered: the API may be restarting, or the database locked."""
     deadline_s = time.monotonic() + 60
     while True:
         with contextlib.suppress(httpx2.TransportError):

@@ -1,4 +1,4 @@
-"""The service that faults disturb: started again by any version of its code, and followed by a receiver of webhooks."""
+"""Service of the fault tests: it can restart with another version of its code, and its webhooks are recorded."""
 
 import contextlib
 import hmac
@@ -23,7 +23,7 @@ from worker.jobs.store import JobStore
 ROOT = Path(__file__).parents[2]
 CLOCK_FOLDER = Path(__file__).parent / "clock"
 PACKAGES = ("api", "pipeline", "worker")
-# How far the service's clock is from ours, in seconds; see ``clock/sitecustomize.py``.
+# Offset of the service's clock in seconds; see ``clock/sitecustomize.py``.
 CLOCK = "clock"
 ENVIRONMENT = {
     "MULTICAP_LEASE_S": "3",
@@ -35,7 +35,7 @@ ENVIRONMENT = {
 
 @dataclass
 class Receiver:
-    """A client's address that webhooks go to; keeps the ids of the messages by job and type."""
+    """Receiver of webhooks; it records the ids of messages by job and type."""
 
     port: int = 0
     secret: str = ""
@@ -47,7 +47,7 @@ class Receiver:
         return f"http://127.0.0.1:{self.port}/hook"
 
     def take(self, headers: dict[str, str], body: str) -> None:
-        """Note a message, verified as the standard says, but for how old it is: clocks are set back and forth."""
+        """Verify and record a message; its age is not checked, because clocks are changed."""
         message_id, sent_at = headers["webhook-id"], datetime.fromtimestamp(int(headers["webhook-timestamp"]), UTC)
         signature = Webhook(self.secret).sign(message_id, sent_at, body)
         if not any(hmac.compare_digest(signature, one) for one in headers["webhook-signature"].split()):
@@ -59,7 +59,7 @@ class Receiver:
 
 @contextlib.contextmanager
 def receiving() -> Iterator[Receiver]:
-    """A receiver on a free port, for the time of the block."""
+    """Run a receiver on a free port during the block."""
     receiver = Receiver()
 
     class Handler(BaseHTTPRequestHandler):
@@ -94,7 +94,7 @@ class Service:
         self.disk, self.receiver = disk, receiver
         self.data_dir = disk / "data"
         self.filler = self.data_dir / "filler"
-        # SHA-256 of the last job's result files, as a restored copy of the service made them.
+        # SHA-256 of the last job's result files in a restored copy of the service.
         self.restored: dict[str, str] = {}
         self.served: Served
         self._code = ROOT
@@ -107,7 +107,7 @@ class Service:
         self._running.close()
 
     def upgrade(self, folder: Path) -> None:
-        """Stop, and start by code that says of all its stages that they are of another version; or by ours again."""
+        """Restart with the other version of all stages, or with our version again."""
         self.stop()
         self._code = ROOT if self._code != ROOT else other_version(folder)
         self.start()
@@ -123,7 +123,7 @@ class Service:
 
 
 def other_version(folder: Path) -> Path:
-    """A copy of the code that is another version of all stages and gives the same results."""
+    """Copy of the code in which all stages have another version and the same results."""
     if not folder.exists():
         for package in PACKAGES:
             shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))

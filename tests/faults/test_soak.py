@@ -1,4 +1,4 @@
-"""Faults at random moments of real jobs on a real service: every job ends as it should, byte by byte.
+"""Faults at random moments of real jobs on a real service: every job ends with the right bytes.
 
 A few runs are part of the suite; ``make soak`` makes 200, or ``MULTICAP_SOAK_RUNS``. The seed, ``MULTICAP_SOAK_SEED``,
 and a run's number decide its fault and its moment; every fault has its turn.
@@ -39,17 +39,17 @@ pytestmark = pytest.mark.xdist_group("faults")
 FEW_RUNS = len(FAULTS)
 RUNS = int(os.environ.get("MULTICAP_SOAK_RUNS", "200"))
 SEED = int(os.environ.get("MULTICAP_SOAK_SEED", "0"))
-# A job takes about so long: some faults come before it has begun, some after its end.
+# About the duration of a job: some faults come before its start, some after its end.
 LONGEST_WAIT_S = 5.0
-# A message that was lost is noticed by then.
+# Time in which a lost message is replaced.
 NOTICED_S = 30.0
-# A webhook whose sender was killed is sent again by then.
+# Time in which a webhook whose sender was killed is sent again.
 TOLD_S = 120.0
 
 
 @pytest.fixture(scope="module")
 def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A small disk for the service's data, where this machine lets us have one."""
+    """Small disk for the service's data, if this machine allows mounting one."""
     folder = tmp_path_factory.mktemp("soak") / "disk"
     folder.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512m", "tmpfs", folder], check=False).returncode == 0
@@ -78,7 +78,7 @@ def one_run(
     fault: Fault,
     chance: random.Random,
 ) -> str:
-    """Send a job, disturb it, and look at what came of it; returns how it ended."""
+    """Send a job, cause a fault, and check the result; return the job's final state."""
     method = chance.choice(METHODS)
     moment_s = 0.0 if fault in AT_ONCE else chance.uniform(0.0, LONGEST_WAIT_S)
     wait_for(lambda: len(service.served.tree()) == NUM_PROCESSES, timeout_s=90)
@@ -108,7 +108,7 @@ def one_run(
         assert service.restored == undisturbed[method]
     assert [one["id"] for one in call(service, "GET", "/v1/jobs").json()["jobs"]] == [job_id]
     assert [one["id"] for one in call(service, "GET", "/v1/sessions").json()["sessions"]] == [session_id]
-    if fault is not set_the_clock:  # a message that is due in an hour by the clock comes in an hour
+    if fault is not set_the_clock:  # after a change of the clock a message may be due an hour later
         wait_for(lambda: {kind for one, kind in service.receiver.messages if one == job_id} == told, timeout_s=TOLD_S)
         assert all(len(service.receiver.messages[job_id, kind]) == 1 for kind in told)
     assert call(service, "DELETE", f"/v1/sessions/{session_id}").status_code == 204
@@ -118,7 +118,7 @@ def one_run(
 
 
 def disturb(service: Service, capture: Path, undisturbed: dict[Method, dict[str, str]], runs: int) -> None:
-    """Make so many runs, and say what came of them."""
+    """Make a number of runs, and print their outcomes."""
     content = files(capture)
     print(f"seed {SEED}", flush=True)  # noqa: T201
     ends: Counter[tuple[str, str]] = Counter()

@@ -1,4 +1,4 @@
-"""Two versions of the code at once on one database: each works on its own plans, with the same result."""
+"""Two versions of the code on one database: each works on the jobs that it planned, with the same results."""
 
 import json
 import os
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.xdist_group("faults")
 
 @contextmanager
 def running(environment: Mapping[str, str], *words: str) -> Iterator[Popen[bytes]]:
-    """A part of the service, with all its children ended at the block's end."""
+    """Run a part of the service during the block; end it with all its children."""
     with Popen([sys.executable, "-P", "-m", *words], env=environment, start_new_session=True) as process:
         try:
             yield process
@@ -61,7 +61,7 @@ def workers_of(data_dir: Path, job_id: str) -> set[int]:
 
 
 def num_ready_versions(data_dir: Path) -> int:
-    """Versions of the code that ready workers run; jobs of another one would be planned again."""
+    """Number of versions of the code that ready workers run; jobs of other versions would be planned again."""
     with sqlite3.connect(data_dir / "multicap.db") as database:
         rows = database.execute("SELECT COUNT(DISTINCT codes) FROM workers WHERE state = 'ready'").fetchall()
     return int(rows[0][0])
@@ -72,7 +72,7 @@ def test_two_versions_work_side_by_side(
 ) -> None:
     port = free_port()
     with ExitStack() as opened:
-        # Short: a Unix socket's path has a limit.
+        # A short path, because the length of a Unix socket's path is limited.
         data_dir = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mc-")))
         old = opened.enter_context(serving(data_dir, PYTHONPATH=str(ROOT)))
         directory = DataDirectory(data_dir, data_dir / "broker" / "socket")

@@ -1,4 +1,4 @@
-"""Calibrations in every format that is read, good ones and spoilt ones."""
+"""Calibrations in every supported format, valid and damaged."""
 
 import json
 import random
@@ -13,7 +13,7 @@ from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
 
 
 def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
-    """The same cameras in all formats, by the name of the file."""
+    """The same cameras in all formats, by file name."""
     short = {"convention": "x = K (R X + t)", "cameras": [_short(camera) for camera in cameras]}
     return {
         "cameras.json": encode(cameras),
@@ -25,7 +25,7 @@ def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
 
 
 def spoilt_calibrations(cameras: Sequence[Camera], seed: int, count: int) -> Iterator[tuple[str, bytes]]:
-    """Name and content of spoilt calibrations, and the special ones that the random ones would miss."""
+    """Name and content of damaged calibrations: random damage, and special cases."""
     yield from _special(cameras)
     rng = random.Random(seed)  # noqa: S311 - the same each time
     good = in_every_format(cameras)

@@ -28,7 +28,7 @@ MAX_WORKER_BYTES = 2048 * MIB
 ACCEPTED = frozenset({201, 202})
 REFUSED = frozenset({400, 413, 415, 422})
 _FINISHED = frozenset({"succeeded", "failed", "canceled"})
-# Errors of jobs that are Multicap's fault, not the input's.
+# Errors of jobs that Multicap causes, not the input.
 _OUR_FAULT = frozenset({"internal_error", "worker_lost", "timed_out"})
 _UNFINISHED_JOBS = 6
 
@@ -106,7 +106,7 @@ class Campaign:
         self._hostile.close()
 
     def send(self, parts: Sequence[Part], spec: Mapping[str, Any] | None = None) -> httpx2.Response:
-        """Send a session, and its job with ``spec``; wait where the service asks for it."""
+        """Send a session, and its job with ``spec``; wait as ``Retry-After`` demands."""
         path = "/v1/sessions" if spec is None else "/v1/jobs"
         files: list[Any] = [(name, (file, content)) for name, file, content in parts]
         if spec is not None:
@@ -138,7 +138,7 @@ class Campaign:
 
     @contextmanager
     def observed(self) -> Iterator[Report]:
-        """Follow jobs, memory and the other tenant while the block runs, and until the last hostile job has ended."""
+        """Observe jobs, memory and the other tenant during the block, and until the last hostile job has ended."""
         self.report.undisturbed_s = statistics.median(self._victim_job() for _ in range(3))
         with ThreadPoolExecutor(3) as pool:
             observers = [pool.submit(one) for one in (self._follow_jobs, self._measure_memory, self._send_as_victim)]
@@ -154,7 +154,7 @@ class Campaign:
         return httpx2.Client(base_url=self._served.client.base_url, headers=headers, timeout=120.0, trust_env=False)
 
     def _follow_jobs(self) -> None:
-        """Poll running jobs; note their ends and how long each was without progress."""
+        """Poll running jobs; record their ends and their longest times without progress."""
         changes: dict[str, tuple[Any, float]] = {}
         running: dict[str, dict[str, Any]] = {}
         while not self._ended.is_set() or running or not self._jobs.empty():
@@ -199,7 +199,7 @@ class Campaign:
             self.report.victim_s.append(self._victim_job())
 
     def _victim_job(self) -> float:
-        """Send the other tenant's session, wait for its job; returns how long that took."""
+        """Send the other tenant's session and wait for its job; return the time."""
         files: list[Any] = [(name, (file, content)) for name, file, content in self._victim_session]
         with self._client(self._victim_key) as client:
             started_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""Sessions of keypoints that ask as much of association as people can: crowds that no camera can tell apart."""
+"""Sessions of keypoints with the hardest association: crowds whose people look alike in every camera."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -60,14 +60,14 @@ def _unknown(camera: Camera, num_people: int, rng: np.random.Generator) -> np.nd
 
 
 def _on_a_ray(cameras: tuple[Camera, ...]) -> People:
-    """Everybody stands behind the first camera's first person: on one epipolar line of each other camera."""
+    """All people stand behind the first person of the first camera: on one epipolar line of each other camera."""
     start_m = center_in_world(cameras[0])
     share = np.linspace(0.3, 1.5, 200)[:, None]
     return _standing_at((start_m + share * (np.array([0.0, 0.0, 1.0]) - start_m))[:, None])
 
 
 def _on_a_grid() -> People:
-    """Everybody half a metre from each other: most rays of two views meet near somebody's joint."""
+    """People stand half a metre apart: most rays of two views meet near a joint of some person."""
     rows = np.stack(np.meshgrid(np.arange(10), np.arange(20)), -1).reshape(-1, 2) * 0.4 - 3.0
     return _standing_at(np.column_stack([rows, np.zeros(len(rows))])[:, None])
 
@@ -91,7 +91,7 @@ def _session(cameras: tuple[Camera, ...], people: People, num_people: int, num_f
 
 
 def hostile_crowds(num_people: int, num_cameras: int, num_frames: int) -> Mapping[str, Callable[[], KeypointSession]]:
-    """Sessions by what is wrong with them; each camera shows so many people in every frame."""
+    """Sessions by name of their difficulty; each camera shows a number of people in every frame."""
     around = cameras_around(num_cameras)
     same = tuple(replace(around[0], name=camera.name) for camera in around)
     in_one_place = tuple(

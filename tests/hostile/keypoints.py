@@ -1,4 +1,4 @@
-"""Sessions of keypoints as the service takes them, good ones and spoilt ones."""
+"""Sessions of keypoints as files of the service, valid and damaged."""
 
 import io
 import json
@@ -24,12 +24,12 @@ _NAMES = (
 
 
 def simulate(num_views: int = 2, duration_s: float = 0.3) -> Simulation:
-    """A simulation that is small."""
+    """Small simulation."""
     return record(replace(find_scene("unsynchronised"), duration_s=duration_s), seed=4, num_views=num_views)
 
 
 def keypoint_files(simulation: Simulation) -> dict[str, bytes]:
-    """The calibration, the timestamps, and an archive a camera."""
+    """Calibration, timestamps, and an archive for each camera."""
     files = dict(simulation_files(simulation))
     frames: dict[str, dict[str, bytes]] = {}
     for name, content in files.items():
@@ -41,7 +41,7 @@ def keypoint_files(simulation: Simulation) -> dict[str, bytes]:
 
 
 def archive(files: Mapping[str, bytes]) -> bytes:
-    """A zip of files."""
+    """Zip archive of files."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as entries:
         for name, data in files.items():
@@ -50,7 +50,7 @@ def archive(files: Mapping[str, bytes]) -> bytes:
 
 
 def spoilt_keypoints(simulation: Simulation, seed: int, count: int) -> Iterator[dict[str, bytes]]:
-    """Files of spoilt sessions, and of the special ones that the random ones would miss."""
+    """Files of damaged sessions: random damage, and special cases."""
     good = keypoint_files(simulation)
     yield from _special(good)
     rng = random.Random(seed)  # noqa: S311 - the same each time

@@ -1,4 +1,4 @@
-"""Small videos in several containers, good ones and spoilt ones."""
+"""Small videos in several containers, valid and damaged."""
 
 import random
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.hostile.mutations import OF_BYTES, spoil
 from tests.pipeline.media import write_video
 
-# Heads of boxes, chunks and elements whose sizes, counts, times and rates a reader believes.
+# Headers of boxes, chunks and elements with sizes, counts, times and rates that a reader trusts.
 _HEADS = re.compile(
     rb"mvhd|tkhd|mdhd|stts|ctts|stss|stsc|stsz|stco|elst|avih|strh|strf|idx1|LIST|\x2a\xd7\xb1|\x1f\x43\xb6\x75"
 )
@@ -16,7 +16,7 @@ _WORDS = (b"\0\0\0\0", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\0\0\0", 
 
 
 def good_videos(folder: Path) -> Mapping[str, bytes]:
-    """Contents of small videos by their file names."""
+    """Contents of small valid videos by file name."""
     write_video(folder / "a.mp4", 12, options={"g": "4"})
     write_video(folder / "b.mkv", 12, options={"g": "4"})
     write_video(folder / "c.avi", 12, codec="mpeg4")
@@ -25,7 +25,7 @@ def good_videos(folder: Path) -> Mapping[str, bytes]:
 
 
 def spoilt_videos(good: Mapping[str, bytes], seed: int, count: int) -> Iterator[tuple[str, bytes]]:
-    """Name and content of spoilt videos."""
+    """Name and content of damaged videos."""
     rng = random.Random(seed)  # noqa: S311 - the same each time
     for _ in range(count):
         name = rng.choice(sorted(good))
@@ -38,6 +38,6 @@ def spoilt_videos(good: Mapping[str, bytes], seed: int, count: int) -> Iterator[
 
 
 def _other_word(content: bytes, rng: random.Random) -> bytes:
-    """Another 32 bit number shortly behind one of the heads."""
+    """Replace a 32-bit number shortly after a header."""
     position = rng.choice(list(_HEADS.finditer(content))).end() + 4 * rng.randrange(14)
     return content[:position] + rng.choice(_WORDS) + content[position + 4 :]

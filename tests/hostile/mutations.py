@@ -1,4 +1,4 @@
-"""Ways to spoil content, text or bytes; the same generator of random numbers spoils in the same way."""
+"""Random damage of text and bytes; a generator with the same seed causes the same damage."""
 
 import random
 import re
@@ -40,7 +40,7 @@ _DECLARED = (b"klingon", b"utf-16", b"utf-7", b"cp037", b"rot13", b"base64", b""
 
 
 def number(content: bytes, rng: random.Random) -> bytes:
-    """Another number, or what is none, in place of one; sometimes in place of many."""
+    """Replace a number, or many numbers, by another number or by text that is not a number."""
     found = list(NUMBER.finditer(content))
     if not found:
         return content
@@ -54,7 +54,7 @@ def number(content: bytes, rng: random.Random) -> bytes:
 
 
 def lines(content: bytes, rng: random.Random) -> bytes:
-    """Lines that are missing, doubled, swapped, or there a thousand times."""
+    """Remove, repeat or swap lines, or repeat a line a thousand times."""
     parts = content.splitlines(keepends=True) or [b""]
     one, other = rng.randrange(len(parts)), rng.randrange(len(parts))
     match rng.randrange(4):
@@ -70,20 +70,20 @@ def lines(content: bytes, rng: random.Random) -> bytes:
 
 
 def text(content: bytes, rng: random.Random) -> bytes:
-    """Text in the middle that belongs elsewhere."""
+    """Insert text from another place."""
     position = rng.randrange(len(content) + 1)
     return content[:position] + rng.choice(_TEXTS) + content[position:]
 
 
 def encoding(content: bytes, rng: random.Random) -> bytes:
-    """Another encoding, or one that is only said."""
+    """Change the encoding, or only the declaration of the encoding."""
     if rng.random() < 0.5:
         return b'<?xml version="1.0" encoding="' + rng.choice(_DECLARED) + b'"?>\n' + content
     return content.decode(errors="replace").encode(rng.choice(_ENCODINGS), errors="replace")
 
 
 def flip(content: bytes, rng: random.Random) -> bytes:
-    """Some bits flipped."""
+    """Flip some bits."""
     spoilt = bytearray(content)
     for _ in range(rng.choice((1, 1, 3, 20)) if spoilt else 0):
         spoilt[rng.randrange(len(spoilt))] ^= 1 << rng.randrange(8)
@@ -91,13 +91,13 @@ def flip(content: bytes, rng: random.Random) -> bytes:
 
 
 def cut(content: bytes, rng: random.Random) -> bytes:
-    """The end, or a piece of the middle, is missing."""
+    """Remove the end, or a piece of the middle."""
     start = rng.randrange(len(content) + 1)
     return content[:start] if rng.random() < 0.5 else content[:start] + content[start + rng.randrange(1, 500) :]
 
 
 def insert(content: bytes, rng: random.Random) -> bytes:
-    """Noise in the middle, or a piece of the content itself."""
+    """Insert noise, or a piece of the content itself."""
     position, start = rng.randrange(len(content) + 1), rng.randrange(len(content) + 1)
     length = rng.choice((1, 4, 50, 500))
     new = rng.randbytes(length) if rng.random() < 0.5 else content[start : start + length]
@@ -109,7 +109,7 @@ OF_TEXT: Sequence[Callable[[bytes, random.Random], bytes]] = (number, number, nu
 
 
 def spoil(content: bytes, rng: random.Random, ways: Sequence[Callable[[bytes, random.Random], bytes]]) -> bytes:
-    """Spoil in one of the ways, or in several."""
+    """Damage content in one way or in several ways."""
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         content = rng.choice(ways)(content, rng)
     return content

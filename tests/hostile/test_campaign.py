@@ -1,4 +1,4 @@
-"""Hostile media, calibrations, keypoints and timestamps through the real service, whole jobs where they are accepted.
+"""Hostile media, calibrations, keypoints and timestamps in the real service, with jobs of accepted sessions.
 
 A short campaign is part of the suite; ``make hostile`` sends 5,000 videos, 500 calibrations and 500 sessions of
 keypoints. ``MULTICAP_HOSTILE_SEED`` is the seed, ``MULTICAP_HOSTILE_SHARE`` the share of these counts.
@@ -77,7 +77,7 @@ def keypoint_session(files: Mapping[str, bytes]) -> list[Part]:
 
 
 def send_videos(campaign: Campaign, good: Mapping[str, bytes], videos: Sequence[tuple[str, bytes]]) -> None:
-    """Send damaged videos as one session; then a job of an intact video and of those that have no problem alone."""
+    """Send damaged videos as one session; then a job of an intact video and the videos without own problems."""
     named = {f"v{index}{Path(name).suffix}": content for index, (name, content) in enumerate(videos)}
     answer = campaign.send(video_session(named))
     if answer.status_code == 201:
@@ -89,7 +89,7 @@ def send_videos(campaign: Campaign, good: Mapping[str, bytes], videos: Sequence[
 
 
 def send_all(campaign: Campaign, folder: Path, num_videos: int, num_calibrations: int, num_keypoints: int) -> Report:
-    """Send so many damaged videos, calibrations and keypoint sessions by several senders at once."""
+    """Send numbers of damaged videos, calibrations and keypoint sessions with several senders at once."""
     simulation = simulate()
     keypoints = keypoint_files(simulation)
     videos = good_videos(folder)
@@ -114,7 +114,7 @@ def send_all(campaign: Campaign, folder: Path, num_videos: int, num_calibrations
 
 @pytest.fixture
 def campaign(tmp_path: Path) -> Iterator[Campaign]:
-    """Two tenants on a service of its own."""
+    """Run a campaign with two tenants on a new service."""
     data = tmp_path / "data"
     data.mkdir()
     store = JobStore(f"sqlite:///{data / 'multicap.db'}")

@@ -1,4 +1,4 @@
-"""Crowds that no camera can tell apart: bounded time and memory, a result or none, and a warning."""
+"""Crowds whose people look alike in every camera: bounded time and memory, a result or none, and a warning."""
 
 import multiprocessing
 import resource
@@ -22,13 +22,13 @@ from tests.hostile.crowds import hostile_crowds
 
 CLUSTERING = ReconstructionConfig(method="clustering")
 NAMES = list(hostile_crowds(1, 2, 1))
-MAX_FRAME_S = 60.0  # a shared machine takes 16 s for the worst one
+MAX_FRAME_S = 60.0  # a shared machine takes 16 s for the worst crowd
 MAX_RESIDENT_KIB = 2 * 2**20
 
 
 @pytest.fixture(scope="module")
 def child() -> Iterator[ProcessPoolExecutor]:
-    """A process whose peak of memory is not that of the other tests."""
+    """New process, whose peak memory does not include that of other tests."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield pool
 
@@ -41,7 +41,7 @@ def cluster(session: KeypointSession) -> People:
 
 
 def reconstruct(method: str, name: str, num_cameras: int, num_frames: int) -> tuple[float, int, int]:
-    """Seconds, frames that were approximate, and the process's peak of memory in KiB."""
+    """Reconstruct; return seconds, number of approximate frames, and the process's peak memory in KiB."""
     session = hostile_crowds(MAX_PEOPLE, num_cameras, num_frames)[name]()
     started_s = time.monotonic()
     people = track(session, session.detections) if method == "tracking" else cluster(session)
@@ -72,7 +72,7 @@ def test_thirty_one_cameras_in_a_hostile_crowd(child: ProcessPoolExecutor) -> No
 
 
 def people_in_a_hall(num_people: int, num_cameras: int, num_frames: int) -> tuple[KeypointSession, np.ndarray]:
-    """A simulated session of people a good metre apart, and where they are."""
+    """Simulated session of people a good metre apart, with their positions."""
     rig = Rig(Layout.RING, num_cameras, (14.0, 12.0), 4.0, (1920, 1080), 1100.0)
     cast = Cast(num_people, (20.0, 16.0), gap_m=0.4, walking=0.25)
     found = record(Scene(rig, cast, Clock(25.0), duration_s=num_frames / 25.0), seed=1)

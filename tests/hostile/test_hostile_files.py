@@ -1,4 +1,4 @@
-"""Spoilt calibrations, keypoints and timestamps: a session or clear problems, at once, whatever they hold."""
+"""Damaged calibrations, keypoints and timestamps: each gives a session or clear problems within seconds."""
 
 import io
 import json
@@ -17,7 +17,7 @@ from tests.hostile.calibrations import in_every_format, spoilt_calibrations
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 
 SEED = 18
-MAX_S = 10.0  # of a check, on a machine that has other things to do
+MAX_S = 10.0  # time limit of a check on a busy machine
 MAX_PROBLEMS = 61
 
 
@@ -46,7 +46,7 @@ def check(folder: Path, files: Mapping[str, bytes]) -> dict[str, Any]:
 
 
 def is_clear(problems: list[dict[str, Any]]) -> bool:
-    """Some dozens at most, each with a sentence and the place where it is."""
+    """Whether there are at most some dozens of problems, each with a sentence and its place."""
     return 0 < len(problems) <= MAX_PROBLEMS and all(
         problem["message"].endswith(".")
         and len(json.dumps(problem)) < 10_000

@@ -1,4 +1,4 @@
-"""Spoilt sessions over HTTP, looked at by the real check in its child: 201 or 4xx with clear problems, never 5xx."""
+"""Damaged sessions over HTTP with the real preflight: 201 or 4xx with clear problems, never 5xx."""
 
 import itertools
 import json
@@ -38,7 +38,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 
 
 def post(live: Live, files: list[tuple[str, tuple[str, bytes]]]) -> httpx2.Response:
-    """Send a session; it is answered in time, by a session or by what is wrong with it."""
+    """Send a session; check that the response comes in time, with a session or with its problems."""
     started_s = time.monotonic()
     answer = live.client.post("/v1/sessions", files=files)
     assert time.monotonic() - started_s < MAX_S

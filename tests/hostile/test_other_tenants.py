@@ -1,4 +1,4 @@
-"""Work of one tenant that takes minutes a chunk does not keep the others from theirs."""
+"""A tenant with chunks of minutes does not delay the jobs of other tenants."""
 
 import contextlib
 import itertools
@@ -27,7 +27,7 @@ FINISHED = {"succeeded", "failed", "canceled"}
 
 
 def crowd_files() -> dict[str, bytes]:
-    """Session of crowds that no camera can tell apart: clustering a frame takes many seconds, all of them one chunk."""
+    """Session of a crowd whose people look alike: clustering takes many seconds a frame, all in one chunk."""
     session = hostile_crowds(MAX_PEOPLE, NUM_CAMERAS, NUM_FRAMES)["nearly in one place"]()
     names = [camera.name for camera in session.cameras]
     rows = [f"{name},{frame},{frame / RATE_HZ}" for name in names for frame in range(NUM_FRAMES)]

@@ -1,4 +1,4 @@
-"""A session in a real store, and small stages whose right results are known."""
+"""Session in a real store, and small stages with known results."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -48,7 +48,7 @@ def export(work: Work) -> Output:
 
 @dataclass
 class Bench:
-    """A store with a session, and runners on it."""
+    """Store with a session, and runners that work on it."""
 
     data_dir: Path
     store: JobStore
@@ -91,7 +91,7 @@ class Bench:
 
 
 def open_bench(data_dir: Path) -> Bench:
-    """Bench with a new session in a data folder."""
+    """Create a bench with a new session in a data folder."""
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
     session_id = store.sessions.reserve_id()

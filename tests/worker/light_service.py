@@ -1,4 +1,4 @@
-"""Program for tests: broker, worker and reaper under the supervisor, with light stages instead of the pipeline's.
+"""Program for tests: broker, worker and reaper under the supervisor, with small stages in place of the pipeline's.
 
 ``python tests/worker/light_service.py DATA`` runs all; with ``--worker`` it is the worker. Frames take
 ``LIGHT_FRAME_S`` seconds.

@@ -1,4 +1,4 @@
-"""Kill each part of a running service in the middle of a job: it ends with the same bytes, and leaves no process."""
+"""Faults of a running service: each part is killed during a job, which ends with the same bytes."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ def is_alive(process: psutil.Process) -> bool:
 
 @dataclass
 class Service:
-    """A running light service and the store that it works on."""
+    """Running service with small stages, and its store."""
 
     process: subprocess.Popen[bytes]
     data_dir: Path
@@ -49,7 +49,7 @@ class Service:
         return [supervisor, *supervisor.children(recursive=True)]
 
     def part(self, word: str) -> psutil.Process:
-        """The child of the supervisor whose command line has a word."""
+        """Child of the supervisor with a word in its command line."""
         found = [one for one in psutil.Process(self.process.pid).children() if word in " ".join(one.cmdline())]
         assert len(found) == 1, f"{len(found)} children with {word}"
         return found[0]
@@ -120,7 +120,7 @@ def test_a_job_runs_on_both_children(service: Service) -> None:
 
 
 def test_a_lost_message_is_made_good(service: Service) -> None:
-    job = service.bench.create_job()  # and nobody publishes
+    job = service.bench.create_job()  # no message is published
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
@@ -163,7 +163,7 @@ def test_a_killed_broker_is_replaced(service: Service) -> None:
     service.part("valkey-server").kill()
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
     assert service.bench.result(job.id) == RESULT
-    # The worker listens to the new one.
+    # The worker receives messages of the new broker.
     assert service.wait_for_end(service.start_job()).state is JobState.SUCCEEDED
 
 

@@ -1,8 +1,8 @@
-"""Laws of planning."""
+"""Laws of plans: ranges, keys and reuse of stages."""
 
 import tracemalloc
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -11,13 +11,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
-from pipeline.config import MAX_OUTPUT_FRAMES, method_warnings
+from pipeline.config import MAX_OUTPUT_FRAMES, ReconstructionConfig, method_warnings
 from pipeline.detect.registry import REGISTRY
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, MAX_TASKS, POSES, FrameCut
+from pipeline.stages.plan import (
+    ASSOCIATE,
+    DETECT,
+    EXPORT,
+    FIT,
+    LENGTHS,
+    MAX_TASKS,
+    POSES,
+    STAGES,
+    FrameCut,
+    effective_choices,
+    plan,
+)
 from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec
-from worker.planning import plan_job
+from worker.planning import plan_job, session_facts
 
 FILES = tuple(
     InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
@@ -105,7 +117,7 @@ def test_fields_are_another_output_than_bodies() -> None:
     session = make_session()
     bodies = keys(session, JobSpec(detector=CLUSTERING.detector))
     assert not set(bodies[DETECT]) & set(keys(session, CLUSTERING)[DETECT])
-    # Whole bodies serve both methods.
+    # Both methods use the same whole bodies.
     assert keys(session)[DETECT] == keys(session, JobSpec(method="clustering"))[DETECT]
 
 
@@ -163,6 +175,23 @@ def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, chan
     before = keys(make_session())
     after = keys(make_session(), codes={**stage_codes(), stage: "other"})
     assert {name for name in before if before[name] != after[name]} == changed
+
+
+def test_a_choice_that_no_stage_names_counts_for_all() -> None:
+    @dataclass(frozen=True)
+    class NewConfig(ReconstructionConfig):
+        new_choice: int = 1
+
+    facts, codes = session_facts(make_session()), stage_codes()
+    first, second = (plan(facts, NewConfig(new_choice=value), codes) for value in (1, 2))
+    for one, other in zip(first, second, strict=True):
+        assert next(iter(one.tasks)).key != next(iter(other.tasks)).key
+
+
+def test_every_choice_is_named_by_a_stage() -> None:
+    """A choice that counts for all stages makes detections anew when it changes."""
+    named = {name for stage in STAGES for name in stage.choices}
+    assert set(effective_choices(ReconstructionConfig())) == named
 
 
 def test_keys_are_unique_and_safe_as_names() -> None:

@@ -1,4 +1,4 @@
-"""The reaper publishes for work that nobody took, and survives a database that is away."""
+"""Reaper: it publishes messages for unclaimed work, and survives an unreachable database."""
 
 import time
 
@@ -21,7 +21,7 @@ LEASE_S = 20.0
 
 
 class Publisher:
-    """Counts what is published."""
+    """Counts published messages."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -30,7 +30,7 @@ class Publisher:
         self.count += 1
 
 
-def test_it_publishes_for_ready_work_only(bench: Bench) -> None:
+def test_messages_are_published_for_ready_work_only(bench: Bench) -> None:
     publish = Publisher()
     reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
     assert publish.count == 0
@@ -42,7 +42,7 @@ def test_it_publishes_for_ready_work_only(bench: Bench) -> None:
     assert publish.count == 1
 
 
-def test_it_frees_what_a_silent_worker_held(bench: Bench) -> None:
+def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
     job = bench.create_job()
     claims = [bench.store.leases.claim("gone", 0.05) for _ in range(4)]
     assert all(claims)
@@ -54,14 +54,14 @@ def test_it_frees_what_a_silent_worker_held(bench: Bench) -> None:
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_it_survives_a_database_that_is_away(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_reaper_survives_an_unreachable_database(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
     reap(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
     store.close()
     assert "reap_failed" in "".join(capfd.readouterr())
 
 
-def test_it_removes_results_whose_time_is_over(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_expired_results_are_removed(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     kept, short = bench.create_job(), bench.create_job(retention_s=0.05)
     bench.runner().work(60.0)
     time.sleep(0.1)
@@ -73,7 +73,7 @@ def test_it_removes_results_whose_time_is_over(bench: Bench, capfd: pytest.Captu
     assert "job_expired" in "".join(capfd.readouterr())
 
 
-def test_it_removes_what_was_deleted_by_somebody_who_was_killed_then(bench: Bench) -> None:
+def test_files_of_interrupted_deletions_are_removed(bench: Bench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
     files = [
@@ -87,7 +87,7 @@ def test_it_removes_what_was_deleted_by_somebody_who_was_killed_then(bench: Benc
     assert bench.store.removals.due() == []
 
 
-def test_what_can_not_be_removed_is_tried_again(
+def test_failed_removals_are_repeated(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     job, other = bench.create_job(), bench.create_job()

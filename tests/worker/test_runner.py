@@ -1,4 +1,4 @@
-"""The claim loop on a real store, with small stages."""
+"""Runner of chunks on a real store, with small stages."""
 
 import json
 import threading
@@ -31,7 +31,7 @@ def fail_with(error: Exception) -> Any:
 
 
 class Endless:
-    """A pass that goes on until it is stopped; ``begun`` is set when it runs."""
+    """Stage that runs until it is stopped; ``begun`` is set when it runs."""
 
     def __init__(self) -> None:
         self.begun = threading.Event()

@@ -1,4 +1,4 @@
-"""Memory that stages take for each joint of a long session of keypoints."""
+"""Memory of the stages for each joint of a long session of keypoints."""
 
 import hashlib
 import json
@@ -26,11 +26,11 @@ from worker.jobs.spec import JobSpec
 
 SESSION_ID = "0190"
 PAYLOAD = {"camera": None, "start_frame": 0, "stop_frame": 1, "chunk_frames": 1}
-MAX_BYTES_A_JOINT = 70  # a worker of 25 million joints then takes less than 1.7 GiB beside code and kernels
+MAX_BYTES_A_JOINT = 70  # a worker with 25 million joints then needs less than 1.7 GiB beside code and kernels
 
 
 def long_session(num_joints: int) -> KeypointSession:
-    """Two people in four cameras who move to and fro, with exactly or a little more than so many joints."""
+    """Session of two people in four cameras with a number of joints, or a few more."""
     once = record(replace(find_scene("room"), cast=Cast(2, (3.0, 3.0)), duration_s=8.0), seed=4)
     num_once = once.timebase.num_frames
     num_repeats = -(-num_joints // (2 * sum(one.score.size for one in once.detections.values())))
@@ -67,7 +67,7 @@ def work(folder: Path, stage: str) -> Work:
 
 
 def run(folder: Path, stage: str) -> None:
-    """Run a stage in this process, keep its output, and print its peak of memory in KiB."""
+    """Run a stage in this process, store its output, and print the peak memory in KiB."""
     output = run_chunk(work(folder, stage))
     (folder / stage).write_bytes(output.content)
     status = Path("/proc/self/status").read_text()
@@ -75,7 +75,7 @@ def run(folder: Path, stage: str) -> None:
 
 
 def peak_bytes(folder: Path, stage: str) -> int:
-    """Peak of memory of a process that runs a stage; large arrays are given back as soon as they are freed."""
+    """Peak memory of a process that runs a stage; large arrays are returned to the system when they are freed."""
     command = [sys.executable, "-c", "import sys; from tests.worker.test_stage_memory import run; "
                "from pathlib import Path; run(Path(sys.argv[1]), sys.argv[2])", str(folder), stage]  # fmt: skip
     environment = os.environ | {"MALLOC_MMAP_THRESHOLD_": str(2**20), "OMP_NUM_THREADS": "1"}

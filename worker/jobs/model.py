@@ -170,11 +170,11 @@ class StagePlan:
     Parameters
     ----------
     name
-        As in ``worker.stages.plan``.
+        As in ``pipeline.stages.plan``.
     chunks
         At least one; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
     code_sha256
-        Digest of the code that can run the chunks, as in ``worker.stages.code``.
+        Digest of the code that can run the chunks, as in ``pipeline.stages.code``.
     """
 
     name: str

@@ -1,1 +1,1 @@
-"""Processes of the service: start, supervise and end them, and what each one needs."""
+"""Processes of the service: start, supervision and end, log files, priorities, temporary folders."""

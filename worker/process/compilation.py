@@ -1,8 +1,8 @@
-"""Compile the numeric kernels before workers are forked, and say how far that is.
+"""Compilation of the numeric kernels before workers are forked, with its progress in the list of workers.
 
-A first start takes about a minute for it. Celery would take forked children that compile for dead ones, and each of
-them would compile all; so a program of its own compiles before there are any. Where all is compiled this takes
-milliseconds, and loads nothing.
+The first start takes about a minute. Celery would consider forked children dead while they compile, and each child
+would compile all kernels. So a program of its own compiles them before the fork. If all kernels are compiled, this
+takes milliseconds and imports no numeric library.
 """
 
 import json
@@ -16,7 +16,7 @@ from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.kernel_cache import cache_folder, is_complete
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerState, WorkerStatus
-from worker.process.lifeline import tied
+from worker.process.lifeline import tied_to_parent
 from worker.process.presence import Presence, process_name
 
 log = structlog.get_logger()
@@ -27,14 +27,11 @@ _LOG_EVERY = 10
 
 
 def compile_kernels(store: JobStore) -> None:
-    """Compile what is not compiled yet, and list this process as a worker that does it.
-
-    The program ends with a sentence if that fails.
-    """
+    """Compile missing kernels, and list this process among the workers meanwhile; exit with a message on failure."""
     if is_complete():
         return
     if cache_folder() is None:
-        log.warning("kernel_cache_unavailable", hint="Every worker process compiles for itself. Set MULTICAP_HOME.")
+        log.warning("kernel_cache_unavailable", hint="Every worker process compiles all kernels. Set MULTICAP_HOME.")
         return
     status = WorkerStatus(process_name(), WorkerState.STARTING, COMPILING)
     presence = Presence(store.workers, lambda: status)
@@ -42,21 +39,21 @@ def compile_kernels(store: JobStore) -> None:
     log.info("kernels_compiling", hint="A first start takes about a minute.")
     done = total = 0
     try:
-        command = tied(module_command("pipeline.runtime.warm_up", "--progress"))
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:  # noqa: S603 - it is ours
+        command = tied_to_parent(module_command("pipeline.runtime.warm_up", "--progress"))
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:  # noqa: S603 - our own command
             try:
                 for line in program.stdout or ():
-                    said = json.loads(line)
-                    done, total = said["done"], said["total"]
+                    progress = json.loads(line)
+                    done, total = progress["done"], progress["total"]
                     status = replace(status, done=min(done, total), total=total)
                     if done % _LOG_EVERY == 0:
                         log.info("kernels_compiling", done=done, total=total)
-            except BaseException:  # SIGTERM above all: it must not be waited for
+            except BaseException:  # such as SIGTERM: leaving the block would wait for the program
                 program.kill()
                 raise
         if program.returncode != 0:
             log.error("kernels_not_compiled", exit_code=program.returncode)
-            sys.exit("error: The numeric kernels could not be compiled, so nothing can be reconstructed. See above.")
+            sys.exit("error: The numeric kernels could not be compiled; without them nothing can be reconstructed.")
         log.info("kernels_compiled", done=done, total=total)
     finally:
         presence.stop()

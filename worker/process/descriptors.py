@@ -1,9 +1,9 @@
-"""Files and sockets that a process may have open."""
+"""Limit on the open files and sockets of a process."""
 
 import contextlib
 import resource
 
-# Enough for thousands of connections. Some systems allow a billion, and programs that keep a table of all would fail.
+# Enough for thousands of connections. Some systems allow a billion, for which some programs would allocate a table.
 _MAX_DESCRIPTORS = 65_536
 
 
@@ -12,12 +12,12 @@ def raise_descriptor_limit() -> int:
 
     Returns
     -------
-        The soft limit from now on.
+        New soft limit.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _MAX_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _MAX_DESCRIPTORS)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return _MAX_DESCRIPTORS if soft == resource.RLIM_INFINITY else soft
-    with contextlib.suppress(OSError, ValueError):  # the limit of the system was lowered meanwhile
+    with contextlib.suppress(OSError, ValueError):  # the hard limit was lowered since it was read
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]

@@ -1,4 +1,4 @@
-"""The whole service on one machine: its parts as programs for the supervisor, in one data folder."""
+"""Service on one machine: broker, workers and reaper as programs of the supervisor, in one data folder."""
 
 import contextlib
 import os
@@ -23,7 +23,7 @@ _MAX_SOCKET_PATH_BYTES = 100
 
 
 class DataFolderError(Exception):
-    """The data folder can't be used; the text says why and what to do."""
+    """The data folder can't be used; the text states the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +109,10 @@ def _prepare(path: Path, stack: contextlib.ExitStack) -> DataDirectory:
 
 
 def broker(directory: DataDirectory) -> Program:
-    """Valkey on a Unix socket, in memory only.
+    """Broker: Valkey on a Unix socket, in memory only.
 
-    The reaper publishes lost messages again, from the database. So the broker needs no disk, which may be full, and
-    reads no file, which may be damaged.
+    The reaper replaces lost messages from the database. So the broker needs no disk, which may be full, and reads no
+    file, which may be damaged.
     """
     options = {
         "port": "0",
@@ -128,10 +128,10 @@ def broker(directory: DataDirectory) -> Program:
 
 
 def worker(directory: DataDirectory, workers: int) -> Program:
-    """Celery with a number of worker processes."""
+    """Celery's worker with a number of processes."""
     return Program("worker", module_command("worker", "--workers", str(workers)), directory.environment())
 
 
 def reaper(directory: DataDirectory) -> Program:
-    """Process that frees lost leases, sends webhooks and removes files."""
+    """Reaper, which repairs lost work and sends webhooks."""
     return Program("reaper", module_command("worker.reaper"), directory.environment())

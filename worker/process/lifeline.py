@@ -1,6 +1,6 @@
-"""Children that don't outlive their parent, not even when it is killed.
+"""Child processes that end with their parent, even if the parent is killed.
 
-As a program, ``python -m worker.process.lifeline PARENT -- COMMAND...`` becomes the command, tied to the process
+The program ``python -m worker.process.lifeline PARENT -- COMMAND...`` becomes the command and ends with the process
 ``PARENT`` that started it.
 """
 
@@ -16,29 +16,34 @@ _PR_SET_PDEATHSIG = 1
 
 
 def die_with_parent(parent: int) -> None:
-    """Have the kernel kill this process when ``parent``, which forked it, ends; survives ``exec``, not ``fork``.
+    """Let the kernel kill this process when its parent ends; this survives ``exec``, not ``fork``.
 
-    Linux only; elsewhere nothing happens, and a killed parent leaves its children to be stopped by hand.
+    On other systems than Linux nothing happens: children of a killed parent have to be stopped by hand.
+
+    Parameters
+    ----------
+    parent
+        Process id of the parent that forked this process.
     """
     if sys.platform == "linux":
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "prctl")
-    # It may have ended before it was asked for.
+    # The parent may have ended before the call.
     if os.getppid() != parent:
         os._exit(1)
 
 
-def tied(command: Sequence[str]) -> list[str]:
-    """Command that runs ``command`` tied to the process that calls this."""
+def tied_to_parent(command: Sequence[str]) -> list[str]:
+    """Command that runs ``command`` and ends with the calling process."""
     return module_command("worker.process.lifeline", str(os.getpid()), "--", *command)
 
 
 def main() -> None:
-    """Tie this process to its parent and become the command."""
+    """Tie this process to its parent, and replace it by the command."""
     parent, _, *command = sys.argv[1:]
     die_with_parent(int(parent))
-    os.execv(command[0], command)  # noqa: S606 - the whole point: no shell, no new process
+    os.execv(command[0], command)  # noqa: S606 - neither a shell nor a new process is wanted
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Log files of programs: what they print, a JSON object a line, rotated while they run."""
+"""Log files of programs: their output as one JSON object a line, rotated while they run."""
 
 import contextlib
 import json
@@ -10,26 +10,26 @@ from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from typing import IO
 
-# A program's log takes at most five times as much.
+# Size of one file; with its older parts a log takes at most five times as much.
 MAX_FILE_BYTES = 16 * 2**20
 NUM_OLD_FILES = 4
-# Longer lines come as several.
+# A longer line is split.
 _MAX_LINE_BYTES = 2**20
-# Until the end of a pipe whose writers have all ended.
+# Time to read the rest of a pipe whose writers have ended.
 _REST_S = 1.0
 
 
 class LogFile:
-    """A program's log, ``NAME.log``, with older parts ``NAME.log.1`` to ``NAME.log.4``.
+    """Log of a program, ``NAME.log``, with older parts ``NAME.log.1`` to ``NAME.log.4``.
 
-    A line that can't be written, because the disk is full, is lost: whoever prints must never wait for it, nor fail.
+    A line that can't be written, for example on a full disk, is lost: the program must neither wait nor fail.
 
     Parameters
     ----------
     path
-        The file; its folder is made if it is missing.
+        File of the log; its folder is created if it is missing.
     max_bytes
-        Size at which the next part begins.
+        Size at which the file is rotated.
     """
 
     def __init__(self, path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
@@ -40,12 +40,12 @@ class LogFile:
         self._thread: threading.Thread | None = None
 
     def follow(self, output: IO[bytes]) -> None:
-        """Write what comes through a pipe from now until its end, once an earlier one has ended."""
+        """Copy a pipe to the log until the pipe ends; an earlier pipe is copied to its end first."""
         self._thread = threading.Thread(target=self._copy, args=[output, self._thread], name="log", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Write the rest of what came through a pipe that has ended."""
+        """Write the rest of the last pipe, which has ended, and close the file."""
         if self._thread is not None:
             self._thread.join(_REST_S)
         self._handler.close()
@@ -60,7 +60,7 @@ class LogFile:
 
 
 def as_json(line: str) -> str:
-    """A line as it is if it is a JSON object, else as the event of one.
+    """Return a line that is a JSON object unchanged, and any other line as the event of an object.
 
     >>> as_json('{"event": "chunk_done"}')
     '{"event": "chunk_done"}'
@@ -72,7 +72,7 @@ def as_json(line: str) -> str:
 
 
 class _Handler(RotatingFileHandler):
-    """The standard library's, which loses lines that it can't write, and leaves no half of one."""
+    """Rotating handler that drops lines that it can't write, and never leaves a part of a line."""
 
     _num_bytes = 0
 
@@ -80,19 +80,19 @@ class _Handler(RotatingFileHandler):
         path = Path(self.baseFilename)
         try:
             self._num_bytes = path.stat().st_size
-        except OSError:  # removed by somebody: begin anew
+        except OSError:  # the file was removed: create it again
             self._num_bytes = 0
             with contextlib.suppress(OSError):
                 self.close()
                 path.parent.mkdir(parents=True, exist_ok=True)
         super().emit(record)
 
-    def doRollover(self) -> None:  # noqa: N802 - its name
+    def doRollover(self) -> None:  # noqa: N802 - name of the base class
         super().doRollover()
         self._num_bytes = 0
 
-    def handleError(self, record: LogRecord) -> None:  # noqa: N802 - its name
-        # The stream keeps what it could not write, and would fail with it again and again.
+    def handleError(self, record: LogRecord) -> None:  # noqa: N802 - name of the base class
+        # The stream keeps the bytes that it could not write, and would try to write them again.
         with contextlib.suppress(OSError):
             self.close()
         with contextlib.suppress(OSError):

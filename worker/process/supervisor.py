@@ -1,8 +1,8 @@
-"""Keep a few programs running as one: started in order, started again when they crash, stopped together.
+"""Supervisor of a few programs: it starts them in order, restarts them after a crash, and stops them together.
 
-No child outlives the supervisor, not even when it is killed: each is tied to it by ``worker.process.lifeline``, in a
-process group of its own that is swept after it. So Ctrl-C in a terminal reaches the supervisor alone, and it decides
-the order: all programs at once, then those that the others need until their end.
+No child outlives the supervisor, even if it is killed: each child is tied to it by ``worker.process.lifeline``. Each
+child has its own process group, which is killed after the child has ended. So Ctrl-C in a terminal reaches only the
+supervisor. It stops all programs at once, then the programs that the others need until their end.
 """
 
 import contextlib
@@ -14,32 +14,32 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from worker.process.lifeline import tied
+from worker.process.lifeline import tied_to_parent
 from worker.process.log_files import LogFile
 
 _LOOK_S = 0.1
 _FIRST_DELAY_S = 0.5
 _LONGEST_DELAY_S = 30.0
-# A child that lived this long had started well: the next crash counts as the first.
+# After this time a child counts as started, and its next crash as the first.
 _HEALTHY_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program to keep running.
+    """Program that a supervisor keeps running.
 
     Parameters
     ----------
     command
-        Begins with the path of an executable.
+        Path of an executable, and arguments.
     env
-        Its whole environment.
+        Whole environment of the program.
     pass_fds
-        Open files that it inherits.
+        Open files that the program inherits.
     stop_s
-        How long it may take to end after SIGTERM before it is killed.
+        Time from SIGTERM until the program is killed.
     stops_last
-        Whether it is stopped only when all others have ended.
+        Whether the program is stopped only when all others have ended.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Program:
 
 @dataclass(slots=True)
 class _Child:
-    """A program and its present process, or when to start it next."""
+    """Program with its running process, or the time of its next start."""
 
     program: Program
     log: LogFile
@@ -63,30 +63,30 @@ class _Child:
 
 
 class Supervisor:
-    """Runs programs.
+    """Keeps programs running.
 
     Parameters
     ----------
     programs
-        What to run, in the order of starting.
+        Programs in the order of their start.
     logs_dir
-        Each program's output goes to a file there, see ``worker.process.log_files``.
-    say
-        Tells a person what happened, a sentence each.
+        Folder of the log files with the programs' output (``worker.process.log_files``).
+    warn
+        Called with a sentence for the operator after a crash.
     """
 
-    def __init__(self, programs: Sequence[Program], logs_dir: Path, say: Callable[[str], None]) -> None:
+    def __init__(self, programs: Sequence[Program], logs_dir: Path, warn: Callable[[str], None]) -> None:
         self._children = [_Child(program, LogFile(logs_dir / f"{program.name}.log")) for program in programs]
-        self._say = say
+        self._warn = warn
         self._stop = False
 
     def run(self) -> None:
-        """Keep the programs running until SIGINT or SIGTERM; for the main thread, which gets the signals."""
+        """Keep the programs running until SIGINT or SIGTERM; only for the main thread, which gets the signals."""
         with self._stopped_by(signal.SIGINT, signal.SIGTERM):
             try:
                 while not self._stop:
                     for child in self._children:
-                        self._look_after(child)
+                        self._start_if_ended(child)
                     time.sleep(_LOOK_S)
             finally:
                 for last in (False, True):
@@ -104,7 +104,7 @@ class Supervisor:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
-    def _look_after(self, child: _Child) -> None:
+    def _start_if_ended(self, child: _Child) -> None:
         now_s = time.monotonic()
         if child.process is None:
             if now_s >= child.start_at_s:
@@ -113,13 +113,13 @@ class Supervisor:
         status = child.process.poll()
         if status is None:
             return
-        _sweep(child.process)
+        _kill_group(child.process)
         child.process = None
         child.crashes = 1 if now_s - child.started_s > _HEALTHY_S else child.crashes + 1
         delay_s = min(_FIRST_DELAY_S * 2 ** (child.crashes - 1), _LONGEST_DELAY_S)
         child.start_at_s = now_s + delay_s
         name = child.program.name
-        self._say(f"The {name} {_ending(status)}; it starts again in {delay_s:g} s. See {name}.log.")
+        self._warn(f"The {name} {_ending(status)}; it starts again in {delay_s:g} s. See {name}.log.")
 
     def _end(self, children: Sequence[_Child]) -> None:
         running = [(child, child.process) for child in children if child.process is not None]
@@ -131,16 +131,16 @@ class Supervisor:
             try:
                 process.wait(max(0.0, terminated_s + program.stop_s - time.monotonic()))
             except subprocess.TimeoutExpired:
-                self._say(f"The {program.name} did not end in {program.stop_s:g} s and is killed.")
-            _sweep(process)
+                self._warn(f"The {program.name} did not end in {program.stop_s:g} s and is killed.")
+            _kill_group(process)
             process.wait()
         for child in children:
             child.log.close()
 
 
 def _start(child: _Child) -> subprocess.Popen[bytes]:
-    process = subprocess.Popen(  # noqa: S603 - commands are ours
-        tied(child.program.command),
+    process = subprocess.Popen(  # noqa: S603 - our own commands
+        tied_to_parent(child.program.command),
         env=dict(child.program.env),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -153,8 +153,8 @@ def _start(child: _Child) -> subprocess.Popen[bytes]:
     return process
 
 
-def _sweep(process: subprocess.Popen[bytes]) -> None:
-    """Kill what is left of a process's group."""
+def _kill_group(process: subprocess.Popen[bytes]) -> None:
+    """Kill all processes that are left in the group of a process."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
 

@@ -1,1 +1,1 @@
-"""Logs and traces."""
+"""Logs as JSON, and traces by OpenTelemetry."""

@@ -1,8 +1,8 @@
-"""Logs: one JSON object a line on stderr, of our own events and of what libraries say alike.
+"""Logs on stderr, one JSON object a line, for events of Multicap and of its libraries.
 
-Whoever runs the process keeps the lines: the supervisor of ``multicap serve`` in files that it rotates
-(``worker.process.log_files``), a container's engine in its own. A line that can't be written, on a full disk or to a
-closed pipe, is lost; the work that wrote it goes on.
+The parent process stores the lines: the supervisor of ``multicap serve`` in rotated files
+(``worker.process.log_files``), a container engine in its own log. A line that can't be written, on a full disk or to a
+closed pipe, is lost; the work goes on.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from structlog.typing import EventDict
 LogLevel = Literal["debug", "info", "warning", "error"]
 
 _STDERR = 2
-# Of one text in a line: a stranger may send paths and names of any length.
+# Largest length of one text in a line: clients may send paths and names of any length.
 _MAX_TEXT = 4000
 
 
@@ -30,7 +30,7 @@ def configure_logs(level: LogLevel = "info") -> None:
     Parameters
     ----------
     level
-        Least severe events of ours that are written. Libraries are heard from ``warning`` on.
+        Lowest level of Multicap's events that are written. Events of libraries are written from ``warning`` on.
     """
     shared: list[Any] = [
         structlog.contextvars.merge_contextvars,
@@ -61,7 +61,7 @@ def configure_logs(level: LogLevel = "info") -> None:
 
 
 def write_line(line: str) -> None:
-    """Write a line to stderr, or lose it."""
+    """Write a line to stderr; a line that can't be written is lost."""
     data = line.encode(errors="backslashreplace") + b"\n"
     with contextlib.suppress(OSError):
         while data:
@@ -69,7 +69,7 @@ def write_line(line: str) -> None:
 
 
 class _Stderr:
-    """Logger of structlog: every level writes the line that the processors made."""
+    """Logger for structlog: every level writes the line that the processors rendered."""
 
     def msg(self, message: str) -> None:
         write_line(message)
@@ -78,10 +78,10 @@ class _Stderr:
 
 
 class _StderrHandler(logging.Handler):
-    """Handler of the standard library's loggers, which our libraries use."""
+    """Handler for the standard library's loggers, which libraries use."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        with contextlib.suppress(Exception):  # a library's malformed record must not stop what it reports on
+        with contextlib.suppress(Exception):  # a malformed record of a library must not stop the work
             write_line(self.format(record))
 
 
@@ -94,7 +94,7 @@ def _add_trace(logger: object, name: str, event: EventDict) -> EventDict:
 
 
 def _cut_texts(logger: object, name: str, event: EventDict) -> EventDict:
-    """Shorten long texts: of a traceback the end says what happened, of all else the beginning."""
+    """Shorten long texts: keep the end of a traceback, which states the error, and the beginning of other texts."""
     for key, value in event.items():
         if isinstance(value, str) and len(value) > _MAX_TEXT:
             event[key] = f"[...]{value[-_MAX_TEXT:]}" if key == "exception" else f"{value[:_MAX_TEXT]}[...]"

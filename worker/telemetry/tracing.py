@@ -1,7 +1,7 @@
-"""Traces by OpenTelemetry, from a request to the chunks of its job; off unless somebody collects them.
+"""Traces by OpenTelemetry, from a request to the chunks of its job; off without an endpoint.
 
-The standard variables say where to: ``OTEL_EXPORTER_OTLP_ENDPOINT`` turns traces on; ``OTEL_SERVICE_NAME``,
-``OTEL_TRACES_SAMPLER`` and the others mean what they mean everywhere.
+The standard environment variables configure them: ``OTEL_EXPORTER_OTLP_ENDPOINT`` turns traces on;
+``OTEL_SERVICE_NAME``, ``OTEL_TRACES_SAMPLER`` and the others have their usual meanings.
 """
 
 import contextlib
@@ -24,12 +24,12 @@ _tracer = trace.get_tracer("multicap")
 
 
 def is_wanted() -> bool:
-    """Whether somebody collects traces."""
+    """Whether an endpoint for traces is configured."""
     return any(os.environ.get(name) for name in _ENDPOINTS)
 
 
 def start(service_name: str) -> None:
-    """Send this process's spans from now on, if somebody collects them. After a fork each process calls it."""
+    """Export this process's spans from now on, if an endpoint is configured; to be called again after a fork."""
     if is_wanted():
         named = "OTEL_SERVICE_NAME" in os.environ
         resource = Resource.create() if named else Resource.create({SERVICE_NAME: service_name})
@@ -39,14 +39,14 @@ def start(service_name: str) -> None:
 
 
 def stop() -> None:
-    """Send what is left."""
+    """Export the remaining spans."""
     provider = trace.get_tracer_provider()
     if isinstance(provider, TracerProvider):
         provider.shutdown()
 
 
 def current() -> str | None:
-    """W3C traceparent of what this thread is doing; ``None`` if that is part of no trace."""
+    """W3C traceparent of the current span; ``None`` without a trace."""
     carrier: dict[str, str] = {}
     inject(carrier)
     return carrier.get("traceparent")
@@ -54,14 +54,14 @@ def current() -> str | None:
 
 @contextlib.contextmanager
 def message_span(headers: Mapping[str, str]) -> Iterator[None]:
-    """Trace the work that a message causes, as a part of the trace that published it."""
+    """Trace the work that a message starts, as part of the trace that published the message."""
     with _tracer.start_as_current_span("work", context=extract(headers), kind=SpanKind.CONSUMER):
         yield
 
 
 @contextlib.contextmanager
 def chunk_span(claim: Claim) -> Iterator[Span]:
-    """Trace a chunk, as a part of the trace that made its job, with a link to the message that woke the worker."""
+    """Trace a chunk, as part of the trace that created its job, with a link to the message that started the work."""
     woken_by = trace.get_current_span().get_span_context()
     with _tracer.start_as_current_span(
         claim.stage,

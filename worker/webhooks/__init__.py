@@ -1,1 +1,1 @@
-"""Webhooks: messages about the ends of jobs, sent to clients' addresses."""
+"""Webhooks: messages about the ends of jobs, sent to URLs of clients."""

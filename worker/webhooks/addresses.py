@@ -1,8 +1,8 @@
-"""Addresses that messages may go to: how they are written, and what the registries of special addresses say.
+"""Addresses of webhooks: the syntax of their URLs, and public IP addresses.
 
-The tables are the IANA IPv4 and IPv6 Special-Purpose Address Registries (RFC 6890), with the networks of multicast.
-None of theirs is public here, not even those that the registries call globally reachable: translators, anycast relays
-and sinks lead wherever somebody has them lead, and nobody receives webhooks there.
+The tables are the IANA IPv4 and IPv6 Special-Purpose Address Registries (RFC 6890), with the networks of multicast. No
+address of the registries counts as public, not even the addresses that they call globally reachable: translators,
+anycast relays and sinks may lead to any network, and no receiver of webhooks has such an address.
 """
 
 import ipaddress
@@ -17,7 +17,7 @@ _SPECIAL_V4 = tuple(
         "198.18.0.0/15", "198.51.100.0/24", "203.0.113.0/24", "224.0.0.0/4", "240.0.0.0/4",
     )
 )  # fmt: skip
-# All of IPv6 that is given to anybody; loopback, private, link-local, mapped, translated and multicast lie outside.
+# All allocated unicast addresses; loopback, private, link-local, mapped, translated and multicast lie outside.
 _UNICAST_V6 = ipaddress.IPv6Network("2000::/3")
 _SPECIAL_V6 = tuple(
     ipaddress.IPv6Network(network)
@@ -28,13 +28,13 @@ _SPECIAL_V6 = tuple(
 _MAX_NAME = 253
 _LABEL = re.compile(r"(?!-)[a-z0-9_-]{1,63}(?<!-)", re.ASCII | re.IGNORECASE)
 _BRACKETED = re.compile(r"\[[^\[\]]*\](:\d*)?", re.ASCII)
-_NO_IPV6 = "The host of the address is no IPv6 address in brackets, without a zone."
-# Forms that resolvers take for a number: decimal, octal or hexadecimal, with one to four parts.
+_NO_IPV6 = "The host of the address must be an IPv6 address in brackets, without a zone."
+# Forms that resolvers accept as a number: decimal, octal or hexadecimal, with one to four parts.
 _NUMERIC = re.compile(r"\d+|0x[0-9a-f]*", re.ASCII | re.IGNORECASE)
 
 
 def is_public(address: str) -> bool:
-    """Whether an IP address is one of the internet at large; raises ``ValueError`` if it is none.
+    """Whether an IP address is public; raises ``ValueError`` if the text is not an IP address.
 
     >>> is_public("8.8.8.8"), is_public("10.0.0.1"), is_public("::ffff:8.8.8.8")
     (True, False, False)
@@ -42,27 +42,27 @@ def is_public(address: str) -> bool:
     ip = ipaddress.ip_address(address)
     if isinstance(ip, ipaddress.IPv4Address):
         return not any(ip in network for network in _SPECIAL_V4)
-    # A zone is a network of this machine.
+    # An address with a zone belongs to a network of this machine.
     return ip.scope_id is None and ip in _UNICAST_V6 and not any(ip in network for network in _SPECIAL_V6)
 
 
 def may_be_public(host: str) -> bool:
-    """Whether a host as written in a URL is no address, and no name, that is known not to be public."""
+    """Whether the host of a URL may be public: a public IP address, or any name but ``localhost``."""
     try:
         return is_public(host)
-    except ValueError:  # A name: what it stands for is looked at when a message goes there.
+    except ValueError:  # A name: its addresses are checked when a message is sent.
         name = host.removesuffix(".").lower()
         return name != "localhost" and not name.endswith(".localhost")
 
 
 def url_fault(url: str) -> str | None:
-    """Fault of a URL as it is written: a sentence, or ``None``.
+    """Sentence about a syntactic fault of a URL, or ``None``.
 
     >>> url_fault("https://portal.example/hook"), url_fault("https://a..b/")
     (None, 'The name of the host has an empty part.')
     """
     if not (url.isascii() and url.isprintable()):
-        return "An address is written in ASCII: names with other letters as xn--..., all else percent-encoded."
+        return "The address must be ASCII: write names with other letters as xn--..., and percent-encode the rest."
     try:
         parts = urlsplit(url)
         host = parts.hostname or ""
@@ -76,7 +76,7 @@ def url_fault(url: str) -> str | None:
 
 
 def _has_port(parts: SplitResult) -> bool:
-    """Whether the port can be one, or is left out."""
+    """Whether the port is valid or omitted."""
     try:
         return parts.port != 0
     except ValueError:
@@ -95,9 +95,9 @@ def _name_fault(host: str) -> str | None:
     if "" in labels:
         return "The name of the host has an empty part."
     if _NUMERIC.fullmatch(labels[-1]):
-        return None if _is_ipv4(host) else "An IP address is written as four decimal numbers, such as 203.0.113.7."
+        return None if _is_ipv4(host) else "An IP address must be four decimal numbers, such as 203.0.113.7."
     if len(host) > _MAX_NAME or not all(_LABEL.fullmatch(label) for label in labels):
-        return "The name of the host is no domain name: 63 letters, digits and hyphens a part, 253 in all."
+        return "The host must be a domain name: at most 63 letters, digits and hyphens a part, at most 253 in all."
     if not all(map(_is_decodable, labels)):
         return "The name of the host has an invalid xn--... part."
     return None

@@ -1,8 +1,8 @@
-"""Sender of webhooks about jobs' ends, by Standard Webhooks: signed, small, and never into private networks.
+"""Sender of webhooks about the ends of jobs, by Standard Webhooks: signed, and never into private networks.
 
-Clients choose the address, so it may be hostile. A name is resolved once, the resolved address is checked, and the
-connection is made to that address: a name that resolves to another address a moment later (DNS rebinding) changes
-nothing. Redirects are not followed, no proxy of the environment is used, and each try has a time limit.
+Clients choose the addresses. So a name is resolved once, its addresses are checked, and the connection goes to a
+checked address: a name that resolves to another address a moment later (DNS rebinding) has no effect. Redirects are not
+followed, proxies of the environment are not used, and each attempt has a time limit.
 """
 
 import socket
@@ -42,7 +42,7 @@ class _RefusedError(Exception):
 
 
 def resolve(host: str, port: int, allow_private: bool, timeout_s: float = _TRY_S) -> str:
-    """First address of a host that a message may be sent to; raises if there is none."""
+    """First allowed IP address of a host; raises ``_RefusedError`` if there is none."""
     for address in _look_up(host, port, timeout_s):
         if allow_private or is_public(address):
             return address
@@ -50,7 +50,7 @@ def resolve(host: str, port: int, allow_private: bool, timeout_s: float = _TRY_S
 
 
 def _look_up(host: str, port: int, timeout_s: float) -> list[str]:
-    """All addresses of a host; ``TimeoutError`` if its name servers are slow."""
+    """All IP addresses of a host; raises ``TimeoutError`` if its name servers do not answer in time."""
     answer: Future[list[str]] = Future()
 
     def ask() -> None:
@@ -59,13 +59,13 @@ def _look_up(host: str, port: int, timeout_s: float) -> list[str]:
         except Exception as error:
             answer.set_exception(error)
 
-    # The look-up of the system has no time limit; a thread that hangs in it ends by itself later.
+    # The system's lookup has no time limit; a thread that hangs in it ends by itself later.
     threading.Thread(target=ask, daemon=True).start()
     return answer.result(timeout_s)
 
 
 class _BoundedStream(httpcore2.NetworkStream):
-    """Connection that ends at a deadline, however slowly the other side sends."""
+    """Connection that ends at a deadline, even if the receiver keeps sending slowly."""
 
     def __init__(self, stream: httpcore2.NetworkStream, deadline_s: float) -> None:
         self._stream, self._deadline_s = stream, deadline_s
@@ -95,7 +95,7 @@ class _BoundedStream(httpcore2.NetworkStream):
 
 
 class _CheckedBackend(httpcore2.NetworkBackend):
-    """Backend that connects to the address that it has checked."""
+    """Network backend that connects to checked addresses only."""
 
     def __init__(self, allow_private: bool, try_s: float) -> None:
         self._allow_private, self._try_s = allow_private, try_s
@@ -118,25 +118,25 @@ class _CheckedBackend(httpcore2.NetworkBackend):
 
 @dataclass(frozen=True, slots=True)
 class Sender:
-    """Sends messages.
+    """Sends single messages.
 
     Parameters
     ----------
     allow_private
-        Whether messages may be sent to private networks and to this machine.
+        Whether messages may go to addresses of private networks and of this machine, too.
     try_s
-        Time limit of a try.
+        Time limit of an attempt.
     """
 
     allow_private: bool
     try_s: float = _TRY_S
 
     def send(self, delivery: Delivery, secrets: Sequence[WebhookSecret]) -> str | None:
-        """Send a message, signed with all secrets; returns the problem, or ``None`` if the message is done."""
+        """Send a message, signed with all secrets; return a sentence about the failure, or ``None`` on success."""
         if fault := url_fault(delivery.url):
             return fault
         sent_at = datetime.now(UTC)
-        signatures = [Webhook(one.secret).sign(delivery.message_id, sent_at, delivery.body) for one in secrets]
+        signatures = [Webhook(secret.secret).sign(delivery.message_id, sent_at, delivery.body) for secret in secrets]
         headers: dict[bytes | str, bytes | str] = {
             "Host": urlsplit(delivery.url).netloc,
             "Content-Type": "application/json",
@@ -150,7 +150,7 @@ class Sender:
     def _post(self, delivery: Delivery, headers: dict[bytes | str, bytes | str]) -> str | None:
         backend = _CheckedBackend(self.allow_private, self.try_s)
         try:
-            # Only the status of the response is of interest; the rest is not read.
+            # Only the status of the response is read.
             with (
                 httpcore2.ConnectionPool(network_backend=backend) as pool,
                 pool.stream("POST", delivery.url, headers=headers, content=delivery.body.encode()) as response,
@@ -181,15 +181,15 @@ def _connection_fault(error: Exception) -> str:
 
 
 class Courier:
-    """Sends due messages, several at a time; slow receivers of one tenant leave places to the other tenants."""
+    """Sends due messages, several at a time; a tenant with slow receivers never uses all threads."""
 
     def __init__(self, store: JobStore, sender: Sender, pool: ThreadPoolExecutor) -> None:
         self._store, self._sender, self._pool = store, sender, pool
         self._running: dict[Future[None], str] = {}
 
     def start_due(self) -> int:
-        """Begin to send due messages while there are places; returns their number."""
-        self._running = {one: tenant for one, tenant in self._running.items() if not one.done()}
+        """Start to send due messages as far as threads are free; return their number."""
+        self._running = {future: tenant for future, tenant in self._running.items() if not future.done()}
         free = _AT_ONCE - len(self._running)
         if free == 0:
             return 0
@@ -200,7 +200,7 @@ class Courier:
         return len(due)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until the try of a message has ended, or the time is over."""
+        """Wait until one of the running attempts has ended, or the time is over."""
         if self._running:
             wait(self._running, timeout_s, FIRST_COMPLETED)
         else:
@@ -215,14 +215,14 @@ def deliver_forever(store: JobStore, sender: Sender) -> None:
             try:
                 courier.start_due()
             except DamagedDatabase:
-                return  # the reaper ends with the message
+                return  # the reaper ends and reports the damage
             except Exception:
                 log.exception("webhooks_failed")
             courier.wait(_LOOK_S)
 
 
 def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
-    """Try once, and record the outcome."""
+    """Attempt once to send a message, and record the outcome."""
     known = {"message": delivery.message_id, "job": delivery.job_id, "tries": delivery.tries}
     try:
         problem = _try(store, sender, delivery)
@@ -233,16 +233,16 @@ def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
             log.warning("webhook_not_delivered", problem=problem, **known)
         else:
             log.error("webhook_given_up", problem=problem, **known)
-    except Exception:  # of the store: the message is due again when its lease ends
+    except Exception:  # The store failed: the message is due again when its lease ends.
         log.exception("webhook_not_recorded", **known)
 
 
 def _try(store: JobStore, sender: Sender, delivery: Delivery) -> str | None:
     if delivery.tries > MAX_TRIES:
-        return delivery.problem or "No try came to its end."
+        return delivery.problem or "No attempt was completed."
     secrets = store.webhook_secrets.valid(delivery.tenant)
     try:
         return sender.send(delivery, secrets)
-    except Exception:  # counts as a try: without a record the message would be tried for ever
+    except Exception:  # An unrecorded attempt would be repeated without end.
         log.exception("webhook_try_failed", message=delivery.message_id)
-        return "The try failed; the reaper's log says why."
+        return "The attempt failed; the reaper's log says why."

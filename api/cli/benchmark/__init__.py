@@ -1,1 +1,1 @@
-"""Benchmarks: speed and memory, one module each."""
+"""Benchmarks of speed and memory, a module for each subcommand of `multicap benchmark`."""

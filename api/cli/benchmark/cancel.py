@@ -1,4 +1,4 @@
-"""`multicap benchmark cancel`: how long after a cancel processes still work on the job."""
+"""`multicap benchmark cancel`: time from a cancel until no process works on the job any more."""
 
 import contextlib
 import io
@@ -30,30 +30,35 @@ from worker.jobs.spec import JobSpec
 
 _WORKERS = 2
 _LOOK_S = 0.1
-# A process that uses less of a core than this only waits.
+# A process that uses less of a core counts as idle.
 _IDLE_CORES = 0.2
-# So many looks in a row without work: it has ended.
+# Number of consecutive idle samples after which the work has ended.
 _IDLE_LOOKS = 5
 _LONGEST_S = 60.0
 _START_S = 120.0
-# Jobs run for longer: a cancel comes in any of their stages.
+# Jobs run longer than this, so that cancels hit all of their stages.
 _LATEST_CANCEL_S = 12.0
 _SCENE, _SCENE_CAMERAS, _SCENE_S = "store", 6, 20.0
 
 
 def worker_processes() -> list[psutil.Process]:
-    """The processes that work on chunks: children of the service's worker."""
-    ours = psutil.Process().children(recursive=True)
+    """Processes that work on chunks: children of the service's worker."""
+    processes = psutil.Process().children(recursive=True)
     command = {*module_command("worker", "--workers")}
-    workers = [one for one in ours if command <= {*one.cmdline()}]
+    workers = [process for process in processes if command <= {*process.cmdline()}]
     return [child for worker in workers for child in worker.children()]
 
 
 def busy_until(processes: Sequence[psutil.Process], is_canceled: Callable[[], bool]) -> float:
-    """Watch processes until the job is canceled and all of them rest or are gone; when the last one still worked."""
+    """Watch processes until the job is canceled and all of them are idle or have ended.
+
+    Returns
+    -------
+        Time on the monotonic clock at which the last process was busy.
+    """
     last_s = time.monotonic()
     deadline_s = last_s + _LONGEST_S
-    used = {one: _cpu_s(one) for one in processes}
+    used = {process: _cpu_s(process) for process in processes}
     quiet, canceled = 0, False
     while quiet < _IDLE_LOOKS:
         looked_s = time.monotonic()
@@ -62,9 +67,9 @@ def busy_until(processes: Sequence[psutil.Process], is_canceled: Callable[[], bo
         if now_s > deadline_s:
             raise ServiceError(f"{_LONGEST_S:.0f} s after a cancel there is still work on the job.")
         busy = False
-        for one, before_s in used.items():
-            used[one] = _cpu_s(one)
-            busy |= used[one] - before_s > _IDLE_CORES * (now_s - looked_s)
+        for process, before_s in used.items():
+            used[process] = _cpu_s(process)
+            busy |= used[process] - before_s > _IDLE_CORES * (now_s - looked_s)
         if not canceled and not (canceled := is_canceled()):
             busy = True
         quiet = 0 if busy else quiet + 1
@@ -80,7 +85,7 @@ def _cpu_s(process: psutil.Process) -> float:
 
 
 def archives(files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """A zip a camera of the keypoints among a simulation's files."""
+    """Zip archive of each camera's keypoint files, from the files of a simulation."""
     zips: dict[str, io.BytesIO] = {}
     for camera in sorted({Path(name).parent.name for name in files if name.startswith("keypoints/")}):
         zips[camera] = io.BytesIO()
@@ -92,7 +97,7 @@ def archives(files: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def measure(sample: Sample, folder: Path, cancels: int, seed: int) -> dict[str, Any]:
-    """Cancel jobs of videos and of keypoints at random moments."""
+    """Measure cancels of jobs with videos and with keypoints at random moments."""
     chance = random.Random(seed)  # noqa: S311 - no secret
     files = dict(simulation_files(record(replace(find_scene(_SCENE), duration_s=_SCENE_S), seed, _SCENE_CAMERAS)))
     keypoints = (archives(files), files["calibration.json"], files["timestamps.csv"], {"method": "clustering"})
@@ -118,7 +123,7 @@ def measure(sample: Sample, folder: Path, cancels: int, seed: int) -> dict[str, 
 
 
 def _cancel(client: Client, job: Json) -> float:
-    """Cancel a job; seconds until nobody works on it."""
+    """Cancel a job; return the seconds until no process works on it."""
 
     def is_canceled() -> bool:
         return bool(client.get(job["links"]["self"])["state"] == "canceled")
@@ -130,7 +135,7 @@ def _cancel(client: Client, job: Json) -> float:
 
 
 def _stage_after(client: Client, job: Json, then_s: float) -> str | None:
-    """Wait until a job runs, and some seconds more; in which stage it is then, ``None`` if it has ended before."""
+    """Wait until a job has run for some seconds; return its present stage, or ``None`` if it has ended."""
     deadline_s = time.monotonic() + _START_S
     while job["state"] == "queued":
         if time.monotonic() > deadline_s:
@@ -145,11 +150,11 @@ def _stage_after(client: Client, job: Json, then_s: float) -> str | None:
 
 
 def cancel(
-    cancels: Annotated[int, typer.Option(min=1, max=1000, help="Jobs to cancel.")] = 40,
-    seed: Annotated[int, typer.Option(help="Of the moments.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    cancels: Annotated[int, typer.Option(min=1, max=1000, help="Number of jobs to cancel.")] = 40,
+    seed: Annotated[int, typer.Option(help="Random seed of the moments of cancels.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time how long processes still work on jobs that are canceled at random moments."""
+    """Time how long processes keep working on jobs that are canceled at random moments."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         models.install(JobSpec().detector)
         result = measure(samples.install(), Path(folder), cancels, seed)
@@ -159,5 +164,5 @@ def cancel(
     stages = ", ".join(f"{number} in {stage}" for stage, number in sorted(result["stages"].items()))
     typer.echo(
         f"{cancels} cancels ({stages}): median {result['p50_s']:.1f} s, p95 {result['p95_s']:.1f}, "
-        f"longest {result['max_s']:.1f} until nobody works on the job"
+        f"longest {result['max_s']:.1f} until no process works on the job"
     )

@@ -1,4 +1,4 @@
-"""`multicap benchmark clustering`: frames a second of the 3D stage, from peaks and fields in memory to poses."""
+"""`multicap benchmark clustering`: speed of clustering, from peaks and fields in memory to poses."""
 
 import time
 from dataclasses import replace
@@ -26,7 +26,7 @@ _REPEATS = 3
 
 
 def _poses_s(simulation: Simulation) -> float:
-    """Seconds for all frames with everybody's bone lengths known, the shortest of several times."""
+    """Shortest of several times for all frames, with known bone lengths of all people."""
     cameras, timebase = simulation.cameras, simulation.timebase
     parameters = derive_parameters(cameras, GRID.tau2)
     skeleton = skeleton_of(COCO_18)
@@ -39,8 +39,8 @@ def _poses_s(simulation: Simulation) -> float:
     best_s = np.inf
     for _ in range(_REPEATS):
         started_s = time.perf_counter()
-        for one in instants:
-            find_poses(projections, one, skeleton, lengths, parameters, Effort())
+        for instant in instants:
+            find_poses(projections, instant, skeleton, lengths, parameters, Effort())
         best_s = min(best_s, time.perf_counter() - started_s)
     return best_s
 
@@ -56,7 +56,7 @@ def measure_sizes() -> list[dict[str, Any]]:
 
 
 def clustering(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time clustering on one core, from peaks and fields in memory to poses in memory; simulated people."""
     with reporting(as_json):

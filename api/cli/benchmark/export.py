@@ -1,4 +1,4 @@
-"""`multicap benchmark export`: speed and memory of all result files of a long take, written and read back."""
+"""`multicap benchmark export`: speed and memory of writing and reading back all result files of a long take."""
 
 import tempfile
 import time
@@ -24,27 +24,30 @@ _SCENE, _NUM_CAMERAS, _DURATION_S = "room", 4, 20.0
 
 
 def long_take(num_people: int, num_frames: int) -> Reconstruction:
-    """People who do again and again, to and fro, what the simulated person does who is there longest."""
+    """Long take of people who repeat the motion of a simulated person forwards and backwards.
+
+    The repeated motion is that of the person with the longest track.
+    """
     simulation = record(replace(SCENES[_SCENE], duration_s=_DURATION_S), 0, _NUM_CAMERAS)
     cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
-    found = reconstruct_tracks(
+    people = reconstruct_tracks(
         cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
     )
-    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    track, seen = max(zip(*people, strict=True), key=lambda person: person[0].num_frames)
     animation = animate([track], [seen], cameras, simulation.timebase, simulation.joints, ReconstructionConfig())
     numbers = range(1, num_people + 1)
 
-    def everybody(one: Track3D) -> tuple[Track3D, ...]:
-        return tuple(replace(longer_track(one, num_frames), track_id=number, start_frame=0) for number in numbers)
+    def tracks_of_all(source: Track3D) -> tuple[Track3D, ...]:
+        return tuple(replace(longer_track(source, num_frames), track_id=number, start_frame=0) for number in numbers)
 
     return Reconstruction(
         cameras,
         simulation.joints,
         Timebase(0.0, rate_hz, num_frames),
-        everybody(track),
+        tracks_of_all(track),
         tuple(replace(longer_observations(seen, num_frames), track_id=number) for number in numbers),
         Animation(
-            everybody(animation.tracks[0]),
+            tracks_of_all(animation.tracks[0]),
             tuple(_longer_motion(animation.motions[0], number, num_frames) for number in numbers),
             animation.floor,
         ),
@@ -63,7 +66,7 @@ def _longer_motion(motion: SkeletonMotion, number: int, num_frames: int) -> Skel
 
 
 def measure(num_people: int, num_frames: int) -> dict[str, Any]:
-    """Seconds by kind of file, and the peak memory of the whole process before and after."""
+    """Measure seconds by kind of file, and the peak memory of the process before and after."""
     take = long_take(num_people, num_frames)
     before_mib = peak_rss_mib()
     seconds: defaultdict[str, float] = defaultdict(float)
@@ -88,11 +91,11 @@ def measure(num_people: int, num_frames: int) -> dict[str, Any]:
 
 
 def export(
-    people: Annotated[int, typer.Option(min=1, max=100, help="How many of them.")] = 10,
-    frames: Annotated[int, typer.Option(min=2, max=1_000_000, help="How long the take is.")] = 10_000,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    people: Annotated[int, typer.Option(min=1, max=100, help="Number of people.")] = 10,
+    frames: Annotated[int, typer.Option(min=2, max=1_000_000, help="Number of frames of the take.")] = 10_000,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time all formats of a long take, from memory to files that were read back; simulated people, four cameras."""
+    """Time all formats of a long take, from memory to verified files; simulated people, four cameras."""
     with reporting(as_json):
         warm_up()
         result = measure(people, frames)

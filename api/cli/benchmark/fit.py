@@ -1,4 +1,4 @@
-"""`multicap benchmark fit`: speed and memory of the fit, from tracks in memory to motions in memory."""
+"""`multicap benchmark fit`: speed and memory of the skeleton fit, from tracks in memory to motions."""
 
 import time
 import tracemalloc
@@ -33,13 +33,13 @@ def measure_sizes() -> list[dict[str, Any]]:
         simulation = record(replace(SCENES[scene], duration_s=_DURATION_S), 0, num_cameras)
         cameras, timebase = simulation.cameras, simulation.timebase
         parameters = derive_parameters(cameras, timebase.frame_rate_hz)
-        found = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
+        people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
         best_s = np.inf
         for _ in range(_REPEATS):
             started_s = time.perf_counter()
-            animate(*found, cameras, timebase, simulation.joints, ReconstructionConfig())
+            animate(*people, cameras, timebase, simulation.joints, ReconstructionConfig())
             best_s = min(best_s, time.perf_counter() - started_s)
-        person_frames = sum(track.num_frames for track in found[0])
+        person_frames = sum(track.num_frames for track in people[0])
         sizes.append(
             {"cameras": num_cameras, "people": len(simulation.truth_m), "person_frames_per_s": person_frames / best_s}
         )
@@ -47,13 +47,13 @@ def measure_sizes() -> list[dict[str, Any]]:
 
 
 def measure_memory() -> list[dict[str, float]]:
-    """What the fit of one person takes at its peak beside what it is given and what it gives, by the take's length."""
+    """Peak memory of the fit of one person, without its input and output, by the length of the take."""
     simulation = record(replace(SCENES["room"], duration_s=_DURATION_S), 0, _SIZES[0][1])
     cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
-    found = reconstruct_tracks(
+    people = reconstruct_tracks(
         cameras, simulation.times, simulation.detections, simulation.timebase, derive_parameters(cameras, rate_hz)
     )
-    track, seen = max(zip(*found, strict=True), key=lambda person: person[0].num_frames)
+    track, seen = max(zip(*people, strict=True), key=lambda person: person[0].num_frames)
     figures = []
     for minutes in _MINUTES:
         num_frames = round(60 * minutes * rate_hz)
@@ -64,7 +64,7 @@ def measure_memory() -> list[dict[str, float]]:
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         given, made = _arrays(long_track, long_seen), _arrays(*animation.tracks, *animation.motions)
-        # What a track takes over from the one before it is not made.
+        # Arrays that an output shares with the input are not counted as new.
         num_new = sum(array.nbytes for key, array in made.items() if key not in given)
         num_all = sum(array.nbytes for array in (given | made).values())
         figures.append({"minutes": minutes, "records_mib": num_all / _MIB, "working_mib": (peak - num_new) / _MIB})
@@ -73,15 +73,15 @@ def measure_memory() -> list[dict[str, float]]:
 
 def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.ndarray]:
     """All arrays of records, by identity."""
-    values = (getattr(one, field.name) for one in records for field in fields(one))
+    values = (getattr(record, field.name) for record in records for field in fields(record))
     return {id(value): value for value in values if isinstance(value, np.ndarray)}
 
 
 def fit(
-    memory: Annotated[bool, typer.Option("--memory", help="Also the memory of long takes; some minutes.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    memory: Annotated[bool, typer.Option("--memory", help="Also measure the memory of long takes (minutes).")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the fit of skeletons to whole tracks on one core; simulated people, detected in whole bodies."""
+    """Time the fit of skeletons to whole tracks on one core; simulated people, detected as whole bodies."""
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes()

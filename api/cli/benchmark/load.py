@@ -1,4 +1,4 @@
-"""`multicap benchmark load`: many clients that poll and some that upload, while the workers compute."""
+"""`multicap benchmark load`: response times while many clients poll, some upload, and the workers compute."""
 
 import asyncio
 import contextlib
@@ -28,30 +28,30 @@ from worker.jobs.spec import JobSpec
 
 _WORKERS = 2
 _POLL_EVERY_S = 1.0
-# Two workers take longer for a job of the sample, so that they don't run out of work.
+# Two workers need longer for a job of the sample, so that they don't run out of work.
 _JOB_S = 8.0
-# Makes uploads of some 300 MB.
+# Repetitions that make uploads of some 300 MB.
 _UPLOAD_LOOPS = 100
 _START_S = 120.0
 
 
 @dataclass
 class Polls:
-    """Seconds of each answer, and what went wrong."""
+    """Seconds of each response, and errors."""
 
     seconds: list[float]
     errors: list[str]
 
 
 def poll(url: str, paths: Sequence[str], num_clients: int, duration_s: float) -> Polls:
-    """Have clients ask once a second each, over connections that they keep."""
+    """Poll with several clients, each once a second over its own connection."""
     return asyncio.run(_poll(url, paths, num_clients, duration_s))
 
 
 async def _poll(url: str, paths: Sequence[str], num_clients: int, duration_s: float) -> Polls:
-    found = Polls([], [])
+    polls = Polls([], [])
     async with contextlib.AsyncExitStack() as stack:
-        # All of them before the first one asks: making one takes long enough to keep the others waiting.
+        # Create all clients before the first request: the creation is slow enough to delay the requests of others.
         clients = [
             await stack.enter_async_context(httpx2.AsyncClient(base_url=url, timeout=30.0, trust_env=False))
             for _ in range(num_clients)
@@ -59,43 +59,43 @@ async def _poll(url: str, paths: Sequence[str], num_clients: int, duration_s: fl
         start_s = time.perf_counter()
         await asyncio.gather(
             *(
-                _poll_as(client, paths[k % len(paths)], start_s + _POLL_EVERY_S * k / num_clients, duration_s, found)
+                _poll_as(client, paths[k % len(paths)], start_s + _POLL_EVERY_S * k / num_clients, duration_s, polls)
                 for k, client in enumerate(clients)
             )
         )
-    return found
+    return polls
 
 
-async def _poll_as(client: httpx2.AsyncClient, path: str, first_s: float, duration_s: float, found: Polls) -> None:
+async def _poll_as(client: httpx2.AsyncClient, path: str, first_s: float, duration_s: float, polls: Polls) -> None:
     for turn in range(int(duration_s / _POLL_EVERY_S)):
         await asyncio.sleep(max(0.0, first_s + turn * _POLL_EVERY_S - time.perf_counter()))
         started_s = time.perf_counter()
         try:
             answer = await client.get(path)
             if answer.status_code != 200:
-                found.errors.append(f"GET {path}: {answer.status_code}")
+                polls.errors.append(f"GET {path}: {answer.status_code}")
         except httpx2.TransportError as error:
-            found.errors.append(f"GET {path}: {error!r}")
-        found.seconds.append(time.perf_counter() - started_s)
+            polls.errors.append(f"GET {path}: {error!r}")
+        polls.seconds.append(time.perf_counter() - started_s)
 
 
 @dataclass
 class Uploads:
-    """Bytes that arrived, and what went wrong."""
+    """Uploaded bytes, and errors."""
 
     num_bytes: int
     errors: list[str]
 
 
 class _Line(io.FileIO):
-    """A file that is read no faster than a line takes it."""
+    """File that is read at the speed of a network connection."""
 
     def __init__(self, path: Path, bytes_per_s: float) -> None:
         super().__init__(path)
         self._bytes_per_s, self._free_s = bytes_per_s, time.perf_counter()
 
     def read(self, size: int | None = -1) -> bytes:
-        """Read, once what was read before is through."""
+        """Read when the bytes read before would have been sent."""
         time.sleep(max(0.0, self._free_s - time.perf_counter()))
         data = super().read(size) or b""
         self._free_s = max(self._free_s, time.perf_counter()) + len(data) / self._bytes_per_s
@@ -105,21 +105,21 @@ class _Line(io.FileIO):
 def upload(
     url: str, videos: Sequence[Path], calibration: Path, num_clients: int, duration_s: float, mbit_per_s: float
 ) -> Uploads:
-    """Have clients send sessions and delete them, one after the other, at so much in all."""
-    found = Uploads(0, [])
+    """Send and delete sessions with several clients, one session after the other, at a total rate."""
+    uploads = Uploads(0, [])
     end_s = time.perf_counter() + duration_s
     bytes_per_s = mbit_per_s * 1e6 / 8 / max(1, num_clients)
-    arguments = (url, [*videos, calibration], bytes_per_s, end_s, found, threading.Lock())
+    arguments = (url, [*videos, calibration], bytes_per_s, end_s, uploads, threading.Lock())
     threads = [threading.Thread(target=_upload_as, args=arguments) for _ in range(num_clients)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    return found
+    return uploads
 
 
 def _upload_as(
-    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, found: Uploads, lock: threading.Lock
+    url: str, paths: Sequence[Path], bytes_per_s: float, end_s: float, uploads: Uploads, lock: threading.Lock
 ) -> None:
     with httpx2.Client(base_url=url, timeout=120.0, trust_env=False) as http:
         while time.perf_counter() < end_s:
@@ -137,9 +137,9 @@ def _upload_as(
                 error = f"POST /v1/sessions: {failure!r}"
             with lock:
                 if error is None:
-                    found.num_bytes += sum(path.stat().st_size for path in paths)
+                    uploads.num_bytes += sum(path.stat().st_size for path in paths)
                 else:
-                    found.errors.append(error)
+                    uploads.errors.append(error)
 
 
 def _wait_until_running(client: Client, job: Json) -> None:
@@ -157,7 +157,7 @@ def _units_done(client: Client, jobs: Sequence[Json]) -> int:
 def measure(
     sample: Sample, folder: Path, duration_s: float, polling: int, uploading: int, mbit_per_s: float
 ) -> dict[str, Any]:
-    """Load a fresh service."""
+    """Measure a new service under load."""
     videos = [folder / path.name for path in sample.videos.values()]
     with ProcessPool(2) as pool, served(folder / "service", _WORKERS) as client:
         list(pool.map(loop_video, sample.videos.values(), videos, [_UPLOAD_LOOPS] * len(videos)))
@@ -188,15 +188,15 @@ def measure(
 
 
 def load(
-    duration_s: Annotated[float, typer.Option("--duration", min=5, max=3600, help="Seconds.")] = 120.0,
-    polling: Annotated[int, typer.Option(min=1, max=400, help="Clients that ask for a job once a second.")] = 64,
-    uploading: Annotated[int, typer.Option(min=0, max=16, help="Clients that upload.")] = 4,
+    duration_s: Annotated[float, typer.Option("--duration", min=5, max=3600, help="Duration in seconds.")] = 120.0,
+    polling: Annotated[int, typer.Option(min=1, max=400, help="Number of clients that read a job once a second.")] = 64,
+    uploading: Annotated[int, typer.Option(min=0, max=16, help="Number of clients that upload.")] = 4,
     upload_mbit: Annotated[
-        float, typer.Option(min=1, help="What all that upload come to, in Mbit/s; without it as fast as they can.")
+        float, typer.Option(min=1, help="Total rate of all uploads in Mbit/s. Default: as fast as possible.")
     ] = math.inf,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the answers of a service with two busy workers while clients poll and upload."""
+    """Time the responses of a service with two busy workers while clients poll and upload."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         models.install(JobSpec().detector)
         result = measure(samples.install(), Path(folder), duration_s, polling, uploading, upload_mbit)

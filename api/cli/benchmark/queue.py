@@ -1,4 +1,4 @@
-"""`multicap benchmark queue`: what polling and claiming cost with few and with many jobs in the queue."""
+"""`multicap benchmark queue`: times of polling and claiming with few and with many jobs in the queue."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.planning import plan_job
-from worker.process.lifeline import tied
+from worker.process.lifeline import tied_to_parent
 
 _FEW = 20
 _CAMERAS, _NUM_FRAMES, _RATE_HZ = 4, 3000, 25.0
@@ -33,7 +33,7 @@ _START_S = 60.0
 
 
 def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
-    """A store with jobs in the queue, two minutes of four cameras each; their ids, the first one first."""
+    """Create a store with queued jobs, each of two minutes and four cameras; return it with the ids in queue order."""
     data_dir.mkdir()
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
@@ -51,11 +51,11 @@ def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
 
 @contextlib.contextmanager
 def api(data_dir: Path) -> Iterator[httpx2.Client]:
-    """The web API alone on a data folder."""
+    """Run the web API alone on a data folder."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         fd, port = listening.fileno(), listening.getsockname()[1]
         environment = os.environ | {"MULTICAP_DATA_DIR": str(data_dir)}
-        command = tied(module_command("api", "--fd", str(fd)))
+        command = tied_to_parent(module_command("api", "--fd", str(fd)))
         with (
             (data_dir / "api.log").open("wb") as log,
             subprocess.Popen(command, env=environment, pass_fds=[fd], stderr=log) as process,  # noqa: S603 - ours
@@ -74,7 +74,7 @@ def _seconds(act: Callable[[], object]) -> float:
 
 
 def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
-    """Median milliseconds of an answer and of a claim beside few jobs and beside many, in turns."""
+    """Measure median times of a poll and of a claim in milliseconds, with few and with many jobs in turns."""
     seconds: defaultdict[tuple[str, int], list[float]] = defaultdict(list)
     chance = random.Random(0)  # noqa: S311 - no secret
     with contextlib.ExitStack() as stack:
@@ -89,17 +89,17 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
                 raise ServiceError("A job is not in the queue.")
 
         def claim(store: JobStore) -> None:
-            found = store.leases.claim("benchmark", 60.0)
-            if found is None:
+            chunk = store.leases.claim("benchmark", 60.0)
+            if chunk is None:
                 raise ServiceError("There is nothing to claim.")
-            held.append((store, found.chunk_id, found.lease_token))
+            held.append((store, chunk.chunk_id, chunk.lease_token))
 
         held: list[tuple[JobStore, int, str]] = []
         for turn in range(rounds + 1):
             for number, store, ids, client in queues:
                 polled = _seconds(lambda client=client, ids=ids: ask(client, chance.choice(ids)))  # type: ignore[misc]
                 claimed = _seconds(lambda store=store: claim(store))  # type: ignore[misc]
-                if turn > 0:  # the first ones open connections
+                if turn > 0:  # the first measurements include opening connections
                     seconds["poll", number].append(polled)
                     seconds["claim", number].append(claimed)
             for store, chunk_id, token in held:
@@ -113,11 +113,11 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
 
 
 def queue(
-    jobs: Annotated[int, typer.Option(min=21, max=100_000, help="Jobs in the long queue.")] = 2000,
-    rounds: Annotated[int, typer.Option(min=10, max=10_000, help="Measurements of each kind.")] = 500,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    jobs: Annotated[int, typer.Option(min=21, max=100_000, help="Number of jobs in the long queue.")] = 2000,
+    rounds: Annotated[int, typer.Option(min=10, max=10_000, help="Number of measurements of each kind.")] = 500,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time polling and claiming beside many queued jobs and beside few."""
+    """Time polling and claiming with many queued jobs, compared with few."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         result = measure(Path(folder), jobs, rounds)
     if as_json:

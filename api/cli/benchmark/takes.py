@@ -1,4 +1,4 @@
-"""What the benchmarks share: long takes out of short ones, and how much memory there was."""
+"""Long takes made from short takes, and peak memory, for the benchmarks."""
 
 import resource
 from dataclasses import replace
@@ -9,13 +9,13 @@ from pipeline.data import Observations, Track3D
 
 
 def to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:
-    """A take that goes on as itself backwards, and again."""
+    """Repeat values forwards and backwards along the first axis, up to a number of frames."""
     period = np.concatenate([values, values[::-1]])
     return np.concatenate([period] * -(-num_frames // len(period)))[:num_frames]
 
 
 def longer_track(track: Track3D, num_frames: int) -> Track3D:
-    """A track that goes on so."""
+    """Repeat a track forwards and backwards (``to_and_fro``)."""
     return replace(
         track,
         xyz_m=to_and_fro(track.xyz_m, num_frames),
@@ -27,7 +27,7 @@ def longer_track(track: Track3D, num_frames: int) -> Track3D:
 
 
 def longer_observations(seen: Observations, num_frames: int) -> Observations:
-    """Likewise what stands behind a track."""
+    """Repeat the observations of a track forwards and backwards (``to_and_fro``)."""
     return replace(seen, points_px=to_and_fro(seen.points_px, num_frames), score=to_and_fro(seen.score, num_frames))
 
 

@@ -1,4 +1,4 @@
-"""`multicap benchmark tracking`: frames a second, and what another camera costs (figure 6 of the paper)."""
+"""`multicap benchmark tracking`: speed of tracking, and its cost by number of cameras (figure 6 of the paper)."""
 
 import time
 from collections.abc import Callable
@@ -30,16 +30,16 @@ _NUM_CAMERAS = (2, 4, 8, 12, 16, 20, 24, 28, 31)
 _NUM_DOME_PEOPLE = 7
 _DOME_S = 10.0
 _REPEATS = 15
-# The baseline explodes: it is not asked for more cameras once a frame takes so long.
+# The time of the baseline grows so fast that it is not measured with more cameras once a frame takes this long.
 _PAIRWISE_FRAMES = 4
 _PAIRWISE_LIMIT_MS = 2000.0
-# Of exact points: 3 px of noise, and nothing else goes wrong.
+# Detector with 3 px of noise and no other faults.
 _DETECTOR = Detector(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _crowd(num_cameras: int, num_people: int, duration_s: float) -> Simulation:
-    """People who improvise on 4 m^2 each, cameras around them; points as of an ideal lens."""
+    """Simulate people who improvise on 4 m^2 each, with cameras around them and ideal lenses."""
     side_m = 2.0 * np.sqrt(num_people)
     around_m = (side_m / 2 + 3.0, side_m / 2 + 3.0)
     layout = Layout.RING if num_cameras <= 6 else Layout.CEILING
@@ -49,14 +49,14 @@ def _crowd(num_cameras: int, num_people: int, duration_s: float) -> Simulation:
 
 
 def _dome(num_cameras: int, duration_s: float) -> Simulation:
-    """The same people for any number of cameras, seen by all of them."""
+    """Simulate the same people for any number of cameras; all cameras see all of them."""
     rig = Rig(Layout.DOME, 31, (4.5, 4.5), 0.9, (1920, 1080), 1000.0, distortion=_NO_DISTORTION)
     cast = Cast(_NUM_DOME_PEOPLE, (3.0, 3.0), gap_m=0.5, walking=0.25)
     return record(Scene(rig, cast, Clock(RATE_HZ), _DETECTOR, duration_s=duration_s), 0, num_cameras)
 
 
 def _seconds(work: Callable[[], object], repeats: int) -> float:
-    """Shortest of several times: others who use the machine make it longer, never shorter."""
+    """Shortest of several times: other programs on the machine can only make a time longer."""
     best_s = np.inf
     for _ in range(repeats):
         started_s = time.perf_counter()
@@ -66,14 +66,14 @@ def _seconds(work: Callable[[], object], repeats: int) -> float:
 
 
 def _track_s(simulation: Simulation, repeats: int = _REPEATS) -> float:
-    """From keypoints in memory to tracks in memory."""
+    """Time from keypoints in memory to tracks in memory."""
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
     views = (simulation.cameras, simulation.times, simulation.detections)
     return _seconds(lambda: reconstruct_tracks(*views, simulation.timebase, parameters), repeats)
 
 
 def _reference_s(simulation: Simulation) -> float:
-    """The association alone, in plain numpy."""
+    """Time of the association alone, in plain NumPy."""
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
     bodies = gather(simulation.cameras, simulation.times, simulation.detections)
     times = [simulation.times[camera.name] for camera in simulation.cameras]
@@ -102,7 +102,7 @@ def measure_sizes() -> list[dict[str, Any]]:
 
 
 def measure_scaling() -> list[dict[str, Any]]:
-    """Milliseconds a frame against the number of cameras, and the pairwise baseline's until it explodes."""
+    """Milliseconds a frame by number of cameras, of the tracker and, up to its limit, of the pairwise baseline."""
     scaling: list[dict[str, Any]] = []
     pairwise_ms: float | None = 0.0
     for num_cameras in _NUM_CAMERAS:
@@ -115,7 +115,7 @@ def measure_scaling() -> list[dict[str, Any]]:
 
 
 def plot_scaling(scaling: list[dict[str, Any]], path: Path) -> None:
-    """Draw the cost of a frame against the number of cameras."""
+    """Draw the time of a frame against the number of cameras."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra, and slow to load
 
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
@@ -137,8 +137,10 @@ def plot_scaling(scaling: list[dict[str, Any]], path: Path) -> None:
 
 
 def tracking(
-    plot: Annotated[Path | None, typer.Option(help="Draw the cost against the number of cameras to this file.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="File for a plot of the time of a frame against the number of cameras.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Time tracking on one core, from keypoints in memory to tracks in memory; simulated people, 3 px of noise."""
     with reporting(as_json):

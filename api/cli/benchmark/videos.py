@@ -1,4 +1,4 @@
-"""Longer videos for the benchmarks."""
+"""Long videos made from short videos, for the benchmarks."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from pipeline.errors import ModelError
 
 
 def loop_video(source: Path, target: Path, loops: int) -> None:
-    """Write a video that plays ``loops`` times over, without encoding anything anew."""
+    """Write a video that repeats another ``loops`` times, without encoding it again."""
     with av.open(str(source)) as head, av.open(str(target), "w") as out:
         stream_in = head.streams.video[0]
         stream_out = out.add_stream_from_template(stream_in)

@@ -1,1 +1,1 @@
-"""The commands of `multicap`, one module each."""
+"""Commands of `multicap`, a module for each command."""

@@ -1,4 +1,4 @@
-"""`multicap audit`: who did what."""
+"""`multicap audit`: the audit trail of a service."""
 
 from pathlib import Path
 from typing import Annotated

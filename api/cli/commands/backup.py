@@ -1,4 +1,4 @@
-"""`multicap backup`: everything that a service keeps, in one file."""
+"""`multicap backup`: create, restore and verify backups of a service."""
 
 import contextlib
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ app = typer.Typer(help="Backups of the service: create, restore, verify.", no_ar
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]
 
-# More lines than that nobody reads; --json has all.
+# Largest number of listed problems; --json lists all.
 _MAX_LINES = 20
 
 
@@ -31,7 +31,7 @@ def create(
     data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Back up a service; it may run meanwhile."""
+    """Back up a service, which may be running."""
     settings = settings_in(data)
     with _reported(as_json), byte_bar("Back up", visible=not as_json) as on_progress:
         report = create_backup(
@@ -57,7 +57,7 @@ def restore(
 
 @app.command()
 def verify(archive: Archive, as_json: AsJson = False) -> None:
-    """Check all of a backup as `restore` does, without writing it."""
+    """Check a whole backup as `restore` does, without restoring it."""
     with _reported(as_json), byte_bar("Verify", visible=not as_json) as on_progress:
         report = verify_backup(archive, on_progress)
     _finish(report, f"{archive} is damaged:" if report.faults else f"{archive} is whole:", archive, as_json)
@@ -65,7 +65,7 @@ def verify(archive: Archive, as_json: AsJson = False) -> None:
 
 @contextlib.contextmanager
 def _reported(as_json: bool) -> Iterator[None]:
-    """Turn what went wrong into sentences and the documented exit codes."""
+    """Report errors as sentences or JSON, with the documented exit codes."""
     try:
         yield
     except (BackupError, DamagedDatabase, NewerDatabase) as error:
@@ -91,7 +91,7 @@ def _code_and_faults(error: BackupError | DamagedDatabase | NewerDatabase) -> tu
 
 
 def _finish(report: Report, sentence: str, archive: Path, as_json: bool) -> None:
-    """Say what is in a backup, and end with an exit code that says whether that is all."""
+    """Report the contents of a backup; exit with 1 if it has faults or lacks files."""
     if as_json:
         emit(
             {

@@ -53,7 +53,7 @@ def _group() -> None:
 
 
 def network_seconds(session: CaptureSession, detector_name: str) -> float:
-    """Seconds that the network alone takes for all frames of a session, on one thread."""
+    """Time of the network alone for all frames of a session, on one thread."""
     detector = open_detector(detector_name)
     total_s = 0.0
     for video in session.videos:
@@ -67,18 +67,18 @@ def network_seconds(session: CaptureSession, detector_name: str) -> float:
 
 @app.command()
 def pipeline(
-    loops: Annotated[int, typer.Option(min=1, max=100, help="How many times the sample is played.")] = 1,
+    loops: Annotated[int, typer.Option(min=1, max=100, help="Number of repetitions of the sample in its videos.")] = 1,
     detector: DetectorOption = DEFAULTS.detector,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the sample capture from videos to result files in one process, beside the network alone."""
+    """Time the sample capture from videos to result files in one process, compared with the network alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
         models.install(detector)
         sample = samples.install()
         videos = list(sample.videos.values())
         if loops > 1:
             looped = [Path(folder) / path.name for path in videos]
-            # In a process of its own: its memory is not the pipeline's.
+            # In a child process, so that its memory does not count as the pipeline's.
             with ProcessPool(1) as pool:
                 list(pool.map(loop_video, videos, looped, repeat(loops)))
             videos = looped
@@ -114,7 +114,7 @@ def pipeline(
 
 
 def stage_seconds(job: Json) -> dict[str, float]:
-    """From the start of each stage's first chunk to the end of its last one."""
+    """Seconds from the start of each stage's first chunk to the end of its last chunk."""
     return {
         stage["name"]: (
             datetime.fromisoformat(stage["finished_at"]) - datetime.fromisoformat(stage["started_at"])
@@ -124,7 +124,7 @@ def stage_seconds(job: Json) -> dict[str, float]:
 
 
 def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
-    """Time a session through a fresh service: from the upload's first byte to the last download's last byte."""
+    """Time a session in a new service, from the first byte of the upload to the last byte of the downloads."""
     with served(folder / "service", workers) as client:
         started_s = time.perf_counter()
         job = client.submit("Sample capture", list(sample.videos.values()), sample.calibration)
@@ -143,7 +143,7 @@ def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
 
 
 def time_library(sample: Sample, folder: Path) -> float:
-    """Time the library on one process, from the videos to the files on disk."""
+    """Time the library in one process, from the videos to the result files."""
     started_s = time.perf_counter()
     session = open_session(list(sample.videos.values()), sample.calibration)
     write_results(reconstruct(session, ReconstructionConfig()), folder)
@@ -154,26 +154,27 @@ def time_library(sample: Sample, folder: Path) -> float:
 def service(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the sample through the service with one worker and with two, beside the library."""
+    """Time the sample in a service with one worker and with two workers, compared with the library."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         models.install(JobSpec().detector)
         sample = samples.install()
         warm_up()
         library_s = time_library(sample, Path(folder) / "library")
-        one, two = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
+        one_worker, two_workers = (time_service(sample, workers, Path(folder) / str(workers)) for workers in (1, 2))
     result: Mapping[str, Any] = {
         "library_s": library_s,
-        "one_worker": one,
-        "two_workers": two,
-        "added_s": one["wall_s"] - library_s,
-        "speedup": one["job_s"] / two["job_s"],
-        "detect_speedup": one["stages"][DETECT] / two["stages"][DETECT],
+        "one_worker": one_worker,
+        "two_workers": two_workers,
+        "added_s": one_worker["wall_s"] - library_s,
+        "speedup": one_worker["job_s"] / two_workers["job_s"],
+        "detect_speedup": one_worker["stages"][DETECT] / two_workers["stages"][DETECT],
     }
     if as_json:
         emit(result)
         return
     typer.echo(
-        f"Library {library_s:.1f} s; service with one worker {one['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
-        f"with two {two['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
+        f"Library {library_s:.1f} s; "
+        f"service with one worker {one_worker['wall_s']:.1f} s ({result['added_s']:+.1f} s), "
+        f"with two {two_workers['wall_s']:.1f} s: {result['speedup']:.2f} times as fast, "
         f"detection {result['detect_speedup']:.2f} times"
     )

@@ -1,4 +1,4 @@
-"""`multicap demo`: a real four-camera capture through the service, from POST to animations on disk."""
+"""`multicap demo`: reconstruct the sample capture with a temporary service, from upload to pictures."""
 
 import contextlib
 import json
@@ -38,7 +38,7 @@ def people_at(skeletons: Mapping[str, Any], frame: int) -> dict[int, Float[np.nd
 
 
 def write_overlays(session: CaptureSession, skeletons: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Draw everybody over the middle frame of every camera."""
+    """Draw all people over the middle frame of every camera."""
     frame = skeletons["num_frames"] // 2
     people_m = people_at(skeletons, frame)
     start_s = skeletons["start_time_s"] + frame / skeletons["frame_rate_hz"]
@@ -78,7 +78,7 @@ def command(
             for path in paths:
                 console.print(f"  {path.name}")
             if keep:
-                typer.echo(f"The service goes on at {client.url}. Ctrl-C stops it.")
+                typer.echo(f"The service keeps running at {client.url}. Ctrl-C stops it.")
                 _wait_for_ctrl_c()
 
 

@@ -1,4 +1,4 @@
-"""`multicap evaluate`: accuracy against a known truth."""
+"""`multicap evaluate`: accuracy of reconstructions against a known truth."""
 
 import time
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ from pipeline.stages.local import reconstruct
 from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
 
-# As in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
+# Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
 _ABLATION_VIEWS = 12
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
@@ -59,7 +59,7 @@ def rendered(
     smoothing: SmoothingOption = DEFAULTS.smoothing,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Videos with exact truth: 12 body joints, Hungarian matching a frame, gate 0.5 m."""
+    """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
@@ -84,7 +84,7 @@ def shelf(
         int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
     ] = 1,
     ablation: Annotated[
-        bool, typer.Option(help="Also measure what the parts of the method are worth (half a minute).")
+        bool, typer.Option(help="Also measure the contribution of each part of the method (half a minute).")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
@@ -101,17 +101,17 @@ def shelf(
         identities = None
         if checked_method == "clustering":
             parameters = clustering_parameters(benchmark.cameras)
-            found = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
+            people = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
         else:
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
-            found = locate_people(*views, identities, benchmark.timebase, limits)
-        tracks = animate(*found, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
+            people = locate_people(*views, identities, benchmark.timebase, limits)
+        tracks = animate(*people, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
             **score_shelf(tracks, benchmark),
-            # Clustering gives joints to people, not detections.
+            # Clustering assigns joints to people, not whole detections.
             "association_accuracy": None if identities is None else association_accuracy(identities, kept)["all"],
             **score_tracking(tracks, benchmark),
             "bone_std_cm": bone_length_std_cm(tracks, COCO_17),
@@ -152,7 +152,7 @@ def _print_shelf(result: dict[str, Any]) -> None:
             for name in result["mota"]
         ),
     )
-    typer.echo("Actors are annotated in some images only: a track that matches none counts as false near one.")
+    typer.echo("Actors are annotated in some images only: unmatched tracks count as false near an annotated actor.")
 
 
 def _print_ablation(ablation: dict[str, Any]) -> None:
@@ -191,11 +191,13 @@ def simulated(
     ] = None,
     ablation: Annotated[
         bool,
-        typer.Option(help="Also measure what the constraints of clustering are worth (the paper's table 3; minutes)."),
+        typer.Option(
+            help="Also measure the contribution of each constraint of clustering (the paper's table 3; minutes)."
+        ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Simulated people with exact truth, from what a faulty detector sees of them."""
+    """Simulated people with exact truth, seen by a simulated detector with faults."""
     by_views: dict[int, dict[str, Any]] = {}
     with reporting(as_json):
         checked_method = known_method(method)
@@ -231,18 +233,18 @@ def simulated(
 
 
 def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str:
-    """What people are found from, the method's own by default."""
+    """Check the evidence from which people are found; by default the method's own."""
     chosen = evidence or ("fields" if method == "clustering" else "bodies")
     problems = []
     if chosen not in {"fields", "bodies"}:
         problems.append(Problem("unknown_evidence", f"There is no evidence {chosen!r}.", hint="Known: fields, bodies."))
     elif chosen == "fields" and method != "clustering":
         problems.append(
-            Problem("unknown_evidence", "Tracking takes whole bodies.", hint="Omit --evidence, or use clustering.")
+            Problem("unknown_evidence", "Tracking needs whole bodies.", hint="Omit --evidence, or use clustering.")
         )
     if ablation and chosen != "fields":
         hint = "Omit --ablation, or evaluate clustering of fields."
-        problems.append(Problem("no_ablation", "There is an ablation of clustering of fields only.", hint=hint))
+        problems.append(Problem("no_ablation", "Only clustering of fields has an ablation here.", hint=hint))
     if problems:
         raise InputError(problems)
     return chosen
@@ -259,11 +261,11 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
     started_s = time.perf_counter()
     if config.method == "clustering":
         parameters = clustering_parameters(simulation.cameras)
-        found = reconstruct_by_clustering(*views, simulation.joints, parameters)
+        people = reconstruct_by_clustering(*views, simulation.joints, parameters)
     else:
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
-        found = reconstruct_tracks(*views, limits)
-    animation = animate(*found, simulation.cameras, simulation.timebase, simulation.joints, config)
+        people = reconstruct_tracks(*views, limits)
+    animation = animate(*people, simulation.cameras, simulation.timebase, simulation.joints, config)
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
     return _score(animation, simulation, simulation.joints) | {"fps": fps}
 
@@ -271,8 +273,8 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
 def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
-        found = cluster_fields(simulation, files)
-        animation = animate(*found, simulation.cameras, simulation.timebase, COCO_18, config)
+        people = cluster_fields(simulation, files)
+        animation = animate(*people, simulation.cameras, simulation.timebase, COCO_18, config)
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = _score(animation, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}
@@ -280,7 +282,7 @@ def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation
 
 
 def _print_simulated(columns: Mapping[str, Mapping[str, Any]]) -> None:
-    """One column of scores each; the errors of joints below the rest."""
+    """Print a table with a column of scores for each entry, and the errors of the joints in its last rows."""
     first = next(iter(columns.values()))
     rows = [
         [name, *(_shown(scores.get(name)) for scores in columns.values())]
@@ -311,5 +313,5 @@ def _numbers(views: str | None) -> list[int | None]:
     try:
         return [int(number) for number in views.split(",")]
     except ValueError:
-        problem = Problem("wrong_number_of_views", f"{views!r} is no list of numbers.", hint="Write them as 4,8,16.")
+        problem = Problem("wrong_number_of_views", f"{views!r} is not a list of numbers.", hint="Write them as 4,8,16.")
         raise InputError([problem]) from None

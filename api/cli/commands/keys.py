@@ -1,4 +1,4 @@
-"""`multicap keys`: who may use the service, as which tenant, and for what."""
+"""`multicap keys`: create, list and revoke the API keys of a service."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -36,11 +36,11 @@ def create(
     name: Annotated[str, typer.Argument(help="Name of the key for people, such as its user.")],
     tenant: Annotated[
         str,
-        typer.Option(help="Tenant whose sessions and jobs the key sees; what was made without keys is `default`'s."),
+        typer.Option(
+            help="Tenant whose sessions and jobs the key sees; sessions created without a key belong to `default`."
+        ),
     ] = (DEFAULT_TENANT),
-    scope: Annotated[
-        list[Scope], typer.Option(help="What the key allows; give it several times for several scopes.")
-    ] = [  # noqa: B006
+    scope: Annotated[list[Scope], typer.Option(help="Scope of the key; repeat the option for several scopes.")] = [  # noqa: B006
         Scope.READ,
         Scope.WRITE,
     ],
@@ -53,13 +53,13 @@ def create(
 ) -> None:
     """Create a key and print it; it can't be read again. After the first key every request needs one."""
     if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
-        raise refusal("A name has 1 to 200 characters, a tenant's 1 to 64. Choose others.")
+        raise refusal("A key's name has 1 to 200 characters, a tenant's name 1 to 64. Choose other names.")
     with store_in(data) as store:
         key, secret = store.keys.add(tenant, name, set(scope), None if days is None else days * _DAY_S)
     if as_json:
         emit({**_document(key), "key": secret})
         return
-    console.print(f"Key {key.id} of {key.tenant}. Keep it; it is not shown again:")
+    console.print(f"Key {key.id} of {key.tenant}. Store it; it is not shown again:")
     typer.echo(secret)
 
 
@@ -67,17 +67,17 @@ def create(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
-        found = store.keys.all()
+        keys = store.keys.all()
     if as_json:
-        emit({"keys": [_document(key) for key in found]})
+        emit({"keys": [_document(key) for key in keys]})
         return
     now = datetime.now(UTC)
-    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in found)
+    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in keys)
     print_table(("id", "tenant", "name", "scopes", "until"), rows)
 
 
 def _until(key: Key, now: datetime) -> str:
-    """How long a key is valid, or since when it no longer is."""
+    """End of a key's validity in words."""
     if key.revoked_at is not None:
         return f"revoked {shown_time(key.revoked_at)}"
     if key.expires_at is None:
@@ -90,11 +90,11 @@ def revoke(
     key_id: Annotated[str, typer.Argument(metavar="ID", help="ID of the key, from `multicap keys list`.")],
     data: Data = None,
 ) -> None:
-    """Revoke a key, at once and for good."""
+    """Revoke a key at once and forever."""
     settings = settings_in(data)
     with opened_store(settings) as store:
         try:
-            # A key in the wrong hands must go, also where the disk is full.
+            # A leaked key must be revocable even if the disk is full.
             key = DiskSpace(settings.data_dir).using_reserve(lambda: store.keys.revoke(key_id))
         except NotFound:
             raise refusal("There is no such key. `multicap keys list` lists all keys.") from None

@@ -1,4 +1,4 @@
-"""`multicap models`: detector networks."""
+"""`multicap models`: list, install, add and verify detector networks."""
 
 from dataclasses import asdict
 from typing import Annotated
@@ -14,13 +14,13 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on s
 
 @app.command("list")
 def list_(as_json: AsJson = False) -> None:
-    """List the networks that Multicap knows."""
+    """List the networks that Multicap supports."""
     with reporting(as_json):
         known = models.status()
     if as_json:
-        emit({"models": [asdict(one) for one in known]})
+        emit({"models": [asdict(model) for model in known]})
         return
-    rows = ((one.name, "yes" if one.installed else "no", one.licence, one.sha256) for one in known)
+    rows = ((model.name, "yes" if model.installed else "no", model.licence, model.sha256) for model in known)
     print_table(("name", "installed", "licence", "sha256"), rows)
 
 
@@ -47,9 +47,9 @@ def add(
 def verify(as_json: AsJson = False) -> None:
     """Compare the checksums of all installed networks."""
     with reporting(as_json):
-        installed = [one.name for one in models.status() if one.installed]
+        installed = [model.name for model in models.status() if model.installed]
         for name in installed:
             models.verify(name)
-            console.print(f"{name}: as it should be")
+            console.print(f"{name}: the checksum is right")
     if as_json:
         emit({"verified": installed})

@@ -1,4 +1,4 @@
-"""`multicap samples`: a real capture to try things on."""
+"""`multicap samples`: install the sample capture."""
 
 from typing import Annotated
 

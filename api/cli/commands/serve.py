@@ -1,4 +1,4 @@
-"""`multicap serve`: the whole service on this machine, as one tree of processes."""
+"""`multicap serve`: run the service on this machine: web API, workers, reaper and broker under a supervisor."""
 
 import os
 import socket
@@ -11,7 +11,7 @@ import httpx2
 import typer
 from rich.text import Text
 
-from api.app import ExposedError, refuse_strangers
+from api.app import ExposedError, require_keys_if_exposed
 from api.cli.console import console, refusal, reporting
 from api.cli.store import opened_store
 from api.settings import Settings
@@ -22,33 +22,33 @@ from worker.jobs.repositories.keys import Keys
 from worker.jobs.spec import JobSpec
 from worker.process import embedded
 from worker.process.descriptors import raise_descriptor_limit
-from worker.process.presence import forget_lost
+from worker.process.presence import remove_killed
 from worker.process.supervisor import Program, Supervisor
 
-# What it prints, before its address, as soon as it can be used.
+# Text before the service's address, printed as soon as the service is ready.
 READY = "Multicap is ready at "
 
-# A start with everything in place takes less; a longer one is explained.
 _POLL_S = 0.2
+# A usual start takes less; a longer start is explained.
 _QUIET_S = 2.0
-_SAY_EVERY_S = 5.0
+_EXPLAIN_EVERY_S = 5.0
 
-# Who listens everywhere is reached here.
+# Addresses by which this machine reaches a service that listens on all addresses.
 _LOOPBACK_OF = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - a table of names
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """A socket that listens; it is kept here, so a restart of the API neither loses the port nor refuses a client."""
+    """Open a listening socket in this process, so that a restart of the API keeps the port and refuses no client."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family, backlog=512)
     except OSError as error:
-        sentence = f"Port {port} can't be had on {host}: {error.strerror}. Choose another one with --port."
+        sentence = f"Port {port} can't be used on {host}: {error.strerror}. Choose another port with --port."
         raise refusal(sentence) from error
 
 
 def _url(host: str, port: int) -> str:
-    """Where this machine reaches the service."""
+    """Address by which this machine reaches the service."""
     name = _LOOPBACK_OF.get(host, host)
     return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
 
@@ -60,20 +60,20 @@ def _api(directory: embedded.DataDirectory, host: str, listening: socket.socket)
 
 
 def _announce(url: str) -> None:
-    """Print the address as soon as a worker could start; until then, now and then, what that waits for."""
-    say_at_s, said = time.monotonic() + _QUIET_S, ""
+    """Print the address as soon as the service is ready; until then, explain every few seconds what is missing."""
+    explain_at_s, explained = time.monotonic() + _QUIET_S, ""
     with httpx2.Client(base_url=url, timeout=5.0, trust_env=False) as client:
-        while (waiting_for := _missing(client)) != "":
-            if waiting_for not in {None, said} and time.monotonic() >= say_at_s:
-                console.print(waiting_for, markup=False, highlight=False, soft_wrap=True)
-                say_at_s, said = time.monotonic() + _SAY_EVERY_S, waiting_for
+        while (missing := _missing(client)) != "":
+            if missing not in {None, explained} and time.monotonic() >= explain_at_s:
+                console.print(missing, markup=False, highlight=False, soft_wrap=True)
+                explain_at_s, explained = time.monotonic() + _EXPLAIN_EVERY_S, missing
             time.sleep(_POLL_S)
     typer.echo(f"{READY}{url}")
     console.print("Ctrl-C stops it.")
 
 
 def _missing(client: httpx2.Client) -> str | None:
-    """Sentences that say why the service is not ready; empty when it is, ``None`` if it does not answer."""
+    """Sentences about what the service is waiting for; empty if it is ready, ``None`` if it does not respond."""
     try:
         answer = client.get("/readyz")
         if answer.is_success:
@@ -87,15 +87,14 @@ def _missing(client: httpx2.Client) -> str | None:
 
 def command(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = 8000,
-    host: Annotated[str, typer.Option(help="Address to listen on; other than loopback only with keys.")] = "127.0.0.1",
-    data: Annotated[Path | None, typer.Option(help="Data folder of the service; made if it is missing.")] = None,
+    host: Annotated[str, typer.Option(help="Address to listen on; without keys only loopback.")] = "127.0.0.1",
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service; created if it is missing.")] = None,
     workers: Annotated[
         int | None,
         typer.Option(
             min=1,
             max=256,
-            help="Number of worker processes. Default: the number of processors, and one more if several tenants have "
-            "keys.",
+            help="Number of worker processes. Default: one for each processor, plus one if there are several tenants.",
         ),
     ] = None,
 ) -> None:
@@ -108,8 +107,8 @@ def command(
     try:
         with embedded.lock(settings.data_dir) as directory:
             with opened_store(settings) as store:
-                refuse_strangers(settings, store)
-                forget_lost(store.workers)
+                require_keys_if_exposed(settings, store)
+                remove_killed(store.workers)
                 default_workers = _default_workers(store.keys)
             _serve(settings, directory, port, workers or default_workers)
     except (embedded.DataFolderError, ExposedError) as error:

@@ -1,4 +1,4 @@
-"""`multicap simulate`: simulated people as keypoint files with their exact truth."""
+"""`multicap simulate`: write simulated people as keypoint files with their exact truth."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +13,9 @@ from pipeline.simulation.scenes import SCENES, simulate
 
 def command(
     scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
-    out: Annotated[Path, typer.Option(help="Folder for the files; made if it is missing.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files; created if it is missing.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
-    views: Annotated[int | None, typer.Option(help="Number of the scene's cameras; all by default.")] = None,
+    views: Annotated[int | None, typer.Option(help="Number of cameras of the scene. Default: all.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Write a simulated scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""

@@ -1,4 +1,4 @@
-"""`multicap webhooks`: what signs them, and what has not arrived."""
+"""`multicap webhooks`: rotate the signing secret of a tenant, and list undelivered messages."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,12 +21,12 @@ _HOUR_S = 3600.0
 def rotate(
     tenant: Tenant = DEFAULT_TENANT,
     keep_hours: Annotated[
-        float, typer.Option(min=0, max=720, help="Hours in which the earlier secret still signs.")
+        float, typer.Option(min=0, max=720, help="Hours for which the previous secret still signs, too.")
     ] = 24.0,
     data: Data = None,
     as_json: AsJson = False,
 ) -> None:
-    """Create the secret that signs a tenant's webhooks, and print it."""
+    """Create and print a new secret that signs a tenant's webhooks."""
     if not 0 < len(tenant) <= 64:
         raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
     with store_in(data) as store:
@@ -34,7 +34,7 @@ def rotate(
     if as_json:
         emit({"tenant": tenant, "secret": secret})
         return
-    console.print(f"Secret of {tenant}. Receivers of its webhooks verify them with it:")
+    console.print(f"Secret of {tenant}, with which receivers verify its webhooks:")
     typer.echo(secret)
 
 
@@ -42,23 +42,31 @@ def rotate(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
-        left = store.webhooks.pending()
+        deliveries = store.webhooks.pending()
     if as_json:
         listed = [
             {
-                "message_id": one.message_id,
-                "job_id": one.job_id,
-                "tenant": one.tenant,
-                "url": one.url,
-                "due_at": one.due_at.isoformat(),
-                "tries": one.tries,
-                "problem": one.problem,
+                "message_id": delivery.message_id,
+                "job_id": delivery.job_id,
+                "tenant": delivery.tenant,
+                "url": delivery.url,
+                "due_at": delivery.due_at.isoformat(),
+                "tries": delivery.tries,
+                "problem": delivery.problem,
             }
-            for one in left
+            for delivery in deliveries
         ]
         emit({"deliveries": listed})
         return
     rows = (
-        (one.job_id, one.tenant, one.url, str(one.tries), shown_time(one.due_at), one.problem or "") for one in left
+        (
+            delivery.job_id,
+            delivery.tenant,
+            delivery.url,
+            str(delivery.tries),
+            shown_time(delivery.due_at),
+            delivery.problem or "",
+        )
+        for delivery in deliveries
     )
     print_table(("job", "tenant", "to", "tries", "next", "problem"), rows)

@@ -1,4 +1,4 @@
-"""Codes of the command line alone."""
+"""Problem codes that only the command line has."""
 
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from pipeline.config import CHOICES
@@ -37,9 +37,7 @@ COMMANDS = CodeGroup(
             "The method has no parameter of this name.",
             "Use a name of [tracking](tracking.md#parameters) or [clustering](clustering.md#parameters).",
         ),
-        ProblemCode(
-            "parameter_range", _COMMAND, "The parameter can't have this value.", "Use a value that it can have."
-        ),
+        ProblemCode("parameter_range", _COMMAND, "The value of the parameter is not allowed.", "Use an allowed value."),
         ProblemCode("parameter_unreadable", _COMMAND, "The option is not NAME=NUMBER.", "Write it as in the hint."),
         ProblemCode("no_ablation", _COMMAND, "The method has no ablation here.", "Omit `--ablation`."),
         ProblemCode("wrong_number_of_views", _COMMAND, "The scene does not have so many cameras.", "Ask for fewer."),

@@ -1,11 +1,11 @@
-"""Records of the documentation of problem codes."""
+"""Records that describe problem codes and groups of them."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class ProblemCode:
-    """A stable code, with what it means and what to do about it.
+    """Stable code of a problem, with its meaning and remedy.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class ProblemCode:
 
 @dataclass(frozen=True, slots=True)
 class CodeGroup:
-    """Codes about one subject: a section of ``docs/problems.md``."""
+    """Problem codes about one subject: a section of ``docs/problems.md``."""
 
     title: str
     introduction: str

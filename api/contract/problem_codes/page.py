@@ -1,4 +1,4 @@
-"""``python -m api.contract.problem_codes.page``: write ``docs/problems.md``, or compare it (``--check``)."""
+"""``python -m api.contract.problem_codes.page``: write ``docs/problems.md``, or check it against the code."""
 
 import argparse
 import sys
@@ -40,9 +40,9 @@ def _section(group: CodeGroup) -> Iterator[str]:
 def main(words: Sequence[str] | None = None) -> int:
     """Write or compare the page, and return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m api.contract.problem_codes.page", description="The page of problem codes."
+        prog="python -m api.contract.problem_codes.page", description="Write docs/problems.md from the code."
     )
-    parser.add_argument("--check", action="store_true", help="Compare with the file; 1 if it differs.")
+    parser.add_argument("--check", action="store_true", help="Compare with the file; exit with 1 if it differs.")
     if not parser.parse_args(words).check:
         PAGE.write_text(document(), encoding="utf-8")
         return 0

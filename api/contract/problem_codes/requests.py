@@ -1,12 +1,12 @@
-"""Codes of the API's answers, and of the fields and parts of a request."""
+"""Problem codes of the API's responses, and of the fields and parts of a request."""
 
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 
 _FIELD = ("422",)
 
 ANSWERS = CodeGroup(
-    "Answers of the API",
-    "The field `code` of an answer of type `application/problem+json`.",
+    "Responses of the API",
+    "Values of `code` in responses of type `application/problem+json`.",
     (
         ProblemCode("malformed_request", ("400",), "The request can't be read.", "Correct the client."),
         ProblemCode(
@@ -82,14 +82,14 @@ ANSWERS = CodeGroup(
         ProblemCode(
             "method_not_allowed",
             ("405",),
-            "The address does not take this method.",
-            "Use a method of the `Allow` header.",
+            "The address does not accept this method.",
+            "Use a method that the header `Allow` lists.",
         ),
         ProblemCode(
             "client_too_slow",
             ("408",),
-            "The headers or the body came too slowly.",
-            "Send the request again over a better line; use `/v1/uploads` for large files.",
+            "The headers or the body arrived too slowly.",
+            "Send the request again over a faster connection; use `/v1/uploads` for large files.",
         ),
         ProblemCode(
             "conflict",
@@ -113,14 +113,14 @@ ANSWERS = CodeGroup(
         ProblemCode(
             "idempotency_key_busy",
             ("409",),
-            "The first request with this `Idempotency-Key` is still at work.",
+            "The first request with this `Idempotency-Key` is still running.",
             "Send the request again after `Retry-After` seconds.",
         ),
         ProblemCode(
             "idempotency_key_reused",
             ("422",),
-            "This `Idempotency-Key` came with another request before.",
-            "Make a new key for each request.",
+            "This `Idempotency-Key` was used for another request.",
+            "Use a new key for each request.",
         ),
         ProblemCode("expired", ("410",), "The result file was removed.", "Start another job of the session."),
         ProblemCode(
@@ -132,20 +132,20 @@ ANSWERS = CodeGroup(
         ProblemCode(
             "content_too_large",
             ("413",),
-            "The request, or a part of it, is larger than the service takes.",
+            "The request, or a part of it, is larger than the service accepts.",
             "Send less; `errors` names the part and the limit.",
         ),
         ProblemCode(
             "unsupported_media_type",
             ("415",),
-            "The address does not take this `Content-Type`.",
+            "The address does not accept this `Content-Type`.",
             "Send the type that `detail` or `hint` names.",
         ),
         ProblemCode(
             "range_not_satisfiable",
             ("416",),
             "The file does not have the requested range of bytes.",
-            "Ask for a range within the size in `Content-Range`.",
+            "Request a range within the size that `Content-Range` states.",
         ),
         ProblemCode(
             "invalid_request",
@@ -181,7 +181,7 @@ ANSWERS = CodeGroup(
             "too_many_streams",
             ("429",),
             "The tenant has too many event streams open.",
-            "Close streams of jobs that nobody follows.",
+            "Close the streams of jobs that are no longer followed.",
         ),
         ProblemCode(
             "too_many_checks",
@@ -204,8 +204,8 @@ ANSWERS = CodeGroup(
         ProblemCode(
             "database_unavailable",
             ("503", "readyz"),
-            "The database does not answer.",
-            "Try again; the operator starts the database.",
+            "The database does not respond.",
+            "Send the request again later; the operator starts the database.",
         ),
         ProblemCode(
             "database_damaged",
@@ -216,8 +216,8 @@ ANSWERS = CodeGroup(
         ProblemCode(
             "artifacts_unavailable",
             ("503", "readyz"),
-            "The artifact store does not answer or refuses its keys.",
-            "Try again; the operator checks `MULTICAP_ARTIFACTS_URL` and its keys.",
+            "The artifact store does not respond or refuses its keys.",
+            "Send the request again later; the operator checks `MULTICAP_ARTIFACTS_URL` and its keys.",
         ),
         ProblemCode(
             "storage_full",
@@ -228,71 +228,80 @@ ANSWERS = CodeGroup(
         ProblemCode(
             "result_damaged",
             ("500",),
-            "A stored result file is not what was written.",
-            "Start another job of the session with the same spec: it makes the file again.",
+            "The content of a stored result file has changed since it was written.",
+            "Start another job of the session with the same spec: it writes the file again.",
         ),
         ProblemCode(
             "artifact_damaged",
             ("500",),
-            "A stored file is not what was written.",
+            "The content of a stored file has changed since it was written.",
             "The operator checks the disk of the artifact store.",
         ),
         ProblemCode(
             "preflight_failed",
             ("500",),
-            "The check of the files failed by itself; the files are not at fault.",
+            "The check of the files failed; the files are not the cause.",
             "Send the session again; the operator finds the reason in `api.log`.",
         ),
         ProblemCode(
             "internal_error",
             ("500", "job"),
             "The service failed.",
-            "Try again; the operator finds the request or the chunk in the log.",
+            "Send the request again; the operator finds the request or the chunk in the log.",
         ),
     ),
 )
 
 FIELDS = CodeGroup(
     "Fields and parameters",
-    "Codes in `errors` of an answer `invalid_request`; `pointer` leads to the field.",
+    "Values of `code` in the `errors` of a response `invalid_request`; `pointer` leads to the field.",
     (
         ProblemCode(
-            "unknown_field", ("422", "command"), "The field is not known there.", "Remove it or correct its name."
+            "unknown_field", ("422", "command"), "The object has no such field.", "Remove it or correct its name."
         ),
         ProblemCode("missing_field", _FIELD, "A required field or parameter is missing.", "Add it."),
         ProblemCode("malformed_json", ("400", "422"), "The body, or the part of the form, is not JSON.", "Send JSON."),
-        ProblemCode("wrong_type", _FIELD, "The value has another type than the field.", "Send the type in `message`."),
         ProblemCode(
-            "value_not_allowed", _FIELD, "The value is not one of those allowed.", "Send one of those in `message`."
+            "wrong_type", _FIELD, "The value has a type that the field does not allow.", "Send the type in `message`."
         ),
-        ProblemCode("out_of_range", _FIELD, "The number is outside of its limits.", "Send a number within them."),
-        ProblemCode("wrong_length", _FIELD, "The text or list is too short or too long.", "Send as many as allowed."),
-        ProblemCode("wrong_format", _FIELD, "The text does not have the required form.", "Use the form in `message`."),
-        ProblemCode("control_characters", _FIELD, "The text has control characters.", "Remove them."),
+        ProblemCode("value_not_allowed", _FIELD, "The value is not allowed.", "Send a value that `message` lists."),
+        ProblemCode("out_of_range", _FIELD, "The number is outside of its limits.", "Send a number within the limits."),
         ProblemCode(
-            "json_value", _FIELD, "The value is not valid JSON: NaN, infinity or half a surrogate.", "Remove it."
+            "wrong_length",
+            _FIELD,
+            "The text or list is too short or too long.",
+            "Send a text or list of the length that `message` states.",
+        ),
+        ProblemCode("wrong_format", _FIELD, "The text does not have the required form.", "Use the form in `message`."),
+        ProblemCode("control_characters", _FIELD, "The text contains control characters.", "Remove them."),
+        ProblemCode(
+            "json_value", _FIELD, "The value is not valid JSON: NaN, infinity or a lone surrogate.", "Remove it."
         ),
         ProblemCode("export_repeated", _FIELD, "A format is named twice in `exports`.", "Name each format once."),
         ProblemCode("invalid_value", _FIELD, "The value is wrong in another way.", "Read `message`."),
         ProblemCode(
-            "more_problems", ("422", "command"), "More is wrong than is listed.", "Correct the listed problems first."
+            "more_problems",
+            ("422", "command"),
+            "There are more problems than the listed problems.",
+            "Correct the listed problems first.",
         ),
     ),
 )
 
 PARTS = CodeGroup(
     "Parts and files of a form",
-    "Codes in `errors` of answers to `POST /v1/sessions` and `POST /v1/jobs`; `pointer` leads to the part.",
+    "Values of `code` in the `errors` of responses to `POST /v1/sessions` and `POST /v1/jobs`; `pointer` leads to the "
+    "part.",
     (
         ProblemCode(
             "missing_part", _FIELD, "The calibration is missing, or both videos and keypoints are.", "Add the part."
         ),
         ProblemCode("unknown_part", _FIELD, "The form has a part with an unknown name.", "Rename or remove it."),
-        ProblemCode("duplicate_part", _FIELD, "A part that may come once came twice.", "Send it once."),
+        ProblemCode("duplicate_part", _FIELD, "A part that is allowed once was sent twice.", "Send it once."),
         ProblemCode(
             "part_not_allowed",
             _FIELD,
-            "Keypoints or timestamps came together with videos.",
+            "Keypoints or timestamps were sent together with videos.",
             "Send either videos or keypoints; timestamps belong to keypoints.",
         ),
         ProblemCode("too_many_videos", _FIELD, "The session has more videos than allowed.", "Send fewer cameras."),
@@ -309,8 +318,8 @@ PARTS = CodeGroup(
         ProblemCode(
             "cameras_of_keypoints",
             _FIELD,
-            "`cameras` of the manifest came with keypoints.",
-            "Omit it: timestamps and the archives' names say the same.",
+            "`cameras` of the manifest was sent with keypoints.",
+            "Omit it: timestamps and the names of the archives state the same.",
         ),
         ProblemCode(
             "upload_unknown", _FIELD, "There is no such upload, or it was used or has expired.", "Send the file again."
@@ -320,7 +329,7 @@ PARTS = CodeGroup(
         ProblemCode(
             "session_too_large",
             ("413", "422", "command"),
-            "The session's files, or the data read from them, are larger than the service takes.",
+            "The session's files, or the data read from them, are larger than the service accepts.",
             "Cut it into several sessions.",
         ),
         ProblemCode(

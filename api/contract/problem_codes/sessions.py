@@ -1,10 +1,10 @@
-"""Codes of the files of a session: calibration, videos, keypoints, and the times of frames."""
+"""Problem codes of the files of a session: calibration, videos, keypoints, and times of frames."""
 
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 
-# The check of a session refuses it, and so does ``multicap reconstruct``.
+# Places of codes that the check of a session and ``multicap reconstruct`` report.
 _FILES = ("422", "command")
-# Also found when the frames are decoded.
+# Places of codes that are also reported when the frames are decoded.
 _FRAMES = ("422", "job", "command")
 
 CALIBRATIONS = CodeGroup(
@@ -32,14 +32,14 @@ CALIBRATIONS = CodeGroup(
             "The format states its own unit of length; `units` contradicts it.",
             "Omit `units`.",
         ),
-        ProblemCode("unknown_version", _FILES, "`schema_version` is not one that is read.", "Write version 1."),
+        ProblemCode("unknown_version", _FILES, "`schema_version` is not supported.", "Write version 1."),
         ProblemCode("too_many_cameras", _FILES, "The calibration has more cameras than allowed.", "Remove some."),
         ProblemCode("duplicate_camera", _FILES, "Two cameras have the same name.", "Rename one."),
         ProblemCode("invalid_name", _FILES, "A camera has no usable name.", "Name the camera."),
         ProblemCode(
             "invalid_size", _FILES, "The image size is not two whole numbers within the limits.", "Correct it."
         ),
-        ProblemCode("invalid_matrix", _FILES, "The camera matrix is not one, or not plausible.", "Calibrate again."),
+        ProblemCode("invalid_matrix", _FILES, "The camera matrix is malformed or not plausible.", "Calibrate again."),
         ProblemCode(
             "invalid_distortion",
             _FILES,
@@ -67,7 +67,7 @@ VIDEOS = CodeGroup(
     "Formats and limits are in [formats](formats.md#videos).",
     (
         ProblemCode("too_few_videos", _FILES, "There are fewer than two videos.", "Give one video of each camera."),
-        ProblemCode("duplicate_video", _FILES, "Two videos have the same name but for the ending.", "Rename one."),
+        ProblemCode("duplicate_video", _FILES, "Two videos have the same name except for the suffix.", "Rename one."),
         ProblemCode(
             "video_without_camera", _FILES, "No camera of the calibration has the video's name.", "Rename the video."
         ),
@@ -80,8 +80,8 @@ VIDEOS = CodeGroup(
         ProblemCode(
             "video_doubled",
             _FILES,
-            "Two videos belong to one camera, by their names or by the manifest.",
-            "Remove one, or state its camera.",
+            "Two videos belong to one camera by their names or by the manifest.",
+            "Remove one video, or name its camera in the manifest.",
         ),
         ProblemCode("recording_camera_unknown", _FILES, "The manifest names an unknown camera.", "Correct the name."),
         ProblemCode("recording_doubled", _FILES, "The manifest names a camera twice.", "Name each camera once."),

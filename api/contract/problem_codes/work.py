@@ -1,4 +1,4 @@
-"""Codes of specs and jobs, of the service's readiness, and of warnings."""
+"""Problem codes of specs and jobs, of the service's readiness, and of warnings."""
 
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from pipeline.config import FILE_FORMATS, unlimited_alternatives
@@ -9,21 +9,21 @@ _READYZ = ("readyz",)
 
 SPECS = CodeGroup(
     "Spec of a job",
-    "Codes in `errors`, and of the options of `multicap reconstruct`.",
+    "Values of `code` in `errors`, also for the options of `multicap reconstruct`.",
     (
         ProblemCode(
-            "frame_range", _SPEC, "The session does not have these output frames.", "Ask for frames that it has."
+            "frame_range", _SPEC, "The session does not have these output frames.", "Use frames of the session."
         ),
         ProblemCode("cutoff_range", _SPEC, "The cutoff is not below half of the frame rate.", "Use 6 Hz."),
         *(
             ProblemCode(
                 f"too_long_for_{name}",
                 _SPEC,
-                f"A {name.upper()} file holds at most {one.max_frames:,} frames.",
+                f"A {name.upper()} file holds at most {file_format.max_frames:,} frames.",
                 f"Use {' or '.join(f'`{other}`' for other in unlimited_alternatives(name))}.",
             )
-            for name, one in FILE_FORMATS.items()
-            if one.max_frames is not None
+            for name, file_format in FILE_FORMATS.items()
+            if file_format.max_frames is not None
         ),
         ProblemCode(
             "detector_not_installed",
@@ -47,13 +47,13 @@ SPECS = CodeGroup(
 
 JOBS = CodeGroup(
     "Errors of jobs",
-    "The field `error.code` of a failed job, and of a failed attempt in `GET /v1/jobs/{id}/attempts`. Problems of "
-    "videos marked `job` above can be a job's error too. `retryable` says whether another attempt may succeed.",
+    "Values of `error.code` of a failed job, and of a failed attempt in `GET /v1/jobs/{id}/attempts`. Problems of "
+    "videos marked `job` above can be a job's error too. `retryable` states whether another attempt may succeed.",
     (
         ProblemCode(
             "worker_lost",
             ("job", "attempt"),
-            "A worker stopped answering while it had a chunk, most often for lack of memory.",
+            "A worker stopped responding while it worked on a chunk, most often for lack of memory.",
             "Run fewer workers, then retry the job.",
         ),
         ProblemCode(
@@ -75,7 +75,7 @@ JOBS = CodeGroup(
             "The operator checks the disk; then retry the job.",
         ),
         ProblemCode(
-            "input_error", ("job",), "More than one thing is wrong with the input.", "Correct all that `detail` lists."
+            "input_error", ("job",), "The input has several problems.", "Correct everything that `detail` lists."
         ),
         ProblemCode(
             "model_error",
@@ -86,13 +86,13 @@ JOBS = CodeGroup(
         ProblemCode(
             "child_failed",
             ("job", "command"),
-            "A process of Multicap failed; the input is not at fault.",
-            "Retry; if it fails again, see the log.",
+            "A process of Multicap failed; the input is not the cause.",
+            "Retry; if the process fails again, see the log.",
         ),
         ProblemCode(
             "pipeline_error",
             ("job", "command"),
-            "The work could not be done; the message says why.",
+            "The reconstruction failed; the message states the reason.",
             "Follow the message.",
         ),
     ),
@@ -100,12 +100,12 @@ JOBS = CodeGroup(
 
 READINESS = CodeGroup(
     "Readiness",
-    "Codes in `errors` of a 503 of `GET /readyz`, beside `database_unavailable`, `database_damaged`, "
+    "Values of `code` in the `errors` of a 503 of `GET /readyz`, beside `database_unavailable`, `database_damaged`, "
     "`artifacts_unavailable` and `storage_full` above.",
     (
-        ProblemCode("broker_unavailable", _READYZ, "The broker does not answer.", "Start the broker."),
+        ProblemCode("broker_unavailable", _READYZ, "The broker does not respond.", "Start the broker."),
         ProblemCode("worker_unavailable", _READYZ, "No worker runs.", "Start a worker, and see its log."),
-        ProblemCode("worker_starting", _READYZ, "The workers are starting; `message` says how far they are.", "Wait."),
+        ProblemCode("worker_starting", _READYZ, "The workers are starting; `message` states their progress.", "Wait."),
         ProblemCode(
             "model_unavailable",
             _READYZ,
@@ -117,8 +117,8 @@ READINESS = CodeGroup(
 
 WARNINGS = CodeGroup(
     "Warnings of a result",
-    "Codes of `result_warnings` of a job, and of `capture_checks` and `world_checks` in `metrics.json`. The files are "
-    "there, but the capture or the calibration gives cause for doubt.",
+    "Codes of `result_warnings` of a job, and of `capture_checks` and `world_checks` in `metrics.json`. The result "
+    "files exist, but the capture or the calibration may be wrong.",
     (
         ProblemCode(
             "nobody_found",

@@ -1,4 +1,4 @@
-"""What programs rely on: exit codes, one JSON object on stdout, every problem at once."""
+"""Command line for programs: exit codes, one JSON object on stdout, every problem at once."""
 
 import ast
 import contextlib
@@ -66,7 +66,7 @@ def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
 
 
 def test_the_help_imports_no_command() -> None:
-    """And says of every command what the command's own help says first, or less."""
+    """The sentence of each command is the beginning of the command's own help."""
     code = "import sys; sys.argv = ['multicap', '--help']; import atexit; from api.cli.main import main\n"
     code += "atexit.register(lambda: print(sorted({name.partition('.')[0] for name in sys.modules}))); main()"
     result = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
@@ -315,7 +315,7 @@ def test_a_database_that_is_away_is_no_stack_trace(tmp_path: Path, monkeypatch: 
 
 @pytest.fixture
 def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal that is too small for any table."""
+    """Terminal that is too narrow for any table."""
     monkeypatch.setenv("COLUMNS", "20")
 
 
@@ -331,13 +331,13 @@ def test_a_table_is_a_line_a_row_with_every_cell_whole(capsys: pytest.CaptureFix
     ]
 
 
-def test_what_a_terminal_would_obey_is_shown_as_it_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_are_shown_escaped(capsys: pytest.CaptureFixture[str]) -> None:
     print_table(["to"], [["https://a\x1b[2J\nb\u202e"]])
     assert capsys.readouterr().out == "to\nhttps://a\\x1b[2J\\nb\\u202e\n"
 
 
 @pytest.mark.usefixtures("narrow")
-def test_what_one_has_to_type_is_whole_in_every_list(tmp_path: Path) -> None:
+def test_ids_and_names_are_never_shortened_in_lists(tmp_path: Path) -> None:
     data = ["--data", str(tmp_path)]
     key = json.loads(runner.invoke(app, ["keys", "create", "a name of some length", "--json", *data]).stdout)
     listed = runner.invoke(app, ["keys", "list", *data])
@@ -425,7 +425,7 @@ def test_a_key_is_revoked_on_a_full_disk_and_none_is_made(tmp_path: Path) -> Non
         (disk / "data" / "reserve").rename(disk / "held back")
         refused = runner.invoke(app, ["keys", "create", "another", data])
         assert refused.exit_code == 2
-        assert "is full. Make room on it" in refused.stderr
+        assert "is full. Free space on it" in refused.stderr
         (disk / "held back").rename(disk / "data" / "reserve")
         assert runner.invoke(app, ["keys", "revoke", made["id"], data]).exit_code == 0
         (listed,) = json.loads(runner.invoke(app, ["keys", "list", data, "--json"]).stdout)["keys"]

@@ -1,3 +1,5 @@
+"""OpenAPI document: committed files, operations, examples, security and schemas."""
+
 import json
 import re
 from collections.abc import Iterator
@@ -65,7 +67,7 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
 
 def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
     assert schema["info"]["license"] == {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
-    assert schema["servers"] == [{"url": "/", "description": "Where this document comes from."}]
+    assert schema["servers"] == [{"url": "/", "description": "Service that serves this document."}]
     described = {tag["name"] for tag in schema["tags"] if tag["description"]}
     assert described == {tag for operation in operations(schema) for tag in operation["tags"]}
 
@@ -112,7 +114,7 @@ def test_every_answer_has_an_example(schema: dict[str, Any]) -> None:
             declared = (
                 schema["components"]["responses"][response["$ref"].split("/")[-1]] if "$ref" in response else response
             )
-            # Uploads answer by headers.
+            # Responses about uploads have headers only.
             for content in declared.get("content", {} if "uploads" in operation["tags"] else None).values():
                 assert "example" in content or content["examples"], (operation["operationId"], status)
 

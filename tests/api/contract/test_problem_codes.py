@@ -21,7 +21,7 @@ CODES = {one.name: one for group in GROUPS for one in group.codes}
 NAME = re.compile(r"[a-z]+(_[a-z0-9]+)*")
 PLACES = {"job", "attempt", "readyz", "command", "warning"}
 
-# Functions that list codes as the first items of tuples, and pass them on from there.
+# Functions with tuples whose first items are codes.
 IN_TUPLES = {
     "api/requests/spec_checks.py": {"callback_errors"},
     "api/cli/commands/backup.py": {"_code_and_faults"},
@@ -30,7 +30,7 @@ IN_TUPLES = {
     "pipeline/quality/capture_checks.py": None,
     "pipeline/quality/world_checks.py": None,
 }
-# Functions whose codes are found in another way: passed on from elsewhere, or looked up in a mapping of codes.
+# Functions that get their codes from a caller or a mapping; the codes are found there.
 PASSED_ON = {
     ("api/requests/spec_checks.py", "spec_errors"),  # those of JobSpec.problems
     ("api/requests/spec_checks.py", "callback_errors"),
@@ -43,7 +43,7 @@ PASSED_ON = {
     ("pipeline/video/probe.py", "problem"),
     ("worker/problems.py", "problem_of"),  # those of the pipeline
 }
-# Codes that are put together from values that no call states as a constant.
+# Codes that are composed of values that no call states as a constant.
 TEMPLATES = {
     "unknown_{noun}": {"unknown_units"} | {f"unknown_{one.noun}" for one in CHOICES.values() if one.is_checked_by_name},
     "too_long_for_{export}": {f"too_long_for_{name}" for name, one in FILE_FORMATS.items() if one.max_frames},
@@ -78,7 +78,7 @@ def parameters(node: Function | ast.ClassDef) -> list[str]:
 
 
 def functions(tree: ast.AST) -> Iterator[tuple[Function | None, ast.AST]]:
-    """Every node with the innermost function that it is in."""
+    """Every node with the innermost function that contains it."""
 
     def walk(node: ast.AST, owner: Function | None) -> Iterator[tuple[Function | None, ast.AST]]:
         for child in ast.iter_child_nodes(node):
@@ -102,7 +102,7 @@ def argument(call: ast.Call, name: str, index: int) -> ast.expr | None:
 
 
 def constants(node: ast.expr | None) -> list[str] | None:
-    """The texts that an expression may be; none if it is not constant."""
+    """Possible texts of an expression; ``None`` if it is not constant."""
     match node:
         case ast.Constant(value=str() as text):
             return [text]
@@ -139,7 +139,7 @@ def passed(function: str, parameter: str, module: str) -> set[str]:
 
 
 def from_template(text: ast.JoinedStr, function: Function, module: str) -> set[str]:
-    """Codes that an f-string of one name makes."""
+    """Codes that an f-string with one name can produce."""
     template = ast.unparse(text)[2:-1]
     if template in TEMPLATES:
         return TEMPLATES[template]
@@ -150,7 +150,7 @@ def from_template(text: ast.JoinedStr, function: Function, module: str) -> set[s
 
 
 def codes_of_calls(path: str, tree: ast.Module) -> Iterator[str]:
-    """Codes given to parameters named `code`."""
+    """Codes that are passed to parameters named `code`."""
     for function, node in functions(tree):
         if not isinstance(node, ast.Call):
             continue
@@ -173,7 +173,7 @@ def codes_of_calls(path: str, tree: ast.Module) -> Iterator[str]:
 
 
 def codes_in_tuples(path: str, tree: ast.Module) -> Iterator[str]:
-    """Codes that are first items of tuples, in functions that list codes so."""
+    """Codes that are the first items of tuples, in the functions of ``IN_TUPLES``."""
     if path not in IN_TUPLES:
         return
     for function, node in functions(tree):
@@ -183,7 +183,7 @@ def codes_in_tuples(path: str, tree: ast.Module) -> Iterator[str]:
 
 
 def codes_elsewhere(tree: ast.Module) -> Iterator[str]:
-    """Codes of error classes, of JSON that is written at once, of validators, and of mappings of codes."""
+    """Codes of error classes, literal dictionaries, validators, and mappings of codes."""
     for node in ast.walk(tree):
         match node:
             case ast.ClassDef(body=body):
@@ -217,7 +217,7 @@ def test_every_raised_code_is_documented() -> None:
 
 
 def test_every_documented_code_is_raised() -> None:
-    # `api.requests.validation` gives these by a constant or by default.
+    # `api.requests.validation` uses these by a constant or by default.
     by_constant = {"missing_field", "wrong_type", "invalid_value"}
     assert sorted(CODES.keys() - raised() - by_constant) == []
 

@@ -1,4 +1,4 @@
-"""Connections that nobody uses: they are bounded, and others are served."""
+"""Idle connections: their number is limited, and other clients are served."""
 
 import contextlib
 import re
@@ -30,7 +30,7 @@ def address_of(client: httpx2.Client) -> tuple[str, int]:
 
 @contextlib.contextmanager
 def idle_sockets(address: tuple[str, int], count: int, sources: list[str]) -> Iterator[list[socket.socket]]:
-    """Sockets that say nothing, of some addresses in turn."""
+    """Open silent sockets from several addresses in turn."""
     with contextlib.ExitStack() as stack:
         yield [
             stack.enter_context(contextlib.closing(connect(address, sources[k % len(sources)]))) for k in range(count)
@@ -48,13 +48,13 @@ def is_closed(connection: socket.socket) -> bool:
 
 
 def ask(connection: socket.socket) -> bytes:
-    """The first line of the answer."""
+    """Send a request; return the first line of the response."""
     connection.sendall(REQUEST)
     return connection.recv(65536).split(b"\r\n")[0]
 
 
 def test_a_client_s_idle_sockets_keep_nobody_out(make_settings: Callable[..., Settings]) -> None:
-    """A process that starts with a low soft limit, as most systems set it."""
+    """The process starts with a low soft limit on open files, which is common."""
     settings = make_settings()
     with serving(settings, descriptors=1024) as (client, process):
         soft, hard = process.rlimit(psutil.RLIMIT_NOFILE)
@@ -63,7 +63,7 @@ def test_a_client_s_idle_sockets_keep_nobody_out(make_settings: Callable[..., Se
         with idle_sockets(address, 1300, ["127.0.0.1"]), contextlib.closing(connect(address, "127.0.0.2")) as other:
             assert ask(other) == b"HTTP/1.1 200 OK"
             assert process.num_fds() < 900
-            assert client.get("/healthz").status_code == 200  # of the same address: an idle one made room
+            assert client.get("/healthz").status_code == 200  # an idle connection of the same address was closed for it
 
 
 def test_idle_sockets_of_many_clients_keep_nobody_out(make_settings: Callable[..., Settings]) -> None:
@@ -76,7 +76,7 @@ def test_idle_sockets_of_many_clients_keep_nobody_out(make_settings: Callable[..
 
 
 def test_the_service_goes_on_once_it_may_open_files_again(make_settings: Callable[..., Settings]) -> None:
-    """More connections than descriptors: the operator's limit was lowered under a running service."""
+    """There are more connections than descriptors, because the limit of the running service was lowered."""
     with serving(make_settings()) as (client, process):
         client.get("/healthz").raise_for_status()
         address = address_of(client)
@@ -127,7 +127,7 @@ def test_connections_that_are_at_work_stay_and_one_more_is_refused(few: Live) ->
             assert ask(other) == b"HTTP/1.1 200 OK"
         assert not any(is_closed(stream) for stream in streams)
     deadline_s = time.monotonic() + 20
-    while True:  # closed connections are forgotten
+    while True:  # closed connections are no longer counted
         with contextlib.closing(connect(few.address, "127.0.0.4")) as again:
             if ask(again) == b"HTTP/1.1 200 OK":
                 break
@@ -148,10 +148,10 @@ def test_addresses_of_an_ipv6_network_are_one_client() -> None:
     first, second, third, other = Fake(), Fake(), Fake(), Fake()
     assert connections.admit(first, "2001:db8:0:1::1")
     assert connections.admit(second, "2001:db8:0:1:ffff::2")
-    connections.work(second)
+    connections.mark_busy(second)
     assert connections.admit(third, "2001:db8:0:1::3")
     assert (first.closed, second.closed) == (True, False)
-    connections.work(third)
+    connections.mark_busy(third)
     assert not connections.admit(Fake(), "2001:db8:0:1::4")
     assert connections.admit(other, "2001:db8:0:2::1")
     assert len(connections) == 3
@@ -163,9 +163,9 @@ def test_connections_of_a_trusted_proxy_count_in_the_sum_only() -> None:
     assert all(connections.admit(fake, "10.1.2.3") for fake in fakes)
     assert [fake.closed for fake in fakes] == [True, False, False, False]
     for fake in fakes[1:]:
-        connections.work(fake)
+        connections.mark_busy(fake)
     assert not connections.admit(Fake(), "192.0.2.1")
-    connections.forget(fakes[1])
+    connections.remove(fakes[1])
     assert connections.admit(Fake(), "192.0.2.1")
 
 

@@ -1,4 +1,4 @@
-"""Event streams, downloads and uploads end with their key, whichever process ends it."""
+"""Event streams, downloads and uploads end with their key, even if another process revokes it."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ from tests.api.tus.test_files import PIECE
 from tests.s3 import running_s3
 from worker.jobs.model import Key, Scope
 
-# More than all buffers on the way.
+# More than all network buffers hold.
 CONTENT = os.urandom(48 * MIB)
 PATIENCE_S = 30.0
 USUAL = frozenset({Scope.READ, Scope.WRITE})
@@ -34,7 +34,7 @@ def live(request: pytest.FixtureRequest, make_settings: Callable[..., Settings])
                 patch.setenv(name, value)
             changes = {"artifacts_url": s3.new_url()}
         live = stack.enter_context(running(make_settings(**changes)))
-        # There are keys from now on, and another one in the client that prepares things.
+        # From here on the service has keys; the client that prepares records uses another key.
         _, secret = live.services.store.keys.add("studio", "first", USUAL)
         live.client.headers["Authorization"] = f"Bearer {secret}"
         yield live
@@ -42,7 +42,7 @@ def live(request: pytest.FixtureRequest, make_settings: Callable[..., Settings])
 
 @pytest.fixture(autouse=True)
 def no_work(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Leave no job of this test to the next one."""
+    """Cancel the jobs of a test, so that the next test starts without work."""
     yield
     if "live" in request.fixturenames:
         client = request.getfixturevalue("live").client
@@ -57,7 +57,7 @@ def key(live: Live) -> tuple[Key, str]:
 
 @contextlib.contextmanager
 def asking(live: Live, path: str, secret: str | None, method: str = "GET", **headers: str) -> Iterator[socket.socket]:
-    """A connection with a request, of which nothing is read yet."""
+    """Send a request, and return the connection before any byte of the response is read."""
     named = {"Host": "localhost", **headers} | ({"Authorization": f"Bearer {secret}"} if secret else {})
     lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in named.items()), "", ""]
     with socket.create_connection(live.address[:2], timeout=PATIENCE_S) as connection:
@@ -66,7 +66,7 @@ def asking(live: Live, path: str, secret: str | None, method: str = "GET", **hea
 
 
 def read_to_end(connection: socket.socket) -> int:
-    """How many bytes come until the service closes."""
+    """Number of bytes until the service closes the connection."""
     num_bytes = 0
     with contextlib.suppress(ConnectionResetError):
         while block := connection.recv(2**20):
@@ -75,7 +75,7 @@ def read_to_end(connection: socket.socket) -> int:
 
 
 def revoke(live: Live, key: Key) -> None:
-    """As an operator does it, in another process."""
+    """Revoke a key in another process, as an operator does."""
     command = [
         sys.executable,
         "-P",
@@ -109,7 +109,7 @@ def test_downloads_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str],
     with asking(live, f"/v1/jobs/{job_id}/{download}", key[1]) as sent:
         assert sent.recv(1000).startswith(b"HTTP/1.1 200 ")
         revoke(live, key[0])
-        time.sleep(3.0)  # a second, on a slow machine; it is sent while it is read
+        time.sleep(3.0)  # takes a second on a slow machine; the body is sent while it is read
         assert read_to_end(sent) < len(CONTENT) / 2
 
 

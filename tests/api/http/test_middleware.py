@@ -1,3 +1,5 @@
+"""Middleware: request ids, safe headers, allowed hosts and origins."""
+
 from collections.abc import Callable
 
 import pytest

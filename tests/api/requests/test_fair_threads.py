@@ -1,4 +1,4 @@
-"""Threads that owners share: nobody has all of them, everybody has a turn, nobody waits for ever."""
+"""Threads that owners share: no owner has all threads, owners take turns, waiting times are limited."""
 
 import asyncio
 import threading
@@ -13,7 +13,7 @@ WAIT_S = 30.0
 
 
 class Work:
-    """Calls that run until they are let go."""
+    """Calls that run until the test ends them."""
 
     def __init__(self) -> None:
         self.begun: list[str] = []
@@ -35,7 +35,7 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 async def settled(calls: list[asyncio.Task[str]]) -> None:
-    """Give calls that wait every chance to begin."""
+    """Run the event loop until waiting calls could have started."""
     for _ in range(20):
         await asyncio.sleep(0.005)
     assert not any(call.done() for call in calls)
@@ -76,7 +76,7 @@ def test_owners_take_turns_however_many_calls_they_have() -> None:
 @pytest.mark.parametrize(
     ("owner", "status", "code"), [("holder", 429, "too_many_checks"), ("other", 503, "checks_busy")]
 )
-def test_nobody_waits_for_ever(owner: str, status: int, code: str) -> None:
+def test_waiting_times_are_limited(owner: str, status: int, code: str) -> None:
     async def scenario() -> ApiError:
         threads, work = FairThreads(1, 0.1), Work()
         holding = asyncio.create_task(threads.run("holder", work, "holder"))

@@ -1,4 +1,4 @@
-"""A request that is sent again because its answer was lost is not done again."""
+"""Idempotency keys: a repeated request is executed once, and gets the first response."""
 
 import contextlib
 import json
@@ -16,7 +16,7 @@ from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.api.processes import serving
-from tests.api.test_events import wait_until
+from tests.api.routes.test_events import wait_until
 from tests.api.tus.test_files import PIECE, TUS, Uploader, encoded
 from worker.jobs.repositories.sessions import Sessions
 
@@ -30,7 +30,7 @@ def live(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 
 
 def again(send: Callable[[], httpx2.Response]) -> httpx2.Response:
-    """Send a request twice; the answer, which is the same."""
+    """Send a request twice; check that the responses are equal, and return the response."""
     first, second = send(), send()
     assert first.is_success, first.text
     assert "idempotent-replayed" not in first.headers
@@ -52,7 +52,7 @@ def test_every_post_takes_a_key() -> None:
         for path, item in contract["paths"].items()
         if any(one["name"] == "idempotency-key" for one in item.get("post", {}).get("parameters", ()))
     }
-    # A browser that shows its key twice is let in twice; nothing is made that could be there twice.
+    # Signing in twice is allowed: it creates nothing that must exist once.
     assert taking == {path for path, item in contract["paths"].items() if "post" in item} - {"/v1/browser-session"}
 
 
@@ -112,7 +112,7 @@ def test_sessions_of_uploads_that_are_used_up(live: Live) -> None:
     problem_of(answer, 422, "invalid_request")
 
 
-def test_what_was_refused_may_be_sent_again_under_the_key(live: Live) -> None:
+def test_a_refused_request_may_be_repeated_with_its_key(live: Live) -> None:
     for _ in range(2):
         answer = live.client.post("/v1/sessions", files=form(1, b"WRONG"), headers=KEY)
         problem_of(answer, 422, "invalid_request")
@@ -147,7 +147,7 @@ def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch
     assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
 
 
-def test_it_is_answered_also_when_there_is_no_more_room(make_settings: Callable[..., Settings]) -> None:
+def test_a_repeated_request_is_answered_at_the_quota(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_tenant_sessions=1)) as live:
         again(lambda: live.client.post("/v1/sessions", files=form(), headers=KEY))
         answer = live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "another"})
@@ -155,7 +155,7 @@ def test_it_is_answered_also_when_there_is_no_more_room(make_settings: Callable[
 
 
 @pytest.mark.parametrize(("key", "status"), [("x" * 200, 202), ("x" * 201, 422), ("\u00e4", 400), ("a\tb", 400)])
-def test_what_may_be_a_key(live: Live, key: str, status: int) -> None:
+def test_allowed_idempotency_keys(live: Live, key: str, status: int) -> None:
     headers = {"Idempotency-Key": key.encode("latin-1")}
     session_id = live.session_id()
     answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={}, headers=headers)  # type: ignore[arg-type]
@@ -163,7 +163,7 @@ def test_what_may_be_a_key(live: Live, key: str, status: int) -> None:
 
 
 def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: Callable[..., Settings]) -> None:
-    """The process is killed while it checks the files, and started again on the same folder."""
+    """The API process is killed during the check of the files, and started again on the same folder."""
     settings, lease_s = make_settings(), 8.0
     answers: list[httpx2.Response] = []
 
@@ -185,7 +185,7 @@ def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: 
 
 
 def test_a_key_stays_taken_as_long_as_its_request_is_at_work(make_settings: Callable[..., Settings]) -> None:
-    """A check that takes several leases."""
+    """The check of the files takes several times the lease."""
     with (
         running(make_settings(idempotency_lease_s=0.6, preflight_timeout_s=5.0)) as live,
         ThreadPoolExecutor(1) as pool,
@@ -198,6 +198,6 @@ def test_a_key_stays_taken_as_long_as_its_request_is_at_work(make_settings: Call
             answers.append(live.client.post("/v1/sessions", files=parts, headers=KEY))
             time.sleep(0.3)
         assert len(answers) > 5
-        for answer in answers[:-1]:  # the last one may have come after the first request's end
+        for answer in answers[:-1]:  # the last response may have come after the end of the first request
             assert problem_of(answer, 409, "idempotency_key_busy")["retryable"]
         assert first.result().status_code == 422

@@ -1,3 +1,5 @@
+"""Forms as multipart/form-data: limits, names, damaged and hostile bodies."""
+
 import asyncio
 import contextlib
 import hashlib
@@ -31,7 +33,7 @@ LIMITS = Limits(
     max_videos=3,
 )
 HEAD = 'Content-Disposition: form-data; name="{}"; filename="{}"\r\nContent-Type: video/mp4\r\n\r\n'
-# Full of what looks like a boundary.
+# Content with many bytes that resemble a boundary.
 VIDEO = b"\r\n--x\r--x--\r\n--\r\n\r\n--xy--\r\n\0\xff" * 40
 BODY = (
     b"--xyz\r\n" + HEAD.format("videos", "cam_0.mp4").encode() + VIDEO + b"\r\n"
@@ -101,7 +103,7 @@ def test_names_that_pass_are_names_of_files_on_any_system(name: str) -> None:
 
 
 def mutations(count: int) -> Iterator[bytes]:
-    """Bodies that were damaged on the way: bytes changed, removed, doubled, moved."""
+    """Damaged bodies: bytes changed, removed, repeated, moved."""
     chance = random.Random(20260301)  # noqa: S311
     for _ in range(count):
         body = bytearray(BODY.replace(VIDEO, VIDEO[:40]))
@@ -135,7 +137,7 @@ def test_damaged_bodies_are_the_clients_fault_or_harmless(live: Live) -> None:
             refused += 1
             problem_of(answer, answer.status_code, answer.json()["code"])
             continue
-        # Damage inside a file's bytes is no damage to the form.
+        # Damage inside the bytes of a file does not damage the form.
         assert live.client.delete(f"/v1/sessions/{answer.json()['id']}").status_code == 204
     assert refused >= 1000
     assert live.kept() == []
@@ -231,5 +233,5 @@ def test_full_disk_refuses_the_session_and_keeps_nothing(
             assert live.kept() == []
             assert list(live.settings.spool_dir.iterdir()) == []
             assert live.client.get("/v1/sessions").json()["sessions"] == []
-            # There is room again.
+            # The disk has space again.
             assert live.post_session(1).status_code == 201

@@ -1,3 +1,5 @@
+"""Preflight of a session's files: results, problems, limits and crashes of the child process."""
+
 import concurrent.futures
 import io
 import os
@@ -55,7 +57,7 @@ def test_check_is_killed_with_its_children(tmp_path: Path) -> None:
 def test_check_that_is_killed_leaves_no_unpacked_file(
     make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The real check, which hangs once it has unpacked an archive."""
+    """The real preflight hangs after it has unpacked an archive."""
     system, modules = tmp_path / "system", tmp_path / "modules"
     system.mkdir()
     modules.mkdir()
@@ -123,7 +125,7 @@ def test_checks_beyond_the_limit_wait_without_holding_others_up(make_settings: C
 def test_a_check_whose_own_child_fails_is_not_the_files_fault(
     make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The real check: its child, which looks into a video, is killed; the log has the reason."""
+    """The child of the real preflight, which probes a video, is killed; the log has the reason."""
     logged: list[dict[str, Any]] = []
     monkeypatch.setattr(
         "api.requests.preflight._log.error", lambda event, **fields: logged.append({"event": event} | fields)
@@ -142,7 +144,7 @@ def test_a_check_whose_own_child_fails_is_not_the_files_fault(
 
 
 def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
-    """The real check, with a limit far below what it has to keep."""
+    """The real preflight has a limit far below the size of its record."""
     files = keypoint_files(simulate(duration_s=1.0))
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
@@ -195,7 +197,7 @@ def test_without_keys_clients_take_turns_by_address(make_settings: Callable[...,
         assert not any(answer.done() for answer in hanging)
 
 
-def test_who_waits_too_long_is_refused_and_told_when_to_come_back(make_settings: Callable[..., Settings]) -> None:
+def test_a_check_that_waits_too_long_is_refused_with_retry_after(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings(preflight_timeout_s=5.0, preflight_wait_s=0.3, max_parallel_preflights=1)
     with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:
         hanging = pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"))
@@ -215,7 +217,7 @@ def test_large_files_wait_longer_for_their_check(make_settings: Callable[..., Se
     with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:
         hanging = pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"))
         time.sleep(0.5)
-        large = form(2, bytes(32 * 2**20))  # 64 MiB are worth 3.75 s
+        large = form(2, bytes(32 * 2**20))  # 64 MiB add 3.75 s
         assert live.client.post("/v1/sessions", files=large).status_code != 429
         assert hanging.result().status_code == 422
 

@@ -1,4 +1,4 @@
-"""Answers about wrong fields: at the place that the client sent, once, in our words, with all that is allowed."""
+"""Errors of wrong fields: one entry for each field, with its pointer and a sentence with all allowed values."""
 
 import json
 import re
@@ -19,7 +19,7 @@ CUTOFF = "cutoff_hz must be a number above 0 and of at most 1000."
 CALLBACK = (
     "callback_url must be a text of at most 2000 characters such as https://portal.example/hooks/multicap, or null."
 )
-# How the libraries put it.
+# Words that only messages of the libraries contain.
 FOREIGN = re.compile(r"Input should|Extra inputs|Field required|Value error|String should|Unable to|should have at")
 
 

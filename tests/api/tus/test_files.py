@@ -1,4 +1,4 @@
-"""Uploads by tus 1.0, and sessions made of them."""
+"""Uploads by tus 1.0, and sessions created from them."""
 
 import asyncio
 import base64
@@ -41,7 +41,7 @@ def checksum(content: bytes, algorithm: str = "sha1") -> dict[str, str]:
 
 @dataclass
 class Uploader:
-    """A client of the protocol."""
+    """Client of the protocol."""
 
     client: httpx2.Client
 
@@ -64,7 +64,7 @@ class Uploader:
         return int(answer.headers["upload-offset"])
 
     def upload(self, content: bytes, name: str) -> str:
-        """Send a whole file; returns its id."""
+        """Send a whole file; return the id of its upload."""
         address = self.begin(len(content), name)
         assert self.send(address, 0, content).status_code == 204
         return address.rpartition("/")[2]
@@ -87,7 +87,7 @@ def test_pieces_become_a_file(live: Live, tus: Uploader) -> None:
     assert kept.read_bytes() == CONTENT
 
 
-def test_what_the_service_can_do(live: Live, tus: Uploader) -> None:
+def test_description_of_uploads(live: Live, tus: Uploader) -> None:
     answer = live.client.options("/v1/uploads")
     assert answer.status_code == 204
     assert answer.headers["tus-version"] == "1.0.0"
@@ -213,7 +213,7 @@ def test_methods_by_another_name(live: Live, tus: Uploader) -> None:
     problem_of(live.client.post(address, headers=TUS), 405, "method_not_allowed")
 
 
-def test_one_that_was_given_up_is_gone(live: Live, tus: Uploader) -> None:
+def test_a_deleted_upload_is_gone(live: Live, tus: Uploader) -> None:
     address = tus.begin(10)
     answer = live.client.delete(address, headers=TUS)
     assert (answer.status_code, answer.headers["tus-resumable"]) == (204, "1.0.0")
@@ -251,14 +251,16 @@ def wait_for_offset(tus: Uploader, address: str, offset: int) -> None:
 
 
 def piece_request(live: Live, address: str, length: int, content: bytes, **headers: str) -> bytes:
-    """A request whose body may break off."""
+    """Request whose body may break off."""
     fields = PIECE | {"Host": "localhost", "Upload-Offset": "0", "Content-Length": str(length)} | headers
     lines = [f"PATCH {address} HTTP/1.1", *(f"{name}: {value}" for name, value in fields.items()), "", ""]
     return "\r\n".join(lines).encode() + content
 
 
 @pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (uploads.Checksum("sha1", b""), 0)])
-def test_what_came_before_the_line_broke_stays(tmp_path: Path, compared: uploads.Checksum | None, kept: int) -> None:
+def test_bytes_before_a_broken_connection_are_kept(
+    tmp_path: Path, compared: uploads.Checksum | None, kept: int
+) -> None:
     spool = uploads.UploadSpool(tmp_path, DiskSpace(tmp_path))
     upload_id = spool.create()
 
@@ -272,29 +274,29 @@ def test_what_came_before_the_line_broke_stays(tmp_path: Path, compared: uploads
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [CONTENT[:kept]]
 
 
-def test_what_can_not_be_compared_does_not_stay(live: Live, tus: Uploader) -> None:
+def test_an_interrupted_piece_with_a_checksum_is_dropped(live: Live, tus: Uploader) -> None:
     address = tus.begin(5000)
     raw(live.address, piece_request(live, address, 5000, CONTENT[:1234], **checksum(CONTENT)))
     assert tus.send(address, 0, CONTENT).status_code == 204
     assert [path.read_bytes() for path in live.kept()] == [CONTENT]
 
 
-def test_who_comes_back_does_not_wait_for_the_line_that_broke(live: Live, tus: Uploader) -> None:
+def test_a_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus: Uploader) -> None:
     address = tus.begin(5000)
     with socket.create_connection(live.address[:2], timeout=20) as stalled:
         stalled.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
         deadline_s = time.monotonic() + 20
-        while not live.services.uploads.is_written(address.rpartition("/")[2]):
+        while not live.services.uploads.has_writer(address.rpartition("/")[2]):
             assert time.monotonic() < deadline_s
         problem_of(tus.send(address, 4000, CONTENT[4000:]), 409, "offset_mismatch")
         assert stalled.recv(65536).startswith(b"HTTP/1.1 423 ")
     offset = tus.offset(address)
-    assert offset in {0, 1234}  # whether it had read what was sent
+    assert offset in {0, 1234}  # depends on whether the service had read the piece
     assert tus.send(address, offset, CONTENT[offset:]).status_code == 204
     assert live.kept()[0].read_bytes() == CONTENT
 
 
-def test_nobody_writes_while_another_process_does(live: Live, tus: Uploader) -> None:
+def test_an_upload_is_locked_while_another_process_writes(live: Live, tus: Uploader) -> None:
     address = tus.begin(4)
     with live.kept()[0].open("r+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -352,7 +354,7 @@ def test_quota(make_settings: Callable[..., Settings]) -> None:
 
 
 class TestSessions:
-    """Sessions that name uploads instead of bringing files."""
+    """Sessions that name uploads in place of files."""
 
     def body(self, tus: Uploader, videos: int = 2) -> dict[str, Any]:
         return {
@@ -361,7 +363,7 @@ class TestSessions:
             "manifest": {"name": "Take 1"},
         }
 
-    def test_it_has_the_files_and_the_uploads_are_gone(self, live: Live, tus: Uploader) -> None:
+    def test_a_session_has_the_files_and_its_uploads_are_gone(self, live: Live, tus: Uploader) -> None:
         body = self.body(tus)
         answer = live.client.post("/v1/sessions", json=body)
         assert answer.status_code == 201, answer.text
@@ -397,7 +399,7 @@ class TestSessions:
         body["videos"] = body["videos"][:1]
         assert live.client.post("/v1/sessions", json=body).status_code == 201
 
-    def test_what_the_check_finds_points_to_the_upload(self, live: Live, tus: Uploader) -> None:
+    def test_problems_of_the_preflight_point_to_the_upload(self, live: Live, tus: Uploader) -> None:
         body = self.body(tus)
         body["videos"][1] = tus.upload(b"WRONG", "broken.mp4")
         problem = problem_of(live.client.post("/v1/jobs", json=body), 422, "invalid_request")
@@ -446,7 +448,7 @@ class TestSessions:
 
 
 def test_blocks_are_written_on_the_way(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who drips is not a second's worth of pieces behind."""
+    """Bytes of a slow client are written within about a second."""
     monkeypatch.setattr(uploads, "_BLOCK_S", 0.0)
     address = tus.begin(5000)
     with socket.create_connection(live.address[:2], timeout=20) as dripping:

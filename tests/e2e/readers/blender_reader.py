@@ -1,9 +1,9 @@
-"""Runs in Blender's Python: world positions of all bones in every frame of BVH and GLB files, and a picture.
+"""Program for Blender's Python: world positions of all bones in every frame of BVH and GLB files, and a picture.
 
     python blender_reader.py JOB.json
 
 ``JOB.json`` is ``{"files": [{"path", "frame_rate_hz", "import": {...}}], "out": FILE, "picture": FILE or null}``;
-``import`` has what is changed in the importer's dialogue. What is found goes to ``out``.
+``import`` has settings of the importer. The positions are written to ``out``.
 """
 
 import json
@@ -20,7 +20,7 @@ BACK_M, ABOVE_M, ASIDE_M = 5.2, 1.1, 1.6
 
 
 def empty(frame_rate_hz: float) -> Any:
-    """A scene without anything in it."""
+    """Empty the scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps = math.ceil(frame_rate_hz)
@@ -29,7 +29,7 @@ def empty(frame_rate_hz: float) -> Any:
 
 
 def load(path: str, options: Mapping[str, Any]) -> Any:
-    """Open a file as a user would; returns its armature."""
+    """Open a file as a user would; return its armature."""
     before = set(bpy.data.objects)
     if path.endswith(".bvh"):
         bpy.ops.import_anim.bvh(filepath=path, update_scene_fps=True, update_scene_duration=True, **options)
@@ -39,7 +39,7 @@ def load(path: str, options: Mapping[str, Any]) -> Any:
 
 
 def read(file: Mapping[str, Any]) -> dict[str, Any]:
-    """Where bones begin, in the rest pose and in every frame."""
+    """Positions of the heads of bones, in the rest pose and in every frame."""
     scene = empty(file["frame_rate_hz"])
     armature = load(file["path"], file["import"])
     action = armature.animation_data.action
@@ -54,7 +54,7 @@ def read(file: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def material(name: str, rgb: tuple[float, float, float], roughness: float) -> Any:
-    """What a thing on the picture looks like."""
+    """Material of an object in the picture."""
     made = bpy.data.materials.new(name)
     made.use_nodes = True
     surface = made.node_tree.nodes["Principled BSDF"]
@@ -64,7 +64,7 @@ def material(name: str, rgb: tuple[float, float, float], roughness: float) -> An
 
 
 def render(files: Sequence[Mapping[str, Any]], path: str) -> None:
-    """Everybody on a floor, from the side."""
+    """Render all people on a floor, from the side."""
     scene = empty(files[0]["frame_rate_hz"])
     armatures = [load(file["path"], file["import"]) for file in files]
     first, last = armatures[0].animation_data.action.frame_range

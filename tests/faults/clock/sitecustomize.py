@@ -1,6 +1,6 @@
-"""Sets the clocks of Python processes that have this folder on their path, Python's and SQLite's; a file says how far.
+"""Offset of the clocks of Python and SQLite, in processes with this folder on their path; a file has the offset.
 
-The monotonic clock goes on, as it does where a machine's clock is set. The C library's functions can't be replaced
+The monotonic clock is unchanged, as when a machine's clock is set. The C library's functions can't be replaced
 from here, and packages that do it (libfaketime) break Python's sleep.
 """
 

@@ -1,4 +1,4 @@
-"""The limit on open files of a process and its children."""
+"""Limit on open files of a process and its children."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The data folder of an embedded service, and the broker in it."""
+"""Data folder of a service on one machine, and its broker."""
 
 import contextlib
 import subprocess
@@ -13,14 +13,14 @@ from worker.jobs.files.disk import DiskSpace
 from worker.jobs.files.private_files import make_private
 from worker.jobs.queue import WorkQueue
 from worker.process import embedded
-from worker.process.lifeline import tied
+from worker.process.lifeline import tied_to_parent
 
 
 @contextlib.contextmanager
 def answering(directory: embedded.DataDirectory) -> Iterator[WorkQueue]:
-    """The broker, until the end of the block."""
+    """Run the broker during the block."""
     program, queue = embedded.broker(directory), WorkQueue(directory.broker_url)
-    with subprocess.Popen(tied(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen(tied_to_parent(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
         try:
             deadline_s = time.monotonic() + 10
             while not queue.ping() and time.monotonic() < deadline_s:
@@ -45,7 +45,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_what_a_killed_part_left_is_removed(tmp_path: Path) -> None:
+def test_files_of_a_killed_process_are_removed(tmp_path: Path) -> None:
     with embedded.lock(tmp_path) as directory:
         (directory.temporary_dir / "left").mkdir()
     with embedded.lock(tmp_path) as directory:
@@ -56,7 +56,7 @@ def test_what_a_killed_part_left_is_removed(tmp_path: Path) -> None:
 def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path) -> None:
     old = tmp_path / "broker" / "appendonlydir"
     old.mkdir(parents=True)
-    (old / "appendonly.aof.1.incr.aof").write_bytes(b"*3\r\n$3\r\nSET" + bytes(4096))  # as a loss of power leaves it
+    (old / "appendonly.aof.1.incr.aof").write_bytes(b"*3\r\n$3\r\nSET" + bytes(4096))  # as after a power failure
     (old / "appendonly.aof.manifest").write_bytes(bytes(100))
     (old.parent / "dump.rdb").write_bytes(b"REDIS0011" + bytes(100))
     with embedded.lock(tmp_path) as directory, answering(directory) as queue:

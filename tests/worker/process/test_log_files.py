@@ -1,4 +1,4 @@
-"""Log files: lines are JSON, parts are rotated while a program writes, and a full disk stops nobody."""
+"""Log files: lines are JSON, files are rotated while a program writes, and a full disk stops no program."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from worker.process.log_files import NUM_OLD_FILES, LogFile
 
 
 def write(log: LogFile, content: bytes) -> None:
-    """Write through a pipe, as a program does."""
+    """Write through a pipe, as the output of a program."""
     reading, writing = os.pipe()
     log.follow(os.fdopen(reading, "rb"))
     with os.fdopen(writing, "wb") as pipe:

@@ -1,4 +1,4 @@
-"""A worker process's row in the list of workers."""
+"""Row of a worker process in the list of workers."""
 
 import time
 from collections.abc import Callable, Collection
@@ -8,7 +8,7 @@ from sqlalchemy.exc import OperationalError
 
 from tests.worker.conftest import Bench
 from worker.jobs.worker_status import WorkerState, WorkerStatus
-from worker.process.presence import Presence, forget_lost, process_name
+from worker.process.presence import Presence, process_name, remove_killed
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
 
@@ -30,7 +30,7 @@ def test_a_change_is_told_at_once_and_the_end_too(bench: Bench) -> None:
     changed_s = time.monotonic()
     wait_for(lambda: bench.store.workers.all() == [ready])
     assert time.monotonic() - changed_s < 1.5
-    # A worker that shuts down takes no more work, long before its process ends.
+    # A worker that shuts down leaves the list long before its process ends.
     now[0] = None
     wait_for(lambda: bench.store.workers.all() == [])
     presence.stop()
@@ -67,9 +67,9 @@ def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: Bench) -> 
 
 def test_killed_processes_of_this_machine_are_taken_off_the_list(bench: Bench) -> None:
     host = process_name().rpartition(":")[0]
-    killed = replace(STARTING, id=f"{host}:4194304")  # beyond the largest number of a process
+    killed = replace(STARTING, id=f"{host}:4194304")  # beyond the largest process id
     elsewhere = replace(STARTING, id="another-machine:4194304")
     for status in (STARTING, killed, elsewhere):
         bench.store.workers.report(status)
-    forget_lost(bench.store.workers)
+    remove_killed(bench.store.workers)
     assert {worker.id for worker in bench.store.workers.all()} == {STARTING.id, elsewhere.id}

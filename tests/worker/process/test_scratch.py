@@ -1,4 +1,4 @@
-"""What a killed process leaves in the temporary folder is removed by the next one."""
+"""Temporary folders of killed processes are removed by the next process."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The supervisor with small programs: restarts, order of stopping, and that nothing outlives it."""
+"""Supervisor with small programs: restarts, order of stopping, and no process that outlives it."""
 
 import json
 import os
@@ -30,7 +30,7 @@ def wait_for(condition: Callable[[], bool], timeout_s: float = 15.0) -> None:
 
 
 def run_until(condition: Callable[[], bool], supervisor: Supervisor, timeout_s: float = 15.0) -> None:
-    """Run until a condition holds, then press Ctrl-C."""
+    """Run the supervisor until a condition holds, then interrupt it."""
     held = []
 
     def watch() -> None:
@@ -84,7 +84,7 @@ def test_programs_stop_at_once_but_for_what_the_others_need(tmp_path: Path) -> N
     assert said == []
 
 
-def test_what_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
+def test_a_program_that_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
     stubborn = program(
         "worker",
         f"""

@@ -1,4 +1,4 @@
-"""Logs: JSON throughout, whoever speaks; and that a log that can't be written stops nobody."""
+"""Logs: every line is JSON, and a log that can't be written stops no work."""
 
 import json
 import subprocess
@@ -62,4 +62,4 @@ def test_a_log_that_cannot_be_written_stops_nobody() -> None:
     with Path("/dev/full").open("w") as full:
         said = speak("info", full)
     assert said.stdout == "done\n"
-    assert said.returncode == 1  # by the error that nobody caught
+    assert said.returncode == 1  # by the uncaught error

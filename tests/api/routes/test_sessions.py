@@ -1,3 +1,5 @@
+"""Sessions: files, manifest, preflight, paging and deletion."""
+
 import hashlib
 import json
 import os
@@ -53,7 +55,7 @@ def test_a_session_of_keypoints(live: Live) -> None:
     }
 
 
-def test_what_is_wrong_in_an_archive_points_to_it(live: Live) -> None:
+def test_problems_of_an_archive_point_to_it(live: Live) -> None:
     parts = [("keypoints", ("cam_0.zip", b"archive")), ("keypoints", ("cam_1.zip", b"WRONG")), form(0)[0]]
     problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
     assert [(item["pointer"], item["file"]) for item in problem["errors"]] == [("/keypoints/1", "cam_1.zip")]
@@ -265,7 +267,7 @@ def test_manifest_may_be_a_file(live: Live) -> None:
 
 
 class TestManifest:
-    """What clients say of a session beside its files."""
+    """Manifest of a session."""
 
     def send(self, live: Live, manifest: object, **options: Any) -> httpx2.Response:
         part = ("manifest", (None, json.dumps(manifest)))
@@ -286,7 +288,7 @@ class TestManifest:
         assert [item["pointer"] for item in problem["errors"]] == ["/manifest/metadata"]
         assert live.kept() == []
 
-    def test_what_is_said_of_cameras_reaches_the_check(self, live: Live) -> None:
+    def test_cameras_of_the_manifest_reach_the_preflight(self, live: Live) -> None:
         cameras = [{"name": "a", "file": "cam_1.mp4", "offset_s": -0.5, "rate": 50.0}, {"name": "b \u00e4"}]
         session = self.send(live, {"cameras": cameras}).raise_for_status().json()
         assert live.services.store.sessions.get(session["id"]).preflight.recordings == (
@@ -310,7 +312,7 @@ class TestManifest:
         problem = problem_of(self.send(live, {"cameras": [camera]}), 422, "invalid_request")
         assert [item["pointer"] for item in problem["errors"]] == [f"/manifest/cameras/0{pointer}"]
 
-    def test_of_keypoints_nothing_is_said(self, live: Live) -> None:
+    def test_cameras_of_a_manifest_are_refused_with_keypoints(self, live: Live) -> None:
         answer = self.send(live, {"cameras": [{"name": "cam_0"}]}, files=keypoint_form())
         problem = problem_of(answer, 422, "invalid_request")
         assert [item["code"] for item in problem["errors"]] == ["cameras_of_keypoints"]
@@ -346,5 +348,5 @@ def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
     assert [(item["code"], item["camera"], item["pointer"]) for item in answer.json()["errors"]] == [
         ("no_overlap", "cam_0", "/manifest/cameras/1"),
         ("recording_doubled", "cam_1", "/manifest/cameras/2"),
-        ("no_overlap", "cam_2", None),  # nothing is said of it
+        ("no_overlap", "cam_2", None),  # not in the manifest
     ]

@@ -1,4 +1,4 @@
-"""A line that breaks: passes bytes on to the service, and cuts connections in the middle."""
+"""Unreliable connection: a proxy that cuts connections in the middle."""
 
 import contextlib
 import random
@@ -10,16 +10,16 @@ _BLOCK_BYTES = 2**16
 
 
 class BreakingLine:
-    """A proxy on a free port of loopback.
+    """Proxy on a free port of loopback.
 
-    Parameters
-    ----------
-    port
-        Of the service, which may be away.
-    cuts
-        How many connections are cut, each after some of what the client sent; the others are left alone.
-    most_bytes
-        After how many at most.
+        Parameters
+        ----------
+        port
+    Port of the service, which may be stopped.
+        cuts
+    Number of connections that are cut, each after a part of the client's bytes; other connections are not cut.
+        most_bytes
+    Largest number of bytes before a cut.
     """
 
     def __init__(self, port: int, cuts: int, most_bytes: int, seed: int) -> None:
@@ -56,7 +56,7 @@ class BreakingLine:
         self._open |= both
         back = threading.Thread(target=self._copy, args=[service, client], daemon=True)
         back.start()
-        # HEAD and POST are shorter than any cut; so are answers, which go the other way.
+        # HEAD, POST and responses are shorter than any cut.
         num_bytes, last = 0, self._random.randrange(1000, self._most_bytes)
         with contextlib.suppress(OSError):
             while data := client.recv(_BLOCK_BYTES):
@@ -82,7 +82,7 @@ class BreakingLine:
         with contextlib.suppress(OSError):
             while data := source.recv(_BLOCK_BYTES):
                 target.sendall(data)
-        # Also when the service was killed: who waits for its answer has to know that there will be none.
+        # Close the client's side even if the service was killed, so that the client does not wait for a response.
         with contextlib.suppress(OSError):
             target.shutdown(socket.SHUT_WR)
 

@@ -1,3 +1,5 @@
+"""Jobs: creation, choices, paging, cancel, retry, attempts and deletion."""
+
 import json
 import uuid
 from datetime import UTC, datetime
@@ -214,7 +216,7 @@ def test_progress_of_a_running_stage(live: Live) -> None:
         ({"people": "some"}, 422),
     ],
 )
-def test_which_frames_and_how_many_people(live: Live, spec: dict[str, object], status: int) -> None:
+def test_ranges_of_frames_and_numbers_of_people(live: Live, spec: dict[str, object], status: int) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=spec)
     assert answer.status_code == status, answer.text
     if status == 202:
@@ -251,7 +253,7 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
     assert offered(fail(retryable=True)) == (False, True)
     hopeless = fail(retryable=False)
     assert offered(hopeless) == (False, False)
-    # An operator may know better.
+    # The operator allows more.
     live.client.post(f"/v1/jobs/{hopeless}/retry").raise_for_status()
     live.client.post(f"/v1/jobs/{hopeless}/cancel").raise_for_status()
     assert offered(hopeless) == (False, True)

@@ -1,4 +1,4 @@
-"""Choices are declared once: the spec, the answer to a form, the command line and the page have them alike."""
+"""Choices of a job: the spec, the options, the command line and the page agree with ``pipeline.config``."""
 
 import pytest
 from pydantic import ValidationError

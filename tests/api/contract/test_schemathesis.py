@@ -1,4 +1,4 @@
-"""Requests made from the contract, right and wrong ones: no answer may be one that the contract does not know."""
+"""Requests generated from the contract, valid and invalid: every response must conform to the contract."""
 
 import contextlib
 from collections import Counter
@@ -25,7 +25,7 @@ from worker.process.presence import Presence, process_name
 
 schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
 schema = schemathesis.openapi.from_path(COMMITTED)
-# All calls come with a key that is valid; what others get is checked by Schemathesis besides.
+# All calls have a valid key; Schemathesis checks calls without one in addition.
 schema.config.generation.update(with_security_parameters=False)
 SETTINGS = settings(
     max_examples=75,
@@ -38,7 +38,7 @@ SETTINGS = settings(
 
 @pytest.fixture(scope="module")
 def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
-    """Limits above what a schema can say, so that nothing is too large before it is wrong; a key that may do all."""
+    """Service with a key of all scopes, and with limits so high that generated requests do not meet them first."""
     with running(make_settings(max_json_bytes=64 * KIB, max_wrong_keys_per_minute=1_000_000)) as live:
         _, secret = live.services.store.keys.add("default", "test", frozenset(Scope))
         live.client.headers["Authorization"] = f"Bearer {secret}"
@@ -47,7 +47,7 @@ def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 
 @pytest.fixture(scope="module")
 def known(service: Live) -> Iterator[dict[str, str]]:
-    """Things that are there, so that not all ids are unknown; and all that readiness asks for."""
+    """Ids of an existing session, job and upload, so that not all ids are unknown; the service is ready."""
     worker = WorkerStatus(process_name(), WorkerState.READY, "A worker works", detectors=tuple(NETWORKS))
     presence = Presence(service.services.store.workers, lambda: worker)
     presence.start()
@@ -62,20 +62,20 @@ def key_of(service: Live) -> dict[str, str]:
     return {"Authorization": service.client.headers["Authorization"]}
 
 
-def unsaid_by_schemas(case: schemathesis.Case[Any]) -> list[Any]:
-    """Checks that ask for what no schema can say."""
+def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
+    """Checks that do not apply, because a schema can't express the rule."""
     if case.media_type == "multipart/form-data":
         # Schemathesis gives all files of a form one name, which the service refuses, and sends a number as its digits,
         # which are a file like any other.
         return [positive_data_acceptance, negative_data_rejection]
-    # tus asks for headers by statuses of its own.
+    # tus has its own statuses for missing headers.
     if case.path.startswith("/v1/uploads"):
         return [positive_data_acceptance, negative_data_rejection]
-    # Which uploads there are, and for what a key was used before.
+    # A schema can't express which uploads exist, or earlier uses of an idempotency key.
     names_uploads = isinstance(case.body, dict) and "calibration" in case.body
     if names_uploads or "idempotency-key" in {name.lower() for name in case.headers}:
         return [positive_data_acceptance]
-    # Which cutoff a session's frame rate allows, which frames it has, and where webhooks may go.
+    # A schema can't express limits by the session's frames, or the public addresses of webhooks.
     asks_more = isinstance(case.body, dict) and (
         case.body.get("smoothing") == "butterworth"
         or case.body.get("frame_range") is not None
@@ -90,25 +90,25 @@ def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
     def check(case: schemathesis.Case[Any]) -> None:
         nonlocal cases
         cases += 1
-        excluded = unsaid_by_schemas(case)
+        excluded = inapplicable_checks(case)
         if cases % 2 and case.method != "DELETE":
             ids = {name: known[name] for name in case.path_parameters if name in known}
             case.path_parameters.update(ids)
-            if ids and case.method == "GET":  # the id may have been all that was wrong
+            if ids and case.method == "GET":  # the id may have been the only fault
                 excluded = [*excluded, negative_data_rejection]
         case.call_and_validate(base_url=str(service.client.base_url), headers=key_of(service), excluded_checks=excluded)
 
     for operation in schema.get_all_operations():
         assert isinstance(operation, Ok)
         for mode in GenerationMode:
-            with contextlib.suppress(Unsatisfiable):  # there are operations with nothing that could be wrong
+            with contextlib.suppress(Unsatisfiable):  # some operations have no parameter that can be invalid
                 SETTINGS(given(operation.ok().as_strategy(generation_mode=mode))(check))()
     assert cases >= 2000
 
 
 def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str]) -> None:
-    """Ids out of answers go into further calls: what was deleted is gone, what was canceled is retried."""
-    # A stream of a job that nobody works on does not end, and a form's files mean nothing here.
+    """Ids of responses are used in further calls, for example to read deleted jobs and to retry canceled jobs."""
+    # The stream of a job without workers does not end, and generated files of a form are not a session.
     followed = schema.exclude(operation_id=["streamJobEvents", "createSession", "createSessionAndJob"])
     calls: Counter[str] = Counter()
 
@@ -121,11 +121,11 @@ def test_calls_that_follow_from_each_other(service: Live, known: dict[str, str])
 
         def validate_response(self, response: Any, case: schemathesis.Case[Any], **options: Any) -> None:
             calls[f"{case.method} {case.path}"] += 1
-            case.validate_response(response, excluded_checks=unsaid_by_schemas(case))
+            case.validate_response(response, excluded_checks=inapplicable_checks(case))
 
     few = settings(SETTINGS, max_examples=20, stateful_step_count=12, phases=[Phase.generate])
     for number in range(12):
-        # Answers depend on earlier examples, which Hypothesis refuses when it repeats the beginning of one.
+        # Responses depend on earlier examples; Hypothesis reports this as flaky when it repeats a part of an example.
         with contextlib.suppress(FlakyStrategyDefinition):
             run_state_machine_as_test(seed(number)(Workflow), settings=few)
         if sum(calls.values()) >= 300:

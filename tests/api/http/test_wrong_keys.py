@@ -1,4 +1,4 @@
-"""Wrong keys are counted by the address that they come from; valid ones are always served."""
+"""Wrong keys are counted by the client's address; valid keys are always served."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -45,11 +45,11 @@ def test_too_many_wrong_keys_are_refused(guarded: tuple[Live, dict[str, str]]) -
     assert 0 < int(answer.headers["retry-after"]) <= 60
     assert answer.headers["ratelimit-remaining"] == "0"
     assert answer.headers["ratelimit-reset"] == answer.headers["retry-after"]
-    # Others of the same address are served, and none of them is counted.
+    # Valid keys from the same address are served and not counted.
     assert live.client.get("/v1/jobs", headers=valid).status_code == 200
     secret = valid["Authorization"].removeprefix("Bearer ")
     assert live.client.post("/v1/browser-session", json={"key": secret}).status_code == 204
-    assert live.client.get("/v1/jobs").status_code == 200  # by the cookie
+    assert live.client.get("/v1/jobs").status_code == 200  # authorized by the cookie
     with from_address(live, "127.0.0.2") as other:
         problem_of(other.get("/v1/jobs", headers=WRONG), 401, "key_required")
 
@@ -66,7 +66,7 @@ def test_wrong_keys_are_counted_on_every_way_in(guarded: tuple[Live, dict[str, s
     assert [show().status_code for _ in range(LIMIT + 1)] == [401] * LIMIT + [429]
 
 
-def test_who_shows_no_key_is_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_requests_without_a_key_are_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
     live, _ = guarded
     assert {live.client.get("/v1/jobs").status_code for _ in range(3 * LIMIT)} == {401}
 
@@ -77,7 +77,7 @@ def test_a_trusted_proxy_names_the_client(guarded: tuple[Live, dict[str, str]]) 
         use_up(proxy, **{"X-Forwarded-For": "198.51.100.1"})
         refused = proxy.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": "198.51.100.1"})
         problem_of(refused, 429, "too_many_wrong_keys")
-        # What the client itself wrote there stands first, and means nothing.
+        # The first address was written by the client and is ignored.
         forged = proxy.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": "192.0.2.1, 198.51.100.1"})
         problem_of(forged, 429, "too_many_wrong_keys")
         other = proxy.get("/v1/jobs", headers=WRONG | {"X-Forwarded-For": "198.51.100.2"})

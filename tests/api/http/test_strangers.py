@@ -1,4 +1,4 @@
-"""Requests that no client of ours sends: each is answered or closed, none fails, and the log stays small."""
+"""Unusual requests: each is answered or its connection closed, none fails, and the log stays small."""
 
 import contextlib
 import socket

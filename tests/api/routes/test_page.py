@@ -1,3 +1,5 @@
+"""Page and Swagger UI: their files, types, polling and the form of choices."""
+
 import re
 from urllib.parse import urlsplit
 
@@ -49,7 +51,7 @@ def test_the_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
 
 
 def test_while_a_job_is_watched_nothing_else_is_asked_each_second(live: Live) -> None:
-    live.job_id()  # nobody works on it: it stays queued
+    live.job_id()  # without a worker it stays queued
     asked: list[str] = []
     with opened(str(live.client.base_url)) as page:
         page.wait_for_load_state("networkidle")

@@ -31,11 +31,11 @@ def test_sessions(make_settings: Callable[..., Settings]) -> None:
 def test_bytes_are_refused_before_they_are_sent(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_tenant_bytes=100_000)) as live:
         assert live.client.post("/v1/sessions", files=form(1, b"v" * 60_000)).status_code == 201
-        # Were it read, it would be no form.
+        # The body is not a form; it is refused before it is read.
         headers = {"Content-Type": "multipart/form-data; boundary=x"}
         answer = live.client.post("/v1/sessions", content=b"v" * 60_000, headers=headers)
         problem_of(answer, 403, "quota_exceeded")
-        # Without an announced length it is known at the end only.
+        # Without an announced length the size is known only at the end.
         sized = live.client.build_request("POST", "/v1/sessions", files=form(1, b"v" * 50_000))
         answer = live.client.post(
             "/v1/sessions", content=iter([sized.read()]), headers={"Content-Type": sized.headers["content-type"]}
@@ -53,7 +53,9 @@ def test_unfinished_jobs(make_settings: Callable[..., Settings]) -> None:
         assert answer.headers["retry-after"] == "30"
         answer = live.client.post("/v1/jobs", files=form())
         problem_of(answer, 429, "quota_exceeded")
-        assert len(live.client.get("/v1/sessions").json()["sessions"]) == 1  # all or nothing
+        assert (
+            len(live.client.get("/v1/sessions").json()["sessions"]) == 1
+        )  # neither the session nor the job was created
         live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
         assert live.client.post(f"/v1/sessions/{session_id}/jobs").status_code == 202
         problem_of(live.client.post(f"/v1/jobs/{job_id}/retry"), 429, "quota_exceeded")

@@ -1,4 +1,4 @@
-"""The stream of a job's changes, as browsers and scripts take it."""
+"""Event stream of a job: updates, reconnecting, limits, deletion."""
 
 import json
 import threading
@@ -15,7 +15,7 @@ PATIENCE_S = 20.0
 
 
 def events_of(answer: httpx2.Response) -> Iterator[dict[str, Any]]:
-    """Events as the standard reads them: fields up to an empty line; lines with a colon at first are comments."""
+    """Parse server-sent events: fields up to an empty line; lines that begin with a colon are comments."""
     fields: dict[str, str] = {}
     for line in answer.iter_lines():
         if line == "" and fields:
@@ -27,7 +27,7 @@ def events_of(answer: httpx2.Response) -> Iterator[dict[str, Any]]:
 
 
 class Listener(threading.Thread):
-    """Takes a job's events until the stream ends."""
+    """Receives the events of a job until the stream ends."""
 
     def __init__(self, live: Live, job_id: str, last_event_id: str | None = None) -> None:
         super().__init__(daemon=True)
@@ -85,7 +85,7 @@ def test_a_job_is_followed_to_its_end(live: Live) -> None:
     assert told[-1] == live.client.get(f"/v1/jobs/{job_id}").json()
 
 
-def test_who_comes_back_hears_what_was_missed_and_nothing_twice(live: Live) -> None:
+def test_a_reconnected_client_gets_missed_events_once(live: Live) -> None:
     job_id = live.job_id()
     first = live.services.store.jobs.changes([job_id])[job_id].event
     waiting = Listener(live, job_id, str(first))
@@ -118,7 +118,7 @@ def test_a_job_that_is_deleted_meanwhile_is_gone(live: Live) -> None:
     live.services.store.jobs.cancel(job_id)
     live.services.store.jobs.delete(job_id)
     listener.join(PATIENCE_S)
-    # Whether the end was seen before the deletion is a matter of luck.
+    # The end may or may not be sent before the deletion.
     assert listener.events[-1]["event"] == "gone" or listener.events[-1]["data"]["state"] == "canceled"
     problem_of(live.client.get(f"/v1/jobs/{job_id}/events"), 404, "not_found")
 
@@ -147,9 +147,7 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
         assert listener.events[-1]["data"]["state"] == "succeeded"
 
 
-def test_who_comes_while_the_database_is_asked_is_told_a_number_too(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     look = live.services.store.jobs.changes
 
     def slowly(job_ids: Any) -> Any:
@@ -167,7 +165,7 @@ def test_who_comes_while_the_database_is_asked_is_told_a_number_too(
         assert listener.events[0]["id"].isdigit()
 
 
-def test_who_hangs_up_is_forgotten_and_nobody_is_looked_for_then(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     url = f"http://{live.address[0]}:{live.address[1]}/v1/jobs/{job_id}/events"
     with httpx2.Client(timeout=PATIENCE_S, trust_env=False) as client, client.stream("GET", url) as answer:

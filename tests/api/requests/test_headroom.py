@@ -1,4 +1,4 @@
-"""A disk without headroom: nothing new is taken in, and every refusal says why. Deleting is tried in tests/e2e."""
+"""Disk without headroom: nothing new is accepted, and every refusal states the reason; tests/e2e tests deleting."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -54,7 +54,7 @@ def test_the_api_starts_on_a_full_disk_where_nobody_else_has_the_database_open(
             assert live.client.delete(f"/v1/sessions/{session}").status_code == 204
 
 
-def test_what_was_answered_before_is_answered_again(make_settings: Callable[..., Settings]) -> None:
+def test_repeated_requests_get_their_first_response_without_headroom(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
 
     def send(live: Live, path: str, **sent: Any) -> httpx2.Response:

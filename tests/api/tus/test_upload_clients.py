@@ -1,4 +1,4 @@
-"""Clients that others wrote, over lines that break, to a service that is killed in the middle."""
+"""Independent clients of tus over broken connections, to a service that is killed in the middle."""
 
 import hashlib
 import os
@@ -17,8 +17,8 @@ import pytest
 from tusclient.client import TusClient
 
 from api.settings import GIB, MIB, Settings
-from tests.api.lines import BreakingLine, breaking_line
 from tests.api.processes import peak_bytes, serving
+from tests.api.tus.lines import BreakingLine, breaking_line
 from tests.e2e.foreign import upload_with_tus_js
 
 Send = Callable[[str, Sequence[Path], int], list[str]]
@@ -58,7 +58,7 @@ def sha256(path: Path) -> str:
 
 
 def kill_in_the_middle(process: psutil.Process, folder: Path, num_bytes: int) -> None:
-    """End the service as soon as so much has come."""
+    """Kill the service when a number of bytes has arrived."""
     deadline_s = time.monotonic() + 60
     while sum(path.stat().st_size for path in folder.iterdir()) < num_bytes:
         assert time.monotonic() < deadline_s
@@ -68,7 +68,7 @@ def kill_in_the_middle(process: psutil.Process, folder: Path, num_bytes: int) ->
 
 
 def session_of(client: httpx2.Client, addresses: Sequence[str], calibration: str) -> dict[str, str]:
-    """SHA-256 by name of the videos of a session that is made of uploads."""
+    """Create a session from uploads; return the SHA-256 of its videos by name."""
     ids = [address.rpartition("/")[2] for address in addresses]
     body = {"videos": ids, "calibration": calibration.rpartition("/")[2]}
     answer = client.post("/v1/sessions", json=body, timeout=300)
@@ -83,7 +83,7 @@ def test_lines_break_and_the_service_is_killed(
     settings, port = make_settings(), free_port()
     paths = make_files(tmp_path / "take", 3, 12 * MIB)
     (tmp_path / "calibration.toml").write_text("[cam_0]")
-    # The line ends before the pool: a client that waits for ever is cut off, and the test ends.
+    # The proxy ends before the pool, so that a client that waits forever is disconnected and the test ends.
     with ThreadPoolExecutor(1) as pool, breaking_line(port, cuts=9, most_bytes=6 * MIB) as line:
         endpoint = f"http://127.0.0.1:{line.port}/v1/uploads"
         with serving(settings, port) as (_, process):
@@ -93,7 +93,7 @@ def test_lines_break_and_the_service_is_killed(
             addresses = sending.result(120)
             (calibration,) = send(endpoint, [tmp_path / "calibration.toml"], MIB)
             assert session_of(client, addresses, calibration) == {path.name: sha256(path) for path in paths}
-            # What was begun by a request that broke nobody knows of; it goes with time.
+            # Uploads of requests that broke off are known to no client; they expire.
             left = {path.name for path in settings.uploads_dir.iterdir()}
             assert left.isdisjoint(address.rpartition("/")[2] for address in addresses)
         assert line.cuts_made == 9

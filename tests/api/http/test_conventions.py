@@ -1,4 +1,4 @@
-"""Conventions of all addresses: HEAD wherever GET is, entity tags, figures of the rate limit, headers for pages."""
+"""Conventions of all addresses: HEAD, entity tags, caching, rate limit headers, and headers for other origins."""
 
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
@@ -14,13 +14,13 @@ from tests.api.conftest import Live, form, problem_of, running
 from worker.jobs.model import Scope
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
-# Of each answer its own.
+# Headers that differ in every response.
 OWN = {"date", "x-request-id"}
 
 
 @pytest.fixture
 def addresses(live: Live) -> list[str]:
-    """Every kind of address that answers GET: pages, health, the contract, records, lists, files."""
+    """Addresses of every kind that answer GET: pages, health, the contract, records, lists, files."""
     job_id = live.job_id()
     live.finish(job_id)
     session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
@@ -61,7 +61,7 @@ def test_head_begins_no_stream(live: Live, addresses: list[str], monkeypatch: py
         headed = live.client.head(address)
         assert (headed.status_code, headed.content) == (200, b"")
         assert headed.headers["content-type"].startswith(media_type)
-    # The connection is as good as before, and nothing waits for the end of a stream of a job that goes on.
+    # The connection stays usable, and HEAD does not wait for the end of the stream of an unfinished job.
     assert live.client.head(f"/v1/jobs/{live.job_id()}/events").status_code == 200
     assert live.client.get("/healthz").status_code == 200
     assert begun == []
@@ -78,7 +78,7 @@ def test_head_of_a_range_and_of_a_file_that_is_known(live: Live, addresses: list
     assert live.client.head(path, headers=known).status_code == 304
 
 
-def test_where_there_is_no_get_there_is_no_head(live: Live) -> None:
+def test_head_is_refused_where_get_is(live: Live) -> None:
     answer = live.client.head(f"/v1/jobs/{live.job_id()}/cancel")
     assert (answer.status_code, answer.headers["allow"]) == (405, "POST")
 
@@ -89,7 +89,7 @@ def test_requests_by_head_are_counted_as_what_they_are(live: Live) -> None:
 
 
 @pytest.mark.parametrize("kind", ["session", "self", "options"])
-def test_what_has_not_changed_is_not_sent_again(live: Live, kind: str) -> None:
+def test_unchanged_records_are_answered_by_304(live: Live, kind: str) -> None:
     job = live.client.get(f"/v1/jobs/{live.job_id()}").json()
     address = (job["links"] | {"options": "/v1/options"})[kind]
     first = live.client.get(address)
@@ -103,7 +103,7 @@ def test_what_has_not_changed_is_not_sent_again(live: Live, kind: str) -> None:
     assert (other.status_code, other.content, other.headers["etag"]) == (200, first.content, etag)
 
 
-def test_only_what_may_be_kept_is_kept(live: Live, addresses: list[str]) -> None:
+def test_cache_control_of_each_kind_of_address(live: Live, addresses: list[str]) -> None:
     kept = {"/": "no-cache", "/docs": "no-cache", "/portal/page.js": "no-cache", "/v1/options": "private, no-cache"}
     job, session, file = addresses[10], addresses[11], addresses[15]
     kept |= dict.fromkeys([job, session, file], "private, no-cache")

@@ -1,4 +1,4 @@
-"""`multicap backup`: what an operator reads, and what scripts rely on."""
+"""`multicap backup`: sentences for an operator, and JSON and exit codes for scripts."""
 
 import json
 from pathlib import Path
@@ -30,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_there_and_back_for_a_person(folder: Path, tmp_path: Path) -> None:
+def test_create_verify_and_restore_print_summaries(folder: Path, tmp_path: Path) -> None:
     archive, there = tmp_path / "b.tar", tmp_path / "there"
     for arguments in (
         ["create", f"{archive}", f"--data={folder}"],
@@ -56,7 +56,7 @@ def test_scripts_get_an_object_and_exit_codes(folder: Path, tmp_path: Path) -> N
     assert created["file_problems"] == [{"path": path, "problem": "missing", "needed": True}]
     assert (created["files"], created["rows"]["jobs"], created["faults"]) == (6, {"succeeded": 1}, [])
     assert created["archive_bytes"] == archive.stat().st_size
-    # Problems that were known when the backup was made are no fault of the file.
+    # Problems that were known when the backup was created are not faults of the archive.
     result = runner.invoke(app, ["backup", "verify", f"{archive}"])
     assert (result.exit_code, "is whole" in result.stderr, path in result.stderr) == (1, True, True)
     content = bytearray(archive.read_bytes())

@@ -1,4 +1,4 @@
-"""Requests and answers of one connection stay apart, whatever a client sends."""
+"""Framing: requests and responses of one connection stay separate, whatever a client sends."""
 
 import contextlib
 import re
@@ -28,7 +28,7 @@ def request(method: str, path: str, body: bytes = b"", **headers: str) -> bytes:
 
 
 class Connection:
-    """A connection whose answers are read as their heads say."""
+    """Connection that reads each response by its headers."""
 
     def __init__(self, live: Live) -> None:
         self._socket = socket.create_connection(live.address[:2], timeout=WAIT_S)
@@ -44,7 +44,7 @@ class Connection:
         self._socket.sendall(data)
 
     def answer(self, *, has_body: bool = True) -> tuple[int, bytes]:
-        """Status and body of the next answer."""
+        """Status and body of the next response."""
         while b"\r\n\r\n" not in self._read:
             self._more()
         head, _, self._read = self._read.partition(b"\r\n\r\n")
@@ -89,7 +89,7 @@ def test_an_offset_can_be_asked_for_by_post(small: Live) -> None:
     headers = {"Tus-Resumable": "1.0.0", "X-HTTP-Method-Override": "HEAD"}
     answer = small.client.post(upload(small), headers=headers)
     assert (answer.status_code, answer.headers["upload-offset"], answer.content) == (200, "0", b"")
-    # An answer to POST has a body, which says what is wrong.
+    # A response to POST has a body with the problem.
     assert small.client.post("/v1/uploads/unknown", headers=headers).json()["code"] == "not_found"
 
 
@@ -104,7 +104,7 @@ def test_an_offset_can_be_asked_for_by_post(small: Live) -> None:
         b"POST /nowhere HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
     ],
 )
-def test_what_is_not_read_of_a_body_is_no_request(small: Live, first: bytes) -> None:
+def test_the_unread_rest_of_a_body_is_not_a_request(small: Live, first: bytes) -> None:
     with Connection(small) as connection:
         connection.send(first)
         connection.answer(has_body=not first.startswith(b"HEAD"))
@@ -126,7 +126,7 @@ def test_a_body_after_its_answer_has_an_end(small: Live) -> None:
 
 
 def test_a_body_that_was_not_asked_for_closes_the_connection(small: Live) -> None:
-    """Nobody can say whether the next bytes are the body or the next request."""
+    """The next bytes may be the body or the next request, so the server closes the connection."""
     with Connection(small) as connection:
         connection.send(
             b"POST /nowhere HTTP/1.1\r\nHost: localhost\r\nContent-Length: 50\r\nExpect: 100-continue\r\n\r\n"

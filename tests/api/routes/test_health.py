@@ -1,3 +1,5 @@
+"""Liveness and readiness of the service, and jobs whose detector is not installed."""
+
 from collections.abc import Iterator
 
 import pytest
@@ -12,7 +14,7 @@ COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the 
 
 @pytest.fixture
 def with_broker(live: Live, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
-    """A service whose broker answers, and whose workers are gone in the end."""
+    """Service whose broker responds; its workers are removed after the test."""
     monkeypatch.setattr(live.services.queue, "ping", lambda: True)
     yield live
     for worker in live.services.store.workers.all():
@@ -70,7 +72,7 @@ def test_a_detector_that_no_worker_has_is_refused(with_broker: Live, detector: s
         assert f" {detector}" in item["hint"]
     assert live.client.get("/v1/jobs").json()["jobs"] == []
     assert live.client.post(f"/v1/sessions/{session_id}/jobs", json={}).status_code == 202
-    # Keypoints need none, and another program has found them.
+    # Keypoints need no detector.
     assert live.client.post("/v1/jobs", files=[*keypoint_form(), part]).status_code == 202
 
 
@@ -85,7 +87,7 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     live.client.post(job.json()["links"]["cancel"]).raise_for_status()
     live.services.store.workers.report(READY)
     (item,) = problem_of(live.client.post(f"{job.json()['links']['self']}/retry"), 422, "invalid_request")["errors"]
-    # Nothing was sent that could be pointed to.
+    # The request has no field for a pointer.
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
     listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
     assert listed == {name: name == "movenet-multipose" for name in NETWORKS}

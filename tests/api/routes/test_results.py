@@ -1,3 +1,5 @@
+"""Result files: list, downloads, ranges, archives, signed addresses, missing and damaged files."""
+
 import hashlib
 import io
 import json
@@ -20,7 +22,7 @@ from worker.jobs.files.artifacts import result_key
 from worker.jobs.model import Problem
 from worker.reaper import reap
 
-# More than the buffers of a connection take.
+# More than the buffers of a connection hold.
 LARGE = os.urandom(2**20) * 64
 ETAG = f'"{hashlib.sha256(RESULT).hexdigest()}"'
 
@@ -221,7 +223,7 @@ def test_signed_downloads(make_settings: Callable[..., Settings], monkeypatch: p
             path = f"/v1/jobs/{job_id}/results/person-1.bvh"
             sent = live.client.get(path)
             assert (sent.status_code, httpx2.get(sent.headers["location"], trust_env=False).content) == (307, RESULT)
-            # The signature is for GET: the store would refuse HEAD.
+            # The signature is valid for GET only: the store would refuse HEAD.
             headed = live.client.head(path)
             assert (headed.status_code, headed.headers["etag"]) == (200, ETAG)
             assert headed.headers["content-length"] == str(len(RESULT))
@@ -242,7 +244,7 @@ def truncate(path: Path) -> None:
 
 @pytest.fixture
 def stored(live: Live, job_id: str) -> Path:
-    """File of the result, downloaded once: the service has compared it before."""
+    """File of a result that was downloaded once, so that the service has compared its SHA-256 before."""
     live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").raise_for_status()
     return live.settings.data_dir / "artifacts" / result_key(job_id, "person-1.bvh")
 
@@ -341,7 +343,7 @@ def test_results_of_a_damaged_bucket(
             live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[:-1])
             path = f"/v1/jobs/{job_id}/results/person-1.bvh"
             problem_of(live.client.get(path), 500, "result_damaged")
-            # Content of the same size is for the client to compare.
+            # The client has to compare content of the same size.
             live.services.artifacts.put_bytes(result_key(job_id, "person-1.bvh"), RESULT[::-1])
             with pytest.raises(ServiceError, match=r"person-1\.bvh is damaged"):
                 Client(live.client).download(live.client.get(f"/v1/jobs/{job_id}").json(), tmp_path)

@@ -1,4 +1,4 @@
-"""Clients that neither send nor take, and those that drip."""
+"""Slow clients: they stop sending or receiving, or send a few bytes at a time."""
 
 import socket
 import time
@@ -24,7 +24,7 @@ def head(path: str, length: int, content_type: str = "multipart/form-data; bound
 
 
 def answer_of(connection: socket.socket) -> bytes:
-    """All that comes until the service closes."""
+    """All bytes until the service closes the connection."""
     received = b""
     while block := connection.recv(65536):
         received += block
@@ -35,7 +35,7 @@ def answer_of(connection: socket.socket) -> bytes:
     ("path", "content_type"),
     [("/v1/sessions", "multipart/form-data; boundary=x"), ("/v1/browser-session", "application/json")],
 )
-def test_who_stops_in_the_middle_is_let_go(strict: Live, path: str, content_type: str) -> None:
+def test_a_client_that_stops_sending_is_disconnected(strict: Live, path: str, content_type: str) -> None:
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
         connection.sendall(head(path, 900, content_type) + b"--x\r\n")
         answer = answer_of(connection)
@@ -44,7 +44,7 @@ def test_who_stops_in_the_middle_is_let_go(strict: Live, path: str, content_type
     assert strict.kept() == []
 
 
-def test_who_drips_is_let_go(strict: Live) -> None:
+def test_a_client_that_sends_too_slowly_is_disconnected(strict: Live) -> None:
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
         connection.sendall(head("/v1/sessions", 90_000) + b"--x\r\n")
         connection.settimeout(0.1)
@@ -60,7 +60,7 @@ def test_who_drips_is_let_go(strict: Live) -> None:
     assert answer.startswith(b"HTTP/1.1 408 ")
 
 
-def test_who_is_slow_but_steady_is_served(strict: Live) -> None:
+def test_a_slow_and_steady_client_is_served(strict: Live) -> None:
     sized = strict.client.build_request("POST", "/v1/sessions", files=form(1, b"v" * 40_000))
     body = sized.read()
 
@@ -73,8 +73,8 @@ def test_who_is_slow_but_steady_is_served(strict: Live) -> None:
     assert strict.client.post("/v1/sessions", content=slowly(), headers=headers).status_code == 201
 
 
-def test_who_takes_nothing_is_cut_off(strict: Live) -> None:
-    content = b"B" * (64 * MIB)  # more than any buffer on the way
+def test_a_client_that_receives_nothing_is_disconnected(strict: Live) -> None:
+    content = b"B" * (64 * MIB)  # more than all network buffers hold
     job_id = strict.job_id()
     strict.finish(job_id, content)
     request = f"GET /v1/jobs/{job_id}/results/person-1.bvh HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -91,7 +91,7 @@ def test_who_takes_nothing_is_cut_off(strict: Live) -> None:
     assert len(strict.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").content) == len(content)
 
 
-def test_who_only_listens_is_not_slow(strict: Live) -> None:
+def test_a_client_of_an_event_stream_is_not_slow(strict: Live) -> None:
     job_id = strict.job_id()
     with strict.client.stream("GET", f"/v1/jobs/{job_id}/events") as events:
         lines = events.iter_lines()
@@ -102,7 +102,7 @@ def test_who_only_listens_is_not_slow(strict: Live) -> None:
 
 
 @pytest.mark.parametrize("head", [b"", b"GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n"])
-def test_who_sends_no_headers_is_let_go(strict: Live, head: bytes) -> None:
+def test_a_client_that_sends_no_headers_is_disconnected(strict: Live, head: bytes) -> None:
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
         connection.sendall(head)
         assert answer_of(connection) == b""
@@ -129,7 +129,7 @@ def test_headers_have_an_end(strict: Live, head: bytes, more: bytes, pause_s: fl
 def test_further_requests_of_a_connection_have_their_own_time(strict: Live) -> None:
     request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
-        for _ in range(4):  # longer than a head may take, all in all
+        for _ in range(4):  # in total longer than the time limit of the headers
             time.sleep(IDLE_S / 2)
             connection.sendall(request)
             assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")

@@ -1,3 +1,5 @@
+"""Memory of the service while it receives large forms and sends large archives."""
+
 import os
 from collections.abc import Callable, Iterator
 
@@ -32,7 +34,7 @@ def growth_bytes(settings: Settings, num_bytes: int) -> int:
 
 
 def archive_growth_bytes(settings: Settings, num_bytes: int) -> int:
-    """What a large archive of results adds to the service's memory after a small one."""
+    """Growth of the service's peak memory by a large archive of results, after a small archive."""
     with running(settings) as live:
         small = live.job_id()
         live.finish(small)

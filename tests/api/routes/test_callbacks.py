@@ -1,4 +1,4 @@
-"""Addresses for webhooks of a job's end; messages are tested in ``tests/worker/webhooks/test_sender.py``."""
+"""URLs for webhooks of a job; messages are tested in ``tests/worker/webhooks``."""
 
 from collections.abc import Callable
 
