@@ -6,7 +6,7 @@ from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import install_command
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.webhooks.addresses import may_be_public, url_fault

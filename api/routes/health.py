@@ -15,7 +15,7 @@ from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
 from pipeline.config import install_command
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 from worker.jobs.worker_status import WorkerStatus

@@ -8,7 +8,7 @@ from api.dependencies import ServicesDep
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.schemas import ChoiceOut, DetectorOut, Options
 from pipeline.config import CHOICES, NETWORKS, install_command
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 

@@ -18,7 +18,7 @@ from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, assoc
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
 from worker.jobs.model import ChunkState, JobState, ResultWarning
-from worker.jobs.repositories.leases import MAX_ATTEMPTS
+from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
 

@@ -16,16 +16,16 @@ from worker.jobs.repositories.browser_sessions import BrowserSessions
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.keys import Keys
-from worker.jobs.repositories.leases import MAX_ATTEMPTS, Leases
-from worker.jobs.repositories.outputs import Outputs
-from worker.jobs.repositories.plans import Plans
 from worker.jobs.repositories.removals import Removals
 from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.repositories.uploads import Uploads
 from worker.jobs.repositories.webhook_secrets import WebhookSecrets
 from worker.jobs.repositories.webhooks import Webhooks
-from worker.jobs.repositories.workers import Workers
+from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
+from worker.jobs.repositories.work.outputs import Outputs
+from worker.jobs.repositories.work.plans import Plans
+from worker.jobs.repositories.work.workers import Workers
 from worker.jobs.tenant_records import TenantRecords
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]

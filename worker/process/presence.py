@@ -10,7 +10,7 @@ from functools import partial
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.jobs.repositories.workers import Workers
+from worker.jobs.repositories.work.workers import Workers
 from worker.jobs.worker_status import WorkerStatus
 from worker.process.scratch import is_running
 

@@ -117,7 +117,7 @@ def command(
 
 
 def _default_workers(keys: Keys) -> int:
-    # One worker stays free for the other tenants, see `worker.jobs.repositories.turns`.
+    # One worker stays free for the other tenants, see `worker.jobs.repositories.work.turns`.
     return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 

@@ -16,9 +16,9 @@ from worker.jobs.files.artifacts import job_prefix
 from worker.jobs.model import FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
-from worker.jobs.repositories.plans import insert_chunks
 from worker.jobs.repositories.removals import remove_later
 from worker.jobs.repositories.sessions import lock_session
+from worker.jobs.repositories.work.plans import insert_chunks
 from worker.jobs.spec import JobSpec
 
 

@@ -10,7 +10,7 @@ from worker.jobs.database.tables import chunks, jobs
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job
 from worker.jobs.model import AT_WORK, ChunkPlan, ChunkState, StagePlan
-from worker.jobs.repositories.workers import codes_at_work
+from worker.jobs.repositories.work.workers import codes_at_work
 
 _ROWS_AT_ONCE = 1000
 

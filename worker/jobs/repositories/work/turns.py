@@ -11,7 +11,7 @@ from worker.jobs.database.connection import lock
 from worker.jobs.database.tables import chunks, jobs
 from worker.jobs.model import AT_WORK, ChunkState, JobState
 from worker.jobs.repositories.keys import count_tenants
-from worker.jobs.repositories.workers import count_ready
+from worker.jobs.repositories.work.workers import count_ready
 
 
 def next_job(connection: Connection, codes: Collection[str] | None = None) -> str | None:

@@ -4,7 +4,7 @@ import sqlalchemy as sa
 from tests.worker.jobs.conftest import Bench
 from worker.jobs.database.tables import workers
 from worker.jobs.errors import NewerDatabase
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)

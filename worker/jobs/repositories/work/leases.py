@@ -14,7 +14,7 @@ from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
 from worker.jobs.model import AT_WORK, ChunkState, Claim, JobState, Problem, Result, ResultWarning
 from worker.jobs.repositories.attempts import note_failure
-from worker.jobs.repositories.turns import has_share, next_job, of_code
+from worker.jobs.repositories.work.turns import has_share, next_job, of_code
 from worker.jobs.spec import JobSpec
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
@@ -35,7 +35,7 @@ class Leases:
         """Take the next ready chunk; ``None`` if no job has one.
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
-        ``worker.jobs.repositories.turns``. The jobs of a tenant are worked on in the order of their creation.
+        ``worker.jobs.repositories.work.turns``. The jobs of a tenant are worked on in the order of their creation.
 
         Parameters
         ----------
