@@ -71,7 +71,7 @@ def damage_under(settings: Settings) -> None:
     """Overwrite all pages except the first with zeros, and make every process read them again."""
     path = settings.data_dir / "multicap.db"
     with contextlib.closing(JobStore(f"sqlite:///{path}")) as other:
-        other.rotate_webhook_secret("studio", 0.0)
+        other.webhook_secrets.rotate("studio", 0.0)
         with other._database.reading() as connection:
             connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
     overwrite(path, PAGE_BYTES, bytes(path.stat().st_size - PAGE_BYTES))

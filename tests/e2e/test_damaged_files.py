@@ -116,7 +116,7 @@ def test_a_database_that_is_damaged_under_a_running_service(tmp_path: Path, keyp
         assert served.wait_for_end(job["id"])["state"] == "succeeded"
         database = served.data_dir / "multicap.db"
         with contextlib.closing(JobStore(f"sqlite:///{database}")) as other:
-            other.rotate_webhook_secret("studio", 0.0)
+            other.webhook_secrets.rotate("studio", 0.0)
             with other._database.reading() as connection:
                 connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
         overwrite(database, PAGE_BYTES, bytes(database.stat().st_size - PAGE_BYTES))

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
 from pipeline.config import MAX_OUTPUT_FRAMES, ReconstructionConfig, method_warnings
 from pipeline.detect.registry import REGISTRY
 from pipeline.stages.code import stage_codes
@@ -40,11 +41,13 @@ FILES = tuple(
 
 def make_session(num_frames: int = 100, rates_hz: tuple[float, ...] = (25.0, 25.0), **changes: Any) -> Session:
     """Session of as many output frames, at the rate of the fastest camera."""
-    preflight = {
-        "cameras": [{"name": str(k), "frame_rate_hz": rate_hz} for k, rate_hz in enumerate(rates_hz)],
-        "timebase": {"start_time_s": 0.0, "frame_rate_hz": max(rates_hz), "num_frames": num_frames},
-        "warnings": [],
-    }
+    preflight = Preflight(
+        cameras=tuple(
+            PreflightCamera(str(k), f"{k}.mp4", (640, 480), rate_hz, num_frames) for k, rate_hz in enumerate(rates_hz)
+        ),
+        timebase=PreflightTimebase(0.0, max(rates_hz), num_frames),
+        stretches=(range(num_frames),),
+    )
     return Session(
         **{
             "id": "s",
@@ -215,12 +218,13 @@ def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
 
 
 def test_what_was_said_of_the_videos_is_an_input() -> None:
-    def said(**recording: object) -> Session:
+    def said(offset_s: float) -> Session:
         plain = make_session()
-        return replace(plain, preflight={**plain.preflight, "recordings": [{"camera": "0", **recording}]})
+        recordings = (PreflightRecording("0", offset_s=offset_s),)
+        return replace(plain, preflight=replace(plain.preflight, recordings=recordings))
 
     plain = make_session()
-    in_mm = replace(plain, preflight={**plain.preflight, "units": "mm"})
+    in_mm = replace(plain, preflight=replace(plain.preflight, units="mm"))
     found = [keys(plain), keys(said(offset_s=0.1)), keys(said(offset_s=0.2)), keys(in_mm)]
     for stage in found[0]:
         assert len({key for one in found for key in one[stage]}) == 4 * len(found[0][stage])
@@ -257,7 +261,7 @@ def test_how_many_people_are_wanted_counts_from_association_on() -> None:
 
 def paused(num_frames: int, stretches: list[list[int]], **changes: Any) -> Session:
     plain = make_session(num_frames, **changes)
-    return replace(plain, preflight={**plain.preflight, "stretches": stretches})
+    return replace(plain, preflight=replace(plain.preflight, stretches=tuple(range(*one) for one in stretches)))
 
 
 def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:

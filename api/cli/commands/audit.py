@@ -19,30 +19,30 @@ def command(
 ) -> None:
     """List creations, changes and deletions in the service with their tenant and key, the latest first."""
     with store_in(data) as store:
-        deeds = store.deeds(tenant, limit)
-        names = {key.id: key.name for key in store.list_keys()}
+        events = store.audit.events(tenant, limit)
+        names = {key.id: key.name for key in store.keys.all()}
     if as_json:
         listed = [
             {
-                "done_at": deed.done_at.isoformat(),
-                "tenant": deed.tenant,
-                "key_id": deed.actor.key_id,
-                "request_id": deed.actor.request_id,
-                "act": deed.act,
-                "subject": deed.subject,
+                "done_at": event.done_at.isoformat(),
+                "tenant": event.tenant,
+                "key_id": event.actor.key_id,
+                "request_id": event.actor.request_id,
+                "act": event.act,
+                "subject": event.subject,
             }
-            for deed in deeds
+            for event in events
         ]
         emit({"deeds": listed})
         return
     rows = (
         (
-            f"{deed.done_at:%Y-%m-%d %H:%M:%S} UTC",
-            deed.tenant,
-            names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else "",
-            deed.act,
-            deed.subject,
+            f"{event.done_at:%Y-%m-%d %H:%M:%S} UTC",
+            event.tenant,
+            names.get(event.actor.key_id, event.actor.key_id) if event.actor.key_id else "",
+            event.act,
+            event.subject,
         )
-        for deed in deeds
+        for event in events
     )
     print_table(("when", "tenant", "key", "did", "to"), rows)

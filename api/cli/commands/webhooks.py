@@ -30,7 +30,7 @@ def rotate(
     if not 0 < len(tenant) <= 64:
         raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
     with store_in(data) as store:
-        secret = store.rotate_webhook_secret(tenant, keep_hours * _HOUR_S)
+        secret = store.webhook_secrets.rotate(tenant, keep_hours * _HOUR_S)
     if as_json:
         emit({"tenant": tenant, "secret": secret})
         return
@@ -42,7 +42,7 @@ def rotate(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
-        deliveries = store.deliveries()
+        deliveries = store.webhooks.pending()
     if as_json:
         listed = [
             {
