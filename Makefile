@@ -78,7 +78,8 @@ test-data: setup
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
 
-PYTEST := $(BIN)/python -P -m pytest -n 2 --dist loadgroup --durations 40 --durations-min 5
+# More processes than processors: many tests wait.
+PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --durations 40 --durations-min 5
 NOT_HERE := not benchmark and not blender and not soak and not hostile
 
 test: test-data browser readers  ## Run the tests, but for the slow ones (ten minutes)

@@ -20,7 +20,7 @@ from pipeline.stages.local import reconstruct
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 
 # All tests need the same reconstruction, which one process of the tests computes once.
-NUM_FIRST = 40
+NUM_FIRST = 20
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -91,7 +91,7 @@ def beginning(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("chunk_frames", "processes"), [(7, 2), (16, 1), (16, 2)])
+@pytest.mark.parametrize(("chunk_frames", "processes"), [(7, 2), (8, 1), (8, 2)])
 def test_result_files_do_not_depend_on_the_cut(
     sample: Sample, beginning: Path, tmp_path: Path, chunk_frames: int, processes: int
 ) -> None:

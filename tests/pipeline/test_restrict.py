@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,11 +65,14 @@ def test_frames_that_are_not_there(session: KeypointSession, frames: range) -> N
 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_those_whom_most_cameras_saw_for_longest_stay(session: KeypointSession, method: Method) -> None:
-    everybody = reconstruct(session, ReconstructionConfig(method=method, smoothing="none")).located
+def test_those_whom_most_cameras_saw_for_longest_stay(
+    session: KeypointSession, task_cache: Path, method: Method
+) -> None:
+    config = ReconstructionConfig(method=method, smoothing="none")
+    everybody = reconstruct(session, config, cache=task_cache).located
     seen = sorted((int(track.views.sum()) for track in everybody), reverse=True)
     for most in (1, 2, 3, 9):
-        some = reconstruct(session, ReconstructionConfig(method=method, smoothing="none", people=most))
+        some = reconstruct(session, replace(config, people=most), cache=task_cache)
         assert [track.track_id for track in some.located] == list(range(1, min(most, 3) + 1))
         assert sorted((int(track.views.sum()) for track in some.located), reverse=True) == seen[:most]
         assert len(some.animation.motions) == len(some.located)

@@ -277,7 +277,7 @@ class TestTimesOfVideos:
     def test_a_rate_of_ntsc_is_shown_without_rounding(self, tmp_path: Path) -> None:
         stamps_ms = [round(number * 1001 / 30) for number in range(100)]
         session = self.open(tmp_path, stamps_ms, "mkv")
-        shown = json.dumps(report(session, ["a.mkv", "b.mkv"], "m"))
+        shown = json.dumps(report(session, ["a.mkv", "b.mkv"], "m").to_json())
         assert shown.count('"frame_rate_hz": 29.97002997002997,') == 3
 
     @pytest.mark.parametrize("num_frames", [2, 3])
