@@ -1,12 +1,14 @@
 """`multicap audit`: the audit trail of a service."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import emit, print_table
+from api.cli.console import show_list
 from api.cli.store import store_in
+from worker.jobs.model import Deed
 
 
 def command(
@@ -21,28 +23,26 @@ def command(
     with store_in(data) as store:
         deeds = store.deeds(tenant, limit)
         names = {key.id: key.name for key in store.list_keys()}
-    if as_json:
-        listed = [
-            {
-                "done_at": deed.done_at.isoformat(),
-                "tenant": deed.tenant,
-                "key_id": deed.actor.key_id,
-                "request_id": deed.actor.request_id,
-                "act": deed.act,
-                "subject": deed.subject,
-            }
-            for deed in deeds
-        ]
-        emit({"deeds": listed})
-        return
-    rows = (
-        (
-            f"{deed.done_at:%Y-%m-%d %H:%M:%S} UTC",
-            deed.tenant,
-            names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else "",
-            deed.act,
-            deed.subject,
-        )
-        for deed in deeds
-    )
-    print_table(("when", "tenant", "key", "did", "to"), rows)
+
+    def name_of(deed: Deed) -> str:
+        return names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else ""
+
+    cells: dict[str, Callable[[Deed], str]] = {
+        "when": lambda deed: f"{deed.done_at:%Y-%m-%d %H:%M:%S} UTC",
+        "tenant": lambda deed: deed.tenant,
+        "key": name_of,
+        "did": lambda deed: deed.act,
+        "to": lambda deed: deed.subject,
+    }
+    show_list("deeds", deeds, _document, cells, as_json)
+
+
+def _document(deed: Deed) -> dict[str, Any]:
+    return {
+        "done_at": deed.done_at.isoformat(),
+        "tenant": deed.tenant,
+        "key_id": deed.actor.key_id,
+        "request_id": deed.actor.request_id,
+        "act": deed.act,
+        "subject": deed.subject,
+    }
