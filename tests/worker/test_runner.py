@@ -54,6 +54,14 @@ def in_thread(bench: Bench, **choices: Any) -> threading.Thread:
     return thread
 
 
+def run_side_by_side(bench: Bench, num_workers: int) -> None:
+    """Run all work in threads, and what they have left in this one."""
+    threads = [in_thread(bench) for _ in range(num_workers)]
+    for thread in threads:
+        thread.join()
+    bench.runner().work(60.0)
+
+
 def test_a_job_runs_to_its_results(bench: Bench) -> None:
     job = bench.create_job()
     assert bench.runner().work(60.0) == 4 + 3
@@ -96,10 +104,7 @@ def test_after_its_time_a_worker_hands_over(bench: Bench) -> None:
 def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
     job = bench.create_job()
     bench.stages[DETECT] = slow_detect
-    threads = [in_thread(bench) for _ in range(3)]
-    for thread in threads:
-        thread.join()
-    bench.runner().work(60.0)
+    run_side_by_side(bench, 3)
     assert bench.result(job.id) == RESULT
 
 
@@ -250,10 +255,7 @@ def test_workers_side_by_side_compute_a_damaged_output_again(bench: Bench) -> No
 
     bench.stages |= {DETECT: slow_detect, ASSOCIATE: damaging}
     job = bench.create_job()
-    threads = [in_thread(bench) for _ in range(3)]
-    for thread in threads:
-        thread.join()
-    bench.runner().work(60.0)
+    run_side_by_side(bench, 3)
     assert bench.result(job.id) == RESULT
 
 
