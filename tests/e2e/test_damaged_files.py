@@ -9,8 +9,9 @@ import httpx2
 import pytest
 
 from tests.e2e.captures import keypoint_capture, video_capture
-from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
+from tests.waiting import wait_for
 from tests.worker.jobs.damage import damage_under, overwrite
 
 pytestmark = pytest.mark.xdist_group("faults")
