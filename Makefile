@@ -7,7 +7,7 @@ LINTER := tests/api/linter
 BLENDER := .venv-blender
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers linter test verify-exports soak hostile check benchmark format lock clean
+.PHONY: help setup demo serve browser readers linter test-data test test-slow verify-exports soak hostile check benchmark format lock clean
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -73,11 +73,19 @@ verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender 
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
 	@echo "Blender's pictures are in build/exports/."
 
-test: setup browser readers  ## Run the tests
+test-data: setup
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
-	$(BIN)/python -P -m pytest -n 2 --dist loadgroup --durations 40 --durations-min 5 -m "not benchmark and not blender and not soak and not hostile"
+
+PYTEST := $(BIN)/python -P -m pytest -n 2 --dist loadgroup --durations 40 --durations-min 5
+NOT_HERE := not benchmark and not blender and not soak and not hostile
+
+test: test-data browser readers  ## Run the tests, but for the slow ones (ten minutes)
+	$(PYTEST) -m "$(NOT_HERE) and not slow"
+
+test-slow: test-data  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
+	$(PYTEST) -m "$(NOT_HERE) and slow"
 
 soak: setup  ## Run 200 jobs, each disturbed by a fault at a random moment (half an hour)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
@@ -98,6 +106,7 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile
 	$(MAKE) test
+	$(MAKE) test-slow
 
 benchmark: setup  ## Measure speed and memory of the pipeline and the service (on a quiet machine)
 	$(BIN)/multicap benchmark pipeline

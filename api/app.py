@@ -27,7 +27,7 @@ from api.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.metrics import RequestMetrics
 from api.requests import validation
 from api.requests.fair_threads import FairThreads
-from api.requests.preflight import Preflight
+from api.requests.preflight import PreflightProgram
 from api.routes import callers, events, health, jobs, options, page, results, sessions, uploads
 from api.settings import Settings
 from api.tus.files import UploadSpool
@@ -115,7 +115,7 @@ class ExposedError(Exception):
 
 def require_keys_if_exposed(settings: Settings, store: JobStore) -> None:
     """Raise ``ExposedError`` if other machines can reach the service and it has no keys."""
-    if settings.is_exposed and not store.has_keys():
+    if settings.is_exposed and not store.keys.exist():
         data = "" if settings.data_dir == default_data_dir() else f" --data {shlex.quote(str(settings.data_dir))}"
         raise ExposedError(
             f"{settings.host} can be reached from other machines, and there are no keys: anybody could use the "
@@ -160,7 +160,7 @@ def _start(settings: Settings) -> Services:
         disk=disk,
         uploads=uploads,
         queue=WorkQueue(settings.broker_url),
-        preflight=Preflight(
+        preflight=PreflightProgram(
             settings.preflight_command,
             settings.preflight_timeout_s,
             settings.max_preflight_bytes,

@@ -16,7 +16,7 @@ from api.errors import ApiError
 from api.http.clients import client_network
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.model import Actor, Key, Scope
-from worker.jobs.repositories.records import Records
+from worker.jobs.tenant_records import TenantRecords
 
 COOKIE = "multicap_session"
 
@@ -62,7 +62,6 @@ def wrong_key(request: Request, services: Services) -> ApiError:
 
 def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
-        401,
         "key_required",
         detail,
         hint="Send Authorization: Bearer mc_..., with a key that `multicap keys create` made.",
@@ -78,12 +77,12 @@ def _find_caller(
 ) -> Caller:
     """Identify the caller; raise 401 without a valid key, 429 if the tenant calls too often."""
     if "authorization" in request.headers:
-        key = services.store.find_key(bearer.credentials) if bearer else None
+        key = services.store.keys.find(bearer.credentials) if bearer else None
         if key is None:
             raise wrong_key(request, services)
-    elif cookie is not None and (key := services.store.find_browser_session(cookie)) is not None:
+    elif cookie is not None and (key := services.store.browser_sessions.find(cookie)) is not None:
         _refuse_foreign_pages(request)
-    elif services.store.has_keys():
+    elif services.store.keys.exist():
         raise wrong_key(request, services) if cookie is not None else _key_required("The service asks for a key.", {})
     else:
         key = None
@@ -104,12 +103,12 @@ def _refuse_foreign_pages(request: Request) -> None:
         return
     origin = request.headers.get("origin", "").lower().partition("://")[2]
     if origin != request.headers["host"].lower():
-        raise ApiError(403, "cross_site_request", "A browser's session may be used by the service's own page only.")
+        raise ApiError("cross_site_request", "A browser's session may be used by the service's own page only.")
 
 
 def _require(caller: Caller, scope: Scope) -> Caller:
     if scope not in caller.scopes:
-        raise ApiError(403, "scope_missing", f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
+        raise ApiError("scope_missing", f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
     return caller
 
 
@@ -122,12 +121,14 @@ def _authorize_admin(caller: Annotated[Caller, Depends(_find_caller)]) -> Caller
     return _require(caller, Scope.ADMIN)
 
 
-def _records_of(request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_authorize)]) -> Records:
+def _records_of(
+    request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_authorize)]
+) -> TenantRecords:
     actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
     return services.store.of(caller.tenant, services.quotas, actor)
 
 
 AnyCallerDep = Annotated[Caller, Depends(_find_caller)]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
-# Records of the caller's tenant: routes have no other access to sessions and jobs.
-RecordsDep = Annotated[Records, Depends(_records_of)]
+# TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
+RecordsDep = Annotated[TenantRecords, Depends(_records_of)]

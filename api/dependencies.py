@@ -1,4 +1,4 @@
-"""What routes are given: the parts of the service, and ids that can be ids."""
+"""Dependencies of routes: the parts of the service, and ids from paths."""
 
 import uuid
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from api.http.keys_in_use import KeysInUse
 from api.http.rates import Rates, WrongKeys
 from api.requests.fair_threads import FairThreads
 from api.requests.form import Limits
-from api.requests.preflight import Preflight
+from api.requests.preflight import PreflightProgram
 from api.settings import Settings
 from api.tus.files import UploadSpool
 from worker.jobs.database.quotas import Quotas
@@ -26,7 +26,7 @@ _UUID = {"format": "uuid"}
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """The parts of the service, put together by ``api.app.create_app``."""
+    """Parts of the service, put together by ``api.app.create_app``."""
 
     settings: Settings
     store: JobStore
@@ -34,7 +34,7 @@ class Services:
     disk: DiskSpace
     uploads: UploadSpool
     queue: WorkQueue
-    preflight: Preflight
+    preflight: PreflightProgram
     checks: FairThreads
     changes: JobChanges
     keys_in_use: KeysInUse
@@ -43,7 +43,7 @@ class Services:
 
     @property
     def quotas(self) -> Quotas:
-        """How much each tenant may have."""
+        """Quotas of each tenant."""
         return Quotas(
             sessions=self.settings.max_tenant_sessions,
             unfinished_jobs=self.settings.max_tenant_unfinished_jobs,
@@ -53,7 +53,7 @@ class Services:
 
     @property
     def limits(self) -> Limits:
-        """How much of a session is taken in."""
+        """Limits of the files of a session."""
         return Limits(
             max_file_bytes=self.settings.max_file_bytes,
             max_keypoints_bytes=self.settings.max_keypoints_bytes,
@@ -65,7 +65,7 @@ class Services:
 
 
 def services_of(request: Request) -> Services:
-    """The service's parts, from the app."""
+    """Parts of the service, from the app."""
     services: Services = request.app.state.services
     return services
 
@@ -79,7 +79,7 @@ def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_
 
 
 def _canonical(value: str, kind: str) -> str:
-    # What is no id is the id of nothing: an unknown one, for the client.
+    # A malformed id is treated as unknown.
     try:
         return str(uuid.UUID(value))
     except ValueError:

@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from api.contract.problem_codes import FIELDS
+from api.contract.problem_codes import FIELDS, STATUSES
 from worker.jobs.errors import (
     ArtifactsUnavailable,
     DamagedArtifact,
@@ -107,8 +107,10 @@ class ApiError(Exception):
 
     Parameters
     ----------
-    status, code, detail
-        HTTP status, code and sentence of the problem.
+    code, detail
+        Of the problem.
+    status
+        Status of the answer; ``None``: the first one of the code in ``api.contract.problem_codes``.
     errors
         Everything that is wrong with the request.
     headers
@@ -117,17 +119,17 @@ class ApiError(Exception):
 
     def __init__(
         self,
-        status: int,
         code: str,
         detail: str,
         *,
+        status: int | None = None,
         errors: Sequence[ErrorItem] = (),
         hint: str | None = None,
         retryable: bool = False,
         headers: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(detail)
-        self.status = status
+        self.status = STATUSES[code] if status is None else status
         self.code = code
         self.detail = detail
         self.errors = tuple(errors)
@@ -139,7 +141,7 @@ class ApiError(Exception):
 def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
     """Error 422 for a request with wrong fields, parts or files."""
     count = "One thing is" if len(errors) == 1 else f"{len(errors)} things are"
-    return ApiError(422, "invalid_request", f"{count} wrong with the request.", errors=_listed(errors))
+    return ApiError("invalid_request", f"{count} wrong with the request.", errors=_listed(errors))
 
 
 def _listed(errors: Sequence[ErrorItem]) -> list[ErrorItem]:
@@ -161,7 +163,7 @@ def _with_short_pointer(error: ErrorItem) -> ErrorItem:
 def service_unavailable(code: str, detail: str, errors: Sequence[ErrorItem] = (), hint: str | None = None) -> ApiError:
     """Error 503 while a part of the service does not respond."""
     headers = {"Retry-After": str(_RETRY_AFTER_S)}
-    return ApiError(503, code, detail, errors=errors, hint=hint, retryable=True, headers=headers)
+    return ApiError(code, detail, errors=errors, hint=hint, retryable=True, headers=headers)
 
 
 def database_damaged() -> ApiError:
@@ -208,7 +210,7 @@ def as_api_error(error: Exception) -> ApiError:
         case HTTPException():
             return _from_status(error)
         case DamagedArtifact():
-            return ApiError(500, "artifact_damaged", "A stored file is damaged.")
+            return ApiError("artifact_damaged", "A stored file is damaged.")
         case DamagedDatabase():
             return database_damaged()
         case JobStoreError():
@@ -273,21 +275,21 @@ def _from_status(error: HTTPException) -> ApiError:
     status = error.status_code
     code = _CODES.get(status, HTTPStatus(status).name.lower())
     detail = _DETAILS.get(status, HTTPStatus(status).phrase)
-    return ApiError(status, code, detail, retryable=status == 408, headers=error.headers)
+    return ApiError(code, detail, status=status, retryable=status == 408, headers=error.headers)
 
 
 def _from_store(error: JobStoreError) -> ApiError:
     match error:
         case NotFound():
-            return ApiError(404, "not_found", str(error))
+            return ApiError("not_found", str(error))
         case QuotaExceeded():
             return _from_quota(error)
         case KeyReused():
             hint = "Use a new Idempotency-Key for each request; repeat a key only with the same request."
-            return ApiError(422, "idempotency_key_reused", str(error), hint=hint)
+            return ApiError("idempotency_key_reused", str(error), hint=hint)
         case KeyBusy():
             headers = {"Retry-After": str(_RETRY_AFTER_S)}
-            return ApiError(409, "idempotency_key_busy", str(error), retryable=True, headers=headers)
+            return ApiError("idempotency_key_busy", str(error), retryable=True, headers=headers)
         case _:
             return _from_conflict(error)
 
@@ -296,12 +298,12 @@ def _from_conflict(error: JobStoreError) -> ApiError:
     match error:
         case NotFinished():
             hint = "Read the job again until its state is succeeded."
-            return ApiError(409, "not_finished", str(error), hint=hint, retryable=True)
+            return ApiError("not_finished", str(error), hint=hint, retryable=True)
         case NoResults():
             reason = f"The job's error is {error.reason} " if error.reason else ""
-            return ApiError(409, "no_results", str(error), hint=reason + _advice_without_results(error))
+            return ApiError("no_results", str(error), hint=reason + _advice_without_results(error))
         case _:
-            return ApiError(409, "conflict", str(error))
+            return ApiError("conflict", str(error))
 
 
 def _advice_without_results(error: NoResults) -> str:
@@ -315,19 +317,19 @@ def _from_quota(error: QuotaExceeded) -> ApiError:
     if error.name == "unfinished_jobs":
         hint = "Send the request again when a job has ended."
         headers = {"Retry-After": str(_QUOTA_RETRY_AFTER_S)}
-        return ApiError(429, "quota_exceeded", str(error), hint=hint, retryable=True, headers=headers)
-    return ApiError(403, "quota_exceeded", str(error), hint="Delete sessions that are no longer needed.")
+        return ApiError("quota_exceeded", str(error), status=429, hint=hint, retryable=True, headers=headers)
+    return ApiError("quota_exceeded", str(error), hint="Delete sessions that are no longer needed.")
 
 
 def _storage_full() -> ApiError:
     hint = "Delete sessions that are no longer needed, or ask the operator for space; then send the request again."
-    return ApiError(507, "storage_full", "The service's disk is full.", hint=hint, retryable=True)
+    return ApiError("storage_full", "The service's disk is full.", hint=hint, retryable=True)
 
 
 def _from_failure(error: Exception) -> ApiError:
     match error:
         case ClientDisconnect():
-            return ApiError(400, "client_disconnected", "The client closed the connection.", retryable=True)
+            return ApiError("client_disconnected", "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
         case OperationalError() | PoolTimeoutError():
@@ -335,4 +337,4 @@ def _from_failure(error: Exception) -> ApiError:
         case ArtifactsUnavailable():
             return service_unavailable("artifacts_unavailable", "The artifact store does not respond.")
         case _:
-            return ApiError(500, "internal_error", "The service failed; the log says why.", retryable=True)
+            return ApiError("internal_error", "The service failed; the log says why.", retryable=True)

@@ -62,7 +62,6 @@ class JobChanges:
         """Raise 429 if an owner has as many streams as allowed."""
         if sum(watch.owner == owner for watch in self._watches) >= self._max_streams:
             raise ApiError(
-                429,
                 "too_many_streams",
                 f"At most {self._max_streams} event streams may be open.",
                 hint="Close the streams of jobs that are no longer followed.",
@@ -110,7 +109,7 @@ class JobChanges:
     async def _poll_once(self) -> None:
         # Streams that are opened during the query wait for the next poll.
         watches = list(self._watches)
-        changes = await run_in_threadpool(self._store.changes, {watch.job_id for watch in watches})
+        changes = await run_in_threadpool(self._store.jobs.changes, {watch.job_id for watch in watches})
         outdated: dict[str, list[_Watch]] = {}
         for watch in watches:
             if watch.job_id not in changes:
@@ -119,7 +118,7 @@ class JobChanges:
                 outdated.setdefault(watch.job_id, []).append(watch)
         for job_id, job_watches in outdated.items():
             try:
-                job = await run_in_threadpool(self._store.job, job_id)
+                job = await run_in_threadpool(self._store.jobs.get, job_id)
             except NotFound:  # deleted since the query: the next poll reports it
                 continue
             for watch in job_watches:

@@ -205,7 +205,7 @@ class SessionOut(_Response):
             created_at=session.created_at,
             files=tuple(FileOut(**_fields(file, FileOut)) for file in session.files),
             num_bytes=sum(file.num_bytes for file in session.files),
-            preflight=PreflightOut.model_validate(session.preflight),
+            preflight=PreflightOut.model_validate(session.preflight.to_json()),
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )

@@ -1,7 +1,10 @@
 """Shapes and types of every public call are checked while the tests run."""
 
 import signal
+from collections.abc import Iterator
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
@@ -13,3 +16,47 @@ settings.load_profile("shared")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 install_import_hook("pipeline", "beartype.beartype")
+
+
+# Tests with a target of their own, `make test-slow`: folders and modules.
+SLOW = (
+    "faults/",
+    "hostile/",
+    "api/contract/test_schemathesis.py",
+    "e2e/test_backup.py",
+    "e2e/test_clocks.py",
+    "e2e/test_damaged.py",
+    "e2e/test_damaged_files.py",
+    "e2e/test_distributed.py",
+    "e2e/test_first_start.py",
+    "e2e/test_foreign_code.py",
+    "e2e/test_full_disk.py",
+    "e2e/test_interrupt.py",
+    "e2e/test_postgres.py",
+    "e2e/test_rendered.py",
+    "e2e/test_serve.py",
+    "e2e/test_shelf.py",
+    "e2e/test_simulated.py",
+    "e2e/test_stop.py",
+    "e2e/test_wheel.py",
+    "worker/test_faults.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the slow tests."""
+    tests = Path(__file__).parent
+    for item in items:
+        if item.path.relative_to(tests).as_posix().startswith(SLOW):
+            item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def task_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Cache of finished tasks that all processes of a test run share: a detection is computed once."""
+    # The base of a process of pytest-xdist is a folder in the base of the run.
+    base = tmp_path_factory.getbasetemp()
+    run = base.parent if base.name.startswith("popen-") else base
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MULTICAP_CACHE_HOME", str(run / "task-cache"))
+        yield run / "task-cache"

@@ -87,7 +87,7 @@ class KeptSession:
 
         A distant store's video is fetched when it is needed, and kept for the next chunk.
         """
-        (name,) = (one["file"] for one in work.session.preflight["cameras"] if one["name"] == camera)
+        (name,) = (one.file for one in work.session.preflight.cameras if one.name == camera)
         (file,) = (file for file in work.session.files if file.name == name)
         sent = file.key, file.sha256, work.check
         with _undamaged(name, camera):

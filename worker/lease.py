@@ -100,4 +100,4 @@ class Lease:
     def _beat(self) -> bool:
         claim = self._claim
         done_units = min(self._done_units, claim.unit_count)
-        return self._store.heartbeat(claim.chunk_id, claim.lease_token, done_units, self._lease_s)
+        return self._store.leases.heartbeat(claim.chunk_id, claim.lease_token, done_units, self._lease_s)

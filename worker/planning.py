@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import asdict, dataclass
+from typing import Protocol, runtime_checkable
 
+from pipeline.capture.preflight_record import Preflight
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
 from worker.jobs.model import ChunkPlan, Claim, InputFile, StagePlan
@@ -20,7 +21,7 @@ class CheckedSession(Protocol):
         """Its files."""
 
     @property
-    def preflight(self) -> Mapping[str, Any]:
+    def preflight(self) -> Preflight:
         """Result of the check of its files."""
 
 
@@ -43,16 +44,13 @@ def plan_job(
 
 def session_facts(session: CheckedSession) -> SessionFacts:
     """Facts of a session that a plan depends on."""
-    timebase = session.preflight["timebase"]
-    num_frames = timebase["num_frames"]
-    # Sessions that were checked by an older version have no stretches.
-    stretches = session.preflight.get("stretches", [[0, num_frames]])
+    preflight = session.preflight
     return SessionFacts(
         inputs=_inputs(session),
-        num_frames=num_frames,
-        frame_rate_hz=timebase["frame_rate_hz"],
-        stretches=tuple(range(start, stop) for start, stop in stretches),
-        camera_rates_hz={camera["name"]: camera["frame_rate_hz"] for camera in session.preflight["cameras"]},
+        num_frames=preflight.timebase.num_frames,
+        frame_rate_hz=preflight.timebase.frame_rate_hz,
+        stretches=preflight.stretches,
+        camera_rates_hz={camera.name: camera.frame_rate_hz for camera in preflight.cameras},
         has_videos=has_videos(session),
     )
 
@@ -99,9 +97,9 @@ def _inputs(session: CheckedSession) -> tuple[str, ...]:
     Names count: files and cameras find each other by name.
     """
     files = sorted(f"{file.kind}/{file.name}/{file.sha256}" for file in session.files)
-    if (units := session.preflight.get("units", "m")) != "m":
+    if (units := session.preflight.units) != "m":
         files.append(units)
     if not has_videos(session):
-        return (*files, repr(session.preflight["timebase"]["frame_rate_hz"]))
-    recordings = sorted(json.dumps(one, sort_keys=True) for one in session.preflight.get("recordings", ()))
+        return (*files, repr(session.preflight.timebase.frame_rate_hz))
+    recordings = sorted(json.dumps(asdict(one), sort_keys=True) for one in session.preflight.recordings)
     return (*files, *recordings)

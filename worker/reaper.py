@@ -49,24 +49,24 @@ def reap(
     """
 
     def free_leases() -> None:
-        if store.reap(lease_s):
+        if store.leases.reap(lease_s):
             publish()
 
     def plan_again() -> None:
-        for job_id in store.unclaimable():
-            if not store.is_run(stage_codes().values()):
+        for job_id in store.plans.unclaimable():
+            if not store.plans.is_run(stage_codes().values()):
                 return  # workers of this version may start later
-            job = store.job(job_id)
-            if store.plan_again(job_id, plan_job(store.session(job.session_id), job.spec, chunk_frames)):
+            job = store.jobs.get(job_id)
+            if store.plans.replace(job_id, plan_job(store.sessions.get(job.session_id), job.spec, chunk_frames)):
                 log.info("job_planned_again", job=job_id)
                 publish()
 
     def expire() -> None:
-        for job_id in disk.using_reserve(store.expire):
+        for job_id in disk.using_reserve(store.removals.expire_jobs):
             log.info("job_expired", job=job_id)
 
     def remove() -> None:
-        disk.using_reserve(lambda: remove_files(store, artifacts))
+        disk.using_reserve(lambda: remove_files(store.removals, artifacts))
 
     # Each step runs even if another fails: on a full disk the last step makes space for the others.
     for step in (free_leases, plan_again, expire, remove):

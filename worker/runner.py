@@ -81,7 +81,7 @@ class Runner:
             if not self._has_room():
                 log.warning("disk_full")  # the reaper wakes a worker as long as there is work
                 break
-            claim = self._store.claim(self._name, self._lease_s, self._codes)
+            claim = self._store.leases.claim(self._name, self._lease_s, self._codes)
             if claim is None:
                 break
             if num_run == 0:
@@ -111,17 +111,17 @@ class Runner:
             except StoppedError:
                 log.info("chunk_stopped")
                 span.set_attribute("multicap.stopped", True)
-                more = self._store.release(claim.chunk_id, claim.lease_token)
+                more = self._store.leases.release(claim.chunk_id, claim.lease_token)
             except DamagedOutputsError as error:
                 log.warning("outputs_damaged", stage=error.stage, chunks=sorted(error.chunks))
-                more = self._store.compute_again(claim.chunk_id, claim.lease_token, error.stage, error.chunks)
+                more = self._store.leases.compute_again(claim.chunk_id, claim.lease_token, error.stage, error.chunks)
             except DamagedDatabase:
                 raise
             except Exception as error:
                 log.exception("chunk_failed", attempt=claim.attempt)
                 span.record_exception(error)
                 span.set_status(StatusCode.ERROR)
-                more = self._store.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
+                more = self._store.leases.fail(claim.chunk_id, claim.lease_token, problem_of(error, claim.stage))
             if more:
                 self._publish()
 
@@ -129,7 +129,7 @@ class Runner:
         def on_stuck() -> None:
             log.warning("chunk_stuck", job=claim.job_id, stage=claim.stage, chunk=claim.index)
             try:
-                self._store.release(claim.chunk_id, claim.lease_token)
+                self._store.leases.release(claim.chunk_id, claim.lease_token)
             finally:
                 self._on_stuck()
 
@@ -140,13 +140,13 @@ class Runner:
         if (found := self._reusable(claim)) is not None:
             log.info("chunk_reused")
             trace.get_current_span().set_attribute("multicap.reused", True)
-            return self._store.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
+            return self._store.leases.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
         started_s = time.monotonic()
         with scratch_folder() as scratch:
             output = self._run_chunk(
                 Work(
                     claim=claim,
-                    session=self._store.session(claim.session_id),
+                    session=self._store.sessions.get(claim.session_id),
                     artifacts=self._artifacts,
                     outputs=partial(self._outputs, claim),
                     scratch=scratch,
@@ -158,7 +158,7 @@ class Runner:
             results = [self._keep(claim, file) for file in output.files]
         self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
-        return self._store.finish(
+        return self._store.leases.finish(
             claim.chunk_id,
             claim.lease_token,
             _sha256(output.content),
@@ -171,7 +171,7 @@ class Runner:
         """Digest and size of this chunk's output if it was finished before and is still whole."""
         if not STAGE_BY_NAME[claim.stage].is_reusable:
             return None
-        recorded = self._store.artifact(claim.session_id, claim.output_key)
+        recorded = self._store.outputs.find(claim.session_id, claim.output_key)
         if recorded is None:
             return None
         try:
@@ -182,7 +182,7 @@ class Runner:
 
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         contents, damaged = [], set()
-        for output in self._store.outputs(claim.job_id, stage)[chunks]:
+        for output in self._store.outputs.of_stage(claim.job_id, stage)[chunks]:
             key = stage_key(claim.session_id, output.key)
             try:
                 # Without a digest it is being computed again.

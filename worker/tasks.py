@@ -16,9 +16,9 @@ from pipeline.stages.code import stage_codes
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.files.artifacts import ArtifactStore
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.compilation import COMPILING
 from worker.process.presence import Presence, process_name, remove_killed
 from worker.runner import Runner
@@ -109,15 +109,15 @@ def report_loading() -> None:
     """List the main process among the workers until its children list themselves."""
     store = JobStore(WorkerSettings().resolved_database_url)
     with contextlib.suppress(SQLAlchemyError):  # the database may start later
-        remove_killed(store)
-        store.report_worker(WorkerStatus(process_name(), WorkerState.STARTING, LOADING))
+        remove_killed(store.workers)
+        store.workers.report(WorkerStatus(process_name(), WorkerState.STARTING, LOADING))
     store.close()  # before children are forked
 
 
 def start_presence() -> Presence:
     """List this process among the workers from now on, with its state."""
     store = JobStore(WorkerSettings().resolved_database_url)
-    presence = Presence(store, _status)
+    presence = Presence(store.workers, _status)
     presence.start()
     return presence
 

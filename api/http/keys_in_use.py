@@ -78,8 +78,8 @@ class KeysInUse:
     def _valid(self, watched: set[str | None]) -> set[str | None]:
         valid: set[str | None] = set()
         if named := {key_id for key_id in watched if key_id is not None}:
-            valid |= self._store.valid_keys(named)
-        if None in watched and not self._store.has_keys():
+            valid |= self._store.keys.valid(named)
+        if None in watched and not self._store.keys.exist():
             valid.add(None)
         return valid
 

@@ -259,7 +259,6 @@ class ForeignPageGuard(HttpMiddleware):
         hosts = headers.getlist("host")
         if len(hosts) != 1 or _name_of(hosts[0]) not in self._allowed_hosts:
             return ApiError(
-                403,
                 "host_not_allowed",
                 "The request's Host is not a name of the service.",
                 hint="Call the service by localhost, or add the name to MULTICAP_ALLOWED_HOSTS.",
@@ -268,7 +267,6 @@ class ForeignPageGuard(HttpMiddleware):
         foreign = "origin" in headers and origin not in self._allowed_origins
         if foreign and origin.partition("://")[2] != hosts[0].lower():
             return ApiError(
-                403,
                 "origin_not_allowed",
                 "Pages of other origins may not use the service.",
                 hint="If it is your page, add its origin to MULTICAP_ALLOWED_ORIGINS.",

@@ -106,4 +106,4 @@ def _headers(limit: int, remaining: int, reset_s: float) -> dict[str, str]:
 
 def _too_many(code: str, detail: str, hint: str, headers: dict[str, str]) -> ApiError:
     retry_after = {"Retry-After": headers["RateLimit-Reset"]}
-    return ApiError(429, code, detail, hint=hint, retryable=True, headers=retry_after | headers)
+    return ApiError(code, detail, hint=hint, retryable=True, headers=retry_after | headers)

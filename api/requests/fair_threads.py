@@ -117,7 +117,6 @@ class FairThreads:
 
 def _too_many_checks() -> ApiError:
     return ApiError(
-        429,
         "too_many_checks",
         "Too many of your sessions are being checked at once.",
         hint="Send the session again when one of them has been answered. Files of uploads need not be sent again.",

@@ -112,7 +112,7 @@ class Parts:
         """Begin a part."""
         self._num_parts += 1
         if self._num_parts > self._limits.max_videos + _MAX_OTHER_PARTS:
-            raise ApiError(400, "too_many_parts", "The form has too many parts.")
+            raise ApiError("too_many_parts", "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
         # A refused part is read to its end: the response states why it is refused, not that it is large.
         self._max_bytes = self._limits.max_session_bytes
@@ -260,4 +260,4 @@ def too_large(what: str, max_bytes: int, part: str | None = None, file: str | No
         pointer=f"/{part}" if part else None,
         file=file if file and not name_error(file) else None,
     )
-    return ApiError(413, "content_too_large", f"The {what} is larger than the service accepts.", errors=(item,))
+    return ApiError("content_too_large", f"The {what} is larger than the service accepts.", errors=(item,))

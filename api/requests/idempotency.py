@@ -1,12 +1,23 @@
-"""``Idempotency-Key``: a client that never saw the answer sends the request again, and gets the first answer."""
+"""``Idempotency-Key``: a client that never saw the answer sends the request again, and gets the first answer.
+
+A route that changes something does it in these steps::
+
+    if (earlier := idempotent.begin(parts)) is not None:
+        return earlier
+    with idempotent.working():
+        with idempotent.records.transaction() as work:
+            ...
+            answer = idempotent.store(work, Answer(...))
+    return answer.response()
+"""
 
 import asyncio
 import contextlib
 import hashlib
 import json
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from collections.abc import AsyncIterator, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Annotated
 
 import structlog
 from fastapi import Depends, Header, Request, Response
@@ -15,49 +26,62 @@ from starlette.concurrency import run_in_threadpool
 from api.auth import RecordsDep
 from api.dependencies import ServicesDep
 from api.errors import ApiError
-from worker.jobs.repositories.idempotency_keys import Answer, Claim
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.idempotency_keys import KeyClaim
+from worker.jobs.tenant_records import TenantRecords
 
 _log = structlog.get_logger(__name__)
 
 _MAX_KEY_LENGTH = 200
+_REPLAYED = {"Idempotent-Replayed": "true"}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Answer to a request that may come again, complete and as plain data, so that it can be stored."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: str
+
+    def response(self, more_headers: Mapping[str, str] | None = None) -> Response:
+        """Build the response."""
+        media_type = "application/json" if self.body else None
+        return Response(self.body, self.status, {**self.headers, **(more_headers or {})}, media_type)
 
 
 @dataclass(slots=True)
-class Once:
+class IdempotentRequest:
     """A request that may come again.
 
     Parameters
     ----------
     key
-        As the client sent it; ``None``: each such request is another one.
+        Key of the client; ``None``: the request is done each time it comes.
     records
-        Whose; after ``claim`` they leave the receipt.
+        Records of the caller.
     operation
-        What is asked for: part of the fingerprint.
+        Method and path: part of the fingerprint.
     lease_s
-        How long the key stays taken if this process is killed; renewed as long as the request is at work.
+        Time for which the key stays taken if this process is killed; renewed while the request is at work.
     """
 
     key: str | None
-    records: Records
+    records: TenantRecords
     operation: str
     lease_s: float
-    _token: str | None = field(default=None, init=False)
+    _claim: KeyClaim | None = field(default=None, init=False)
 
     def is_answered(self) -> bool:
-        """Whether there is an answer already, to this request or another one under its key."""
-        return self.key is not None and self.records.has_receipt(self.key)
+        """Whether the key has an answer already, of this request or another one."""
+        return self.key is not None and self.records.idempotency_keys.is_answered(self.key)
 
-    def claim(self, parts: object, render: Callable[[Any], Answer]) -> Response | None:
-        """Begin; returns the first answer if there is one.
+    def begin(self, parts: object) -> Response | None:
+        """Claim the key; returns the first answer if the request was answered before.
 
         Parameters
         ----------
         parts
-            JSON of what was sent, as it was understood: how a form was cut into bytes differs from try to try.
-        render
-            Says what was made.
+            JSON of what was sent, as it was understood: the bytes of a form differ from try to try.
 
         Raises
         ------
@@ -66,57 +90,61 @@ class Once:
         """
         if self.key is None:
             return None
-        found = self.records.claim_key(self.key, _fingerprint([self.operation, parts]), self.lease_s)
-        if isinstance(found, Answer):
-            return respond(found, {"Idempotent-Replayed": "true"})
-        self._token = found
-        self.records = self.records.answering(Claim(self.key, found, render))
+        found = self.records.idempotency_keys.claim(self.key, _fingerprint([self.operation, parts]), self.lease_s)
+        if not isinstance(found, KeyClaim):
+            return Answer(**found).response(_REPLAYED)
+        self._claim = found
         return None
 
-    def give_up(self) -> None:
-        """Nothing came of it; the next try begins anew."""
-        if self.key is not None and self._token is not None:
-            self.records.release_claim(self.key, self._token)
+    def store(self, work: TenantRecords, answer: Answer) -> Answer:
+        """Store the answer in the transaction of the work that it reports, and return it.
 
-    def run(self, parts: object, act: Callable[[Records], Any], render: Callable[[Any], Answer]) -> Response:
-        """Do something quick that ends with one transaction, once."""
-        if (before := self.claim(parts, render)) is not None:
-            return before
+        Raises
+        ------
+        Conflict
+            The request took too long, and was sent again in the meantime.
+        """
+        if self._claim is not None:
+            work.idempotency_keys.answer(self._claim, asdict(answer))
+        return answer
+
+    def release(self) -> None:
+        """Give the key back after a failure, so that the request can be sent again."""
+        if self._claim is not None:
+            self.records.idempotency_keys.release(self._claim)
+
+    @contextlib.contextmanager
+    def working(self) -> Iterator[None]:
+        """Give the key back if the block fails; for work that takes less time than the lease."""
         try:
-            return respond(render(act(self.records)))
+            yield
         except BaseException:
-            self.give_up()
+            self.release()
             raise
 
     @contextlib.asynccontextmanager
     async def held(self) -> AsyncIterator[None]:
-        """Keep the claim for as long as the block takes, and give it up if that fails."""
+        """Keep the key for as long as the block takes, and give it back if the block fails."""
         renewing = asyncio.create_task(self._renew_forever())
         try:
             yield
         except BaseException:
-            await asyncio.shield(run_in_threadpool(self.give_up))
+            await asyncio.shield(run_in_threadpool(self.release))
             raise
         finally:
             renewing.cancel()
 
     async def _renew_forever(self) -> None:
-        while self.key is not None and self._token is not None:
+        while self._claim is not None:
             await asyncio.sleep(self.lease_s / 3)
             try:
-                await run_in_threadpool(self.records.renew_claim, self.key, self._token, self.lease_s)
+                await run_in_threadpool(self.records.idempotency_keys.renew, self._claim, self.lease_s)
             except Exception:
                 # The database may be away for a while.
                 _log.exception("idempotency_key_not_renewed")
 
 
-def respond(answer: Answer, headers: dict[str, str] | None = None) -> Response:
-    """Send an answer."""
-    media_type = "application/json" if answer.body else None
-    return Response(answer.body, answer.status, {**answer.headers, **(headers or {})}, media_type)
-
-
-def _once(
+def _idempotent_request(
     request: Request,
     services: ServicesDep,
     records: RecordsDep,
@@ -128,15 +156,15 @@ def _once(
             max_length=_MAX_KEY_LENGTH,
         ),
     ] = None,
-) -> Once:
+) -> IdempotentRequest:
     if idempotency_key is not None and not (idempotency_key.isascii() and idempotency_key.isprintable()):
-        raise ApiError(400, "header_invalid", "Idempotency-Key must be printable ASCII.")
+        raise ApiError("header_invalid", "Idempotency-Key must be printable ASCII.")
     lease_s = services.settings.idempotency_lease_s
-    return Once(idempotency_key or None, records, f"{request.method} {request.url.path}", lease_s)
+    return IdempotentRequest(idempotency_key or None, records, f"{request.method} {request.url.path}", lease_s)
 
 
 def _fingerprint(parts: object) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-OnceDep = Annotated[Once, Depends(_once)]
+IdempotentRequestDep = Annotated[IdempotentRequest, Depends(_idempotent_request)]

@@ -1,18 +1,17 @@
-"""From a form, or from uploads, to a session: receive, check, keep. All or nothing."""
+"""Intake of sessions, from a form or from uploads: receive, check, store."""
 
 import contextlib
 import hashlib
 import json
 import shutil
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
-from urllib.parse import urlsplit
 
 import anyio
 import uuid_utils
-from fastapi import Request, Response
+from fastapi import Request
 from opentelemetry import trace
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
@@ -21,45 +20,64 @@ from api.dependencies import Services
 from api.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.requests.bodies import announced_bytes, limited
 from api.requests.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
-from api.requests.idempotency import Once, respond
+from api.requests.idempotency import IdempotentRequest
 from api.requests.multipart import receive_form
 from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_s
+from api.requests.spec_checks import callback_errors, detector_errors, limit_errors, spec_errors
 from api.requests.validation import model_items
 from api.schemas import Manifest, UploadedCapture, UploadedSession
-from pipeline.config import install_command
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix
 from worker.jobs.model import InputFile
-from worker.jobs.repositories.idempotency_keys import Answer
-from worker.jobs.repositories.records import Records
-from worker.jobs.repositories.workers import installed_detectors
 from worker.jobs.spec import JobSpec
-from worker.webhooks.addresses import may_be_public, url_fault
+from worker.jobs.tenant_records import TenantRecords
 
 MANIFEST, SPEC = "manifest", "spec"
 
-# What a file is called in a session where the form's part has another name.
+# Kinds of files that differ from the name of the form's part.
 _KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
 
-# Fields of a camera in the manifest that problems of its frame times are of.
+# Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "rate"}
 
 _tracer = trace.get_tracer("multicap")
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_Recorded = TypeVar("_Recorded")
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A session as a client sent it, in a folder of the spool.
+
+    Parameters
+    ----------
+    folder
+        Holds the files of a form; gone with the request.
+    content
+        Parsed form, or names of uploads.
+    parts
+        JSON of the content, for the fingerprint of the request.
+    with_job
+        Whether the session is to be reconstructed at once.
+    """
+
+    folder: Path
+    content: Form | UploadedSession
+    parts: object
+    with_job: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """What a client sent.
+    """Files of a session with its documents.
 
     Parameters
     ----------
     manifest, spec
         ``None`` where they are wrong; ``errors`` then says why.
     upload_ids
-        What the files were before.
+        Uploads that the files are from.
     """
 
     form: Form
@@ -70,90 +88,91 @@ class Arrival:
 
 
 @dataclass(frozen=True, slots=True)
+class CheckedSession:
+    """A session without errors whose files are not in the artifact store yet.
+
+    Parameters
+    ----------
+    record_path
+        File that the preflight wrote for the workers.
+    """
+
+    form: Form
+    manifest: Manifest
+    spec: JobSpec
+    preflight: Preflight
+    record_path: Path
+    upload_ids: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class NewSession:
-    """A session that is in the artifact store and not in the database yet, and how it is to be reconstructed."""
+    """A session that is in the artifact store and not in the database yet."""
 
     id: str
     name: str
     files: tuple[InputFile, ...]
-    preflight: Mapping[str, Any]
+    preflight: Preflight
     upload_ids: tuple[str, ...]
-    spec: JobSpec
     metadata: Mapping[str, Any]
     record_sha256: str
 
 
-async def take_in(
-    request: Request,
-    services: Services,
-    once: Once,
-    documents: frozenset[str],
-    record: Callable[[Records, NewSession], _Recorded],
-    render: Callable[[_Recorded], Answer],
-) -> Response:
-    """Receive a session as a form, or as JSON that names uploads; check it, keep it, record it; once.
+@contextlib.asynccontextmanager
+async def received(
+    request: Request, services: Services, idempotent: IdempotentRequest, documents: frozenset[str]
+) -> AsyncIterator[Sent]:
+    """Receive a session as a form, or as JSON that names uploads; its files are there inside the block.
 
     Parameters
     ----------
-    once
-        Whose session it becomes.
     documents
         Its JSON parts: ``manifest``, and ``spec`` if it is to be reconstructed at once.
-    record
-        Writes it to the database.
-    render
-        Says what was recorded.
 
     Raises
     ------
     ApiError
-        If anything is wrong; then nothing is kept, but uploads stay.
+        If there is no room for the session, or the request can't be read.
     """
     names_uploads = request.headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
     to_come = 0 if names_uploads else announced_bytes(request)
+    with_job = SPEC in documents
     # A request that comes again may need no more room than there is.
-    is_answered = await run_in_threadpool(once.is_answered)
-    owner = request.state.caller.owner
+    is_answered = await run_in_threadpool(idempotent.is_answered)
     if not is_answered:
-        services.checks.require_room(owner)
-        await run_in_threadpool(once.records.require_room, to_come, unfinished_jobs=int(SPEC in documents))
+        services.checks.require_room(request.state.caller.owner)
+        await run_in_threadpool(idempotent.records.require_room, to_come, unfinished_jobs=int(with_job))
     async with _folder(services.settings.spool_dir) as folder:
         if names_uploads:
             if not is_answered:
                 services.disk.require_room()
-            sent = await _receive_names(request, services, documents)
-            parts: object = sent.model_dump(mode="json")
+            names = await _receive_names(request, services, documents)
+            yield Sent(folder, names, names.model_dump(mode="json"), with_job)
         else:
             form = await receive_form(request, folder, services.limits, documents, services.disk)
-            parts = _parts_of(form)
-        if (before := await run_in_threadpool(once.claim, parts, render)) is not None:
-            return before
-        async with once.held():
-            # Large files are read once, for their digests, in the turn of the checks.
-            arrival = (
-                await services.checks.run(owner, _adopt, services, once.records, folder, sent)
-                if names_uploads
-                else _parsed(form)
-            )
-            recorded = await _check_and_keep(services, once.records, owner, folder, arrival, SPEC in documents, record)
-    return respond(render(recorded))
+            yield Sent(folder, form, _parts_of(form), with_job)
 
 
-async def _check_and_keep(
-    services: Services,
-    records: Records,
-    owner: str,
-    folder: Path,
-    arrival: Arrival,
-    with_job: bool,
-    record: Callable[[Records, NewSession], _Recorded],
-) -> _Recorded:
+async def check(request: Request, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
+    """Check a session: its files by the preflight, its documents, and both against the limits of the service.
+
+    Raises
+    ------
+    ApiError
+        With all that is wrong.
+    """
+    owner = request.state.caller.owner
+    if isinstance(sent.content, Form):
+        arrival = _parsed(sent.content)
+    else:
+        # Large files are read once, for their digests, in the turn of the checks.
+        arrival = await services.checks.run(owner, _adopt, services, records, sent.folder, sent.content)
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
     if form.keypoints and arrival.manifest and arrival.manifest.cameras:
         message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
         errors.append(ErrorItem(code="cameras_of_keypoints", message=message, pointer=f"/{MANIFEST}/cameras"))
-    preflight: Mapping[str, Any] = {}
-    record_path = folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
+    preflight: Preflight | None = None
+    record_path = sent.folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
     if not form.errors:
         try:
             with _tracer.start_as_current_span("preflight"):
@@ -168,84 +187,52 @@ async def _check_and_keep(
         except InvalidFilesError as invalid:
             errors.extend(_located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)
     if preflight:
-        errors.extend(_beyond_limits(services, preflight))
+        errors.extend(limit_errors(services, preflight))
     if preflight and arrival.spec:
         errors.extend(spec_errors(arrival.spec, preflight, SPEC))
     if arrival.spec:
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
-    if arrival.spec and with_job and not form.keypoints:
+    if arrival.spec and sent.with_job and not form.keypoints:
         errors.extend(await run_in_threadpool(detector_errors, arrival.spec, services, pointer_to(SPEC, "detector")))
-    if errors or arrival.manifest is None or arrival.spec is None:
+    if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
-    return await run_in_threadpool(
-        _keep, services, records, arrival, arrival.manifest, arrival.spec, preflight, record_path, record
-    )
+    return CheckedSession(form, arrival.manifest, arrival.spec, preflight, record_path, arrival.upload_ids)
 
 
-def spec_errors(spec: JobSpec, preflight: Mapping[str, Any], *field: str) -> list[ErrorItem]:
-    """What of a spec can't be done with a session; ``field`` is where the spec is in what the client sent."""
-    timebase = preflight["timebase"]
-    problems = spec.problems(timebase["num_frames"], timebase["frame_rate_hz"])
-    return [
-        ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
-        for name, (code, message) in problems.items()
-    ]
+@contextlib.contextmanager
+def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
+    """Put the files of a session into the artifact store; the block records the session in the database.
 
-
-def _beyond_limits(services: Services, preflight: Mapping[str, Any]) -> list[ErrorItem]:
-    """What of a session is longer or finer than the operator allows."""
-    settings, timebase = services.settings, preflight["timebase"]
-    duration_s = timebase["num_frames"] / timebase["frame_rate_hz"]
-    found = []
-    if settings.max_duration_s is not None and duration_s > settings.max_duration_s:
-        message = f"The session lasts {duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
-        found.append(ErrorItem(code="session_too_long", message=message, hint="Cut it into several sessions."))
-    if settings.max_pixels is not None:
-        for camera in preflight["cameras"]:
-            width, height = camera["size_px"]
-            if width * height > settings.max_pixels:
-                message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
-                item = ErrorItem(code="frames_too_large", message=message, file=camera["file"], camera=camera["name"])
-                found.append(item)
-    return found
-
-
-def callback_errors(spec: JobSpec, services: Services, records: Records, *field: str) -> list[ErrorItem]:
-    """Why nobody could be told at a spec's address; ``field`` as above."""
-    if spec.callback_url is None:
-        return []
-    found: list[tuple[str, str, str | None]] = []
-    if fault := url_fault(spec.callback_url):
-        found.append(("callback_invalid", fault, None))
-    elif not services.settings.webhook_private:
-        address = urlsplit(spec.callback_url)
-        if address.scheme != "https":
-            found.append(("callback_not_https", "Webhooks go to https addresses only.", None))
-        if not may_be_public(address.hostname or ""):
-            found.append(("callback_not_public", "Webhooks go to public addresses only.", None))
-    if not records.has_webhook_secret():
-        hint = "Have the operator make one with `multicap webhooks rotate`."
-        found.append(("webhook_secret_missing", "There is no secret to sign webhooks with.", hint))
-    pointer = pointer_to(*field, "callback_url")
-    return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
-
-
-def detector_errors(spec: JobSpec, services: Services, pointer: str | None) -> list[ErrorItem]:
-    """Refuse a detector that no worker has installed; without any worker nobody knows, and the job waits for one.
-
-    For sessions of videos; ``pointer`` is where the detector is in what the client sent, if it is there.
+    If the block fails, the files are removed; else the files of its uploads are. The reaper removes the files of a
+    process that is killed in between.
     """
-    installed = installed_detectors(services.store.workers())
-    if installed is None or spec.detector in installed:
-        return []
-    message = f"The detector {spec.detector} is not installed."
-    hint = install_command(spec.detector)
-    return [ErrorItem(code="detector_not_installed", message=message, pointer=pointer, hint=hint)]
+    session_id = services.store.sessions.reserve_id()
+    sources = [(_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(checked.form).items()]
+    files = tuple(_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(sources))
+    with contextlib.ExitStack() as undo:
+        undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
+        for file, (_, source) in zip(files, sources, strict=True):
+            services.artifacts.put_file(file.key, source.path)
+        with checked.record_path.open("rb") as content:
+            record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+        services.artifacts.put_file(record_key(session_id), checked.record_path)
+        yield NewSession(
+            id=session_id,
+            name=checked.manifest.name,
+            files=files,
+            preflight=checked.preflight,
+            upload_ids=checked.upload_ids,
+            metadata=checked.manifest.metadata,
+            record_sha256=record_sha256,
+        )
+        undo.pop_all()
+    for upload_id in checked.upload_ids:
+        services.uploads.remove(upload_id)
 
 
 @contextlib.asynccontextmanager
 async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
-    """A folder of the spool, gone at the end with all that is in it."""
+    """Folder of the spool, removed at the end of the block."""
     folder = spool_dir / str(uuid_utils.uuid7())
     folder.mkdir(parents=True)
     try:
@@ -256,14 +243,14 @@ async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
 
 
 def _parsed(form: Form) -> Arrival:
-    """A form with its JSON parts parsed."""
+    """Parse the JSON parts of a form."""
     manifest, manifest_errors = _document(form, MANIFEST, Manifest)
     spec, spec_problems = _document(form, SPEC, JobSpec)
     return Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
 
 
 def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
-    """Parse a JSON part; without it, all is as by default."""
+    """Parse a JSON part; a missing part has all defaults."""
     try:
         return model.model_validate_json(form.documents.get(part, b"{}")), []
     except ValidationError as error:
@@ -271,7 +258,7 @@ def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None
 
 
 def _parts_of(form: Form) -> object:
-    """What a form holds, however it was sent."""
+    """Content of a form as JSON, independent of its encoding."""
     files = {pointer: [file.name, file.sha256] for pointer, file in _files(form).items()}
     return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
 
@@ -283,18 +270,18 @@ async def _receive_names(request: Request, services: Services, documents: frozen
         return model.model_validate_json(body)
     except ValidationError as error:
         if any(detail["type"] == "json_invalid" for detail in error.errors()):
-            raise ApiError(400, "malformed_json", "The body is not JSON.") from None
+            raise ApiError("malformed_json", "The body is not JSON.") from None
         raise unprocessable(model_items(error.errors(), model)) from None
 
 
-def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSession) -> Arrival:
-    """Take in the files of uploads, which stay where they are."""
+def _adopt(services: Services, records: TenantRecords, folder: Path, sent: UploadedSession) -> Arrival:
+    """Build the form from uploads, whose files stay on their spool."""
     parts = Parts(folder, services.limits, frozenset())
     named = [(VIDEOS, one) for one in sent.videos] + [(KEYPOINTS, one) for one in sent.keypoints]
     named += [(part, one) for part, one in ((CALIBRATION, sent.calibration), (TIMESTAMPS, sent.timestamps)) if one]
     for part, upload_id in named:
         try:
-            upload = records.upload(str(upload_id))
+            upload = records.uploads.get(str(upload_id))
             num_bytes = services.uploads.offset(upload.id)
         except NotFound:
             message = "There is no such upload."
@@ -311,7 +298,7 @@ def _adopt(services: Services, records: Records, folder: Path, sent: UploadedSes
 
 
 def _files(form: Form) -> dict[str, ReceivedFile]:
-    """All files of the form by their pointers."""
+    """Files of a form by their pointers."""
     views = ((VIDEOS, form.videos), (KEYPOINTS, form.keypoints))
     files = {f"/{part}/{index}": file for part, several in views for index, file in enumerate(several)}
     for part, one in ((CALIBRATION, form.calibration), (TIMESTAMPS, form.timestamps)):
@@ -321,7 +308,7 @@ def _files(form: Form) -> dict[str, ReceivedFile]:
 
 
 def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
-    """Arguments of the check of a session's files."""
+    """Arguments of the preflight for a form."""
     paths: dict[str, list[str]] = {}
     for pointer, file in _files(form).items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
@@ -342,9 +329,9 @@ def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
 
 
 def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
-    """Point from a problem to what the client sent: the manifest's entry of a camera, or a file's part of the form.
+    """Add the pointer of a problem: to the entry of a camera in the manifest, or to the part of a file in the form.
 
-    An archive's part stands for what is in it. Of several entries of a camera the last one is the wrong one.
+    Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
     of_camera = [index for index, one in enumerate(manifest.cameras) if one.name == item.camera]
     if of_camera and (item.code.startswith("recording_") or item.field in _OF_CAMERA):
@@ -356,49 +343,6 @@ def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
     file = item.file or ""
     pointer = pointers.get(file) or of_archive.get(file.split("/")[0])
     return item.model_copy(update={"pointer": pointer})
-
-
-def _keep(
-    services: Services,
-    records: Records,
-    arrival: Arrival,
-    manifest: Manifest,
-    spec: JobSpec,
-    preflight: Mapping[str, Any],
-    record_path: Path,
-    record: Callable[[Records, NewSession], _Recorded],
-) -> _Recorded:
-    """Move the files to the artifact store, then say so in the database; neither without the other.
-
-    Whoever is killed in between has announced them, so that they go.
-    """
-    session_id = services.store.announce_session()
-    received = [
-        (_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(arrival.form).items()
-    ]
-    files = tuple(_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(received))
-    with contextlib.ExitStack() as undo:
-        undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
-        for file, (_, source) in zip(files, received, strict=True):
-            services.artifacts.put_file(file.key, source.path)
-        with record_path.open("rb") as content:
-            record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
-        services.artifacts.put_file(record_key(session_id), record_path)
-        new = NewSession(
-            id=session_id,
-            name=manifest.name,
-            files=files,
-            preflight=preflight,
-            upload_ids=arrival.upload_ids,
-            spec=spec,
-            metadata=manifest.metadata,
-            record_sha256=record_sha256,
-        )
-        recorded = record(records, new)
-        undo.pop_all()
-    for upload_id in arrival.upload_ids:
-        services.uploads.remove(upload_id)
-    return recorded
 
 
 def _input_file(session_id: str, index: int, kind: str, file: ReceivedFile) -> InputFile:

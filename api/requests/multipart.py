@@ -66,7 +66,7 @@ async def receive_form(
 def _boundary_of(request: Request) -> str:
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != b"multipart/form-data":
-        raise ApiError(415, "unsupported_media_type", _TAKEN)
+        raise ApiError("unsupported_media_type", _TAKEN)
     boundary = options.get(b"boundary", b"").decode("latin-1")
     if not boundary:
         raise _malformed()
@@ -160,4 +160,4 @@ def _decoded(value: bytes) -> str:
 
 
 def _malformed() -> ApiError:
-    return ApiError(400, "malformed_multipart", "The body is not a complete multipart form.")
+    return ApiError("malformed_multipart", "The body is not a complete multipart form.")

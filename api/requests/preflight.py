@@ -1,7 +1,7 @@
 """Preflight: the check of a session's files in a child process with limits on time, memory and output.
 
 The web API never opens a client's file. The program ``python -m pipeline.capture.preflight`` opens them and prints one
-JSON object: the session, or ``{"problems": [...]}``.
+JSON object: the preflight record, or ``{"problems": [...]}``.
 """
 
 import errno
@@ -12,16 +12,17 @@ import resource
 import signal
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from api.errors import ApiError, ErrorItem
 from api.requests.form import Form
+from pipeline.capture.preflight_record import Preflight
 from worker.process.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
@@ -40,7 +41,7 @@ _S_PER_SENT_BYTE = 60 / 2**30
 
 
 def allowance_s(form: Form) -> float:
-    """Time that the check of a form's files may take in addition to ``Preflight.timeout_s``."""
+    """Time that the check of a form's files may take in addition to ``PreflightProgram.timeout_s``."""
     views = (*form.videos, *form.keypoints)
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
     of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
@@ -53,7 +54,7 @@ def further_wait_s(form: Form) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Preflight:
+class PreflightProgram:
     """Program that checks files, with its limits.
 
     Parameters
@@ -76,7 +77,7 @@ class Preflight:
     max_record_bytes: int
     max_memory_bytes: int
 
-    def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Mapping[str, Any]:
+    def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Preflight:
         """Check the files of a session.
 
         Parameters
@@ -91,7 +92,7 @@ class Preflight:
 
         Returns
         -------
-            Printed object with cameras, timebase and warnings.
+            Printed record.
 
         Raises
         ------
@@ -113,7 +114,7 @@ class Preflight:
             if exit_code == _EXIT_DISK_FULL:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             _log.error("preflight_failed", exit_code=exit_code, output_bytes=len(printed), log=_tail(log))
-        raise ApiError(500, "preflight_failed", "The check of the files failed; the log says why.", retryable=True)
+        raise ApiError("preflight_failed", "The check of the files failed; the log says why.", retryable=True)
 
     def _run(self, command: Sequence[str], timeout_s: float, temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
         with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
@@ -168,12 +169,11 @@ def _tail(file: IO[bytes]) -> str:
     return file.read().decode(errors="replace")
 
 
-def _parsed(printed: bytes) -> Mapping[str, Any] | None:
+def _parsed(printed: bytes) -> Preflight | None:
     try:
-        session = json.loads(printed)
+        return Preflight.from_json(json.loads(printed))
     except (ValueError, RecursionError):
         return None
-    return session if isinstance(session, dict) and {"cameras", "timebase", "warnings"} <= session.keys() else None
 
 
 def _problems(printed: bytes) -> tuple[ErrorItem, ...]:

@@ -70,10 +70,10 @@ def _handle(request: Request, error: Exception) -> Response:
 def _from_validation(request: Request, error: RequestValidationError) -> ApiError:
     details = error.errors()
     if any(detail["type"] == "json_invalid" for detail in details):
-        return ApiError(400, "malformed_json", "The body is not JSON.")
+        return ApiError("malformed_json", "The body is not JSON.")
     if isinstance(error.body, bytes):  # a body of another type, which the framework does not parse
         message = "This address accepts application/json."
-        return ApiError(415, "unsupported_media_type", message, hint="Send Content-Type: application/json.")
+        return ApiError("unsupported_media_type", message, hint="Send Content-Type: application/json.")
     contract = request.app.openapi()
     operation = contract["paths"][request.scope["route"].path][request.scope["method"].lower()]
     in_body = [detail | {"loc": detail["loc"][1:]} for detail in details if detail["loc"][0] == "body"]

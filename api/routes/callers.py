@@ -9,7 +9,6 @@ from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
 from api.requests.bodies import SmallBodyRoute
 from api.schemas import BrowserSession, CallerOut, QuotasOut
-from worker.jobs.model import Actor
 
 router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
 
@@ -30,7 +29,7 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
         name=key.name if key else None,
         scopes=tuple(sorted(caller.scopes)),
         expires_at=key.expires_at if key else None,
-        quotas=QuotasOut.of(services.store.of(caller.tenant, services.quotas, Actor()).usage(), services.quotas),
+        quotas=QuotasOut.of(services.store.of(caller.tenant).usage(), services.quotas),
     )
 
 
@@ -54,14 +53,14 @@ def open_browser_session(
 
     Pages need a cookie, because they can't add a key to the requests of event streams and downloads.
     """
-    key = services.store.find_key(shown.key)
+    key = services.store.keys.find(shown.key)
     if key is None:
         raise wrong_key(request, services)
     request.state.rate_limit = services.rates.count(key.tenant)
     request_id = request.state.request_id
     response.set_cookie(
         COOKIE,
-        services.disk.using_reserve(lambda: services.store.open_browser_session(key, _LIFETIME_S, request_id)),
+        services.disk.using_reserve(lambda: services.store.browser_sessions.open(key, _LIFETIME_S, request_id)),
         max_age=_LIFETIME_S,
         httponly=True,
         samesite="strict",
@@ -80,5 +79,5 @@ def close_browser_session(request: Request, response: Response, services: Servic
     """Sign this browser out, and delete its session."""
     if COOKIE in request.cookies:
         secret = request.cookies[COOKIE]
-        services.disk.using_reserve(lambda: services.store.close_browser_session(secret))
+        services.disk.using_reserve(lambda: services.store.browser_sessions.close(secret))
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")

@@ -64,11 +64,11 @@ async def stream_job_events(
     """
     owner = caller.owner
     services.changes.require_room(owner)
-    change = (await run_in_threadpool(records.changes, [job_id])).get(job_id)
+    change = (await run_in_threadpool(records.jobs.changes, [job_id])).get(job_id)
     if change is None:
         raise NotFound("There is no such job.")
     seen_all = last_event_id == str(change.event)
-    if seen_all and (await run_in_threadpool(records.job, job_id)).state in FINISHED:
+    if seen_all and (await run_in_threadpool(records.jobs.get, job_id)).state in FINISHED:
         return Response(status_code=204)
     events = _events(services, owner, job_id, change if seen_all else None)
     return EventSourceResponse(

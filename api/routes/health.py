@@ -15,10 +15,10 @@ from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
 from pipeline.config import install_command
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model import WorkerStatus
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
+from worker.jobs.worker_status import WorkerStatus
 
 router = APIRouter(tags=["health"])
 
@@ -99,7 +99,7 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     """Check that a worker is ready and has the default detector; empty if the database does not respond."""
     try:
-        workers = store.workers()
+        workers = store.workers.all()
     except SQLAlchemyError:
         return {}
     installed = installed_detectors(workers)

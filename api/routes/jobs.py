@@ -5,6 +5,7 @@ from typing import Annotated
 
 import structlog
 from fastapi import APIRouter, Body, Query, Request, Response, status
+from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
 from api.contract import examples
@@ -21,14 +22,14 @@ from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, Sessio
 from api.errors import pointer_to, unprocessable
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.requests.bodies import SmallBodyRoute
-from api.requests.idempotency import OnceDep
-from api.requests.intake import MANIFEST, SPEC, NewSession, callback_errors, detector_errors, spec_errors, take_in
+from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
+from api.requests.spec_checks import callback_errors, detector_errors, spec_errors
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobState
-from worker.jobs.repositories.idempotency_keys import Answer
-from worker.jobs.repositories.records import Records
 from worker.jobs.spec import JobSpec
+from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos, plan_job
 from worker.telemetry import tracing
 
@@ -58,25 +59,26 @@ _ACCEPTED: Responses = {
 def create_job(
     session_id: SessionId,
     services: ServicesDep,
-    once: OnceDep,
+    idempotent: IdempotentRequestDep,
     spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["spec"]}})] = JobSpec(),  # noqa: B008 - frozen
 ) -> Response:
     """Reconstruct a session."""
-
-    def act(records: Records) -> Job:
-        session = records.session(session_id)
-        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, records)]
+    if (earlier := idempotent.begin(spec.model_dump(mode="json"))) is not None:
+        return earlier
+    with idempotent.working():
+        session = idempotent.records.sessions.get(session_id)
+        errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
         if has_videos(session):
             errors += detector_errors(spec, services, pointer_to("detector"))
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
         stages = plan_job(session, spec, services.settings.chunk_frames)
-        job = records.create_job(session.id, spec, stages, services.settings.retention_s, tracing.current())
-        _announce(services, job)
-        return job
-
-    return once.run(spec.model_dump(mode="json"), act, _accepted)
+        with idempotent.records.transaction() as work:
+            job = work.jobs.add(session.id, spec, stages, services.settings.retention_s, tracing.current())
+            answer = idempotent.store(work, _accepted(job))
+    _announce(services, job)
+    return answer.response()
 
 
 @router.post(
@@ -89,27 +91,29 @@ def create_job(
     openapi_extra=session_body(MANIFEST, SPEC),
     callbacks=job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
 )
-async def create_session_and_job(request: Request, services: ServicesDep, once: OnceDep) -> Response:
+async def create_session_and_job(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
+    async with received(request, services, idempotent, frozenset({MANIFEST, SPEC})) as sent:
+        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
+            return earlier
+        async with idempotent.held():
+            checked = await check(request, services, idempotent.records, sent)
+            answer = await run_in_threadpool(_add_session_and_job, services, idempotent, checked)
+    return answer.response()
 
-    def record(records: Records, new: NewSession) -> Job:
-        job = records.create_session_and_job(
-            new.name,
-            new.files,
-            new.preflight,
-            new.id,
-            new.upload_ids,
-            new.spec,
-            plan_job(new, new.spec, services.settings.chunk_frames),
-            services.settings.retention_s,
-            tracing.current(),
-            new.metadata,
-            new.record_sha256,
-        )
-        _announce(services, job)
-        return job
 
-    return await take_in(request, services, once, frozenset({MANIFEST, SPEC}), record, _accepted)
+def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
+    """Store the files of a session, and record both or neither."""
+    settings, spec = services.settings, checked.spec
+    with stored(services, checked) as new:
+        stages = plan_job(new, spec, settings.chunk_frames)
+        with idempotent.records.transaction() as work:
+            work.uploads.use(new.upload_ids)
+            work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
+            job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current())
+            answer = idempotent.store(work, _accepted(job))
+    _announce(services, job)
+    return answer
 
 
 @small.get("/jobs", operation_id="listJobs", summary="List jobs", responses={200: _PAGE, **problems(422)})
@@ -134,7 +138,7 @@ def list_session_jobs(
     session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
 ) -> JobPage:
     """List the jobs of a session, the newest first."""
-    records.session(session_id)
+    records.sessions.get(session_id)
     return _page(records, state, session_id, limit, cursor)
 
 
@@ -147,7 +151,7 @@ def list_session_jobs(
 )
 def get_job(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a job: its state, its stages, how far they are."""
-    return conditional(JobOut.of(records.job(job_id)), if_none_match)
+    return conditional(JobOut.of(records.jobs.get(job_id)), if_none_match)
 
 
 @small.get(
@@ -158,7 +162,7 @@ def get_job(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatch = Non
 )
 def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
-    return AttemptList(attempts=tuple(AttemptOut.of(attempt) for attempt in records.attempts(job_id)))
+    return AttemptList(attempts=tuple(AttemptOut.of(attempt) for attempt in records.jobs.attempts(job_id)))
 
 
 @small.post(
@@ -169,13 +173,22 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
 )
-def cancel_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
+def cancel_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Cancel a job. What runs of it stops within seconds."""
+    return services.disk.using_reserve(lambda: _cancel(services, idempotent, job_id))
 
-    def act(records: Records) -> Job:
-        return services.disk.using_reserve(lambda: records.cancel(job_id))
 
-    return services.disk.using_reserve(lambda: once.run(None, act, _accepted))
+def _cancel(services: Services, idempotent: IdempotentRequest, job_id: str) -> Response:
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        # Tried again before the key is given back, which may need the reserve too.
+        return services.disk.using_reserve(lambda: _canceled(idempotent, job_id)).response()
+
+
+def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
+    with idempotent.records.transaction() as work:
+        return idempotent.store(work, _accepted(work.jobs.cancel(job_id)))
 
 
 @small.post(
@@ -186,22 +199,22 @@ def cancel_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
-def retry_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
+def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Try a failed or canceled job again. What it had finished is not done again."""
-
-    def act(records: Records) -> Job:
-        job = records.job(job_id)
-        session = records.session(job.session_id)
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        session = idempotent.records.sessions.get(job.session_id)
         may_retry = job.state in RETRYABLE  # else the store says why not
         if may_retry and has_videos(session) and (errors := detector_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
         stages = plan_job(session, job.spec, services.settings.chunk_frames)
-        job = records.retry(job_id, stages, tracing.current())
-        services.queue.publish()
-        return job
-
-    return once.run(None, act, _accepted)
+        with idempotent.records.transaction() as work:
+            answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
+    services.queue.publish()
+    return answer.response()
 
 
 @small.delete(
@@ -213,24 +226,24 @@ def retry_job(job_id: JobId, services: ServicesDep, once: OnceDep) -> Response:
 )
 def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a finished job with its results."""
-    services.disk.using_reserve(lambda: records.delete_job(job_id))
-    services.disk.using_reserve(lambda: remove_files(services.store, services.artifacts))
+    services.disk.using_reserve(lambda: records.jobs.delete(job_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
 
 
 def _page(
-    records: Records, state: JobState | None, session_id: str | None, limit: int, cursor: uuid.UUID | None
+    records: TenantRecords, state: JobState | None, session_id: str | None, limit: int, cursor: uuid.UUID | None
 ) -> JobPage:
     """Build a page of a list of jobs."""
     after = str(cursor) if cursor else None
-    jobs = records.jobs(state=state, limit=limit, after=after, session_id=session_id)
+    jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id)
     next_cursor = jobs[-1].id if len(jobs) == limit else None
     return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
 
 
 def _announce(services: Services, job: Job) -> None:
-    """Say that there is work."""
+    """Wake a worker for a new job."""
     _log.info("job_created", job=job.id, session=job.session_id)
-    # When the broker is away, the reaper makes the message good.
+    # When the broker is away, the reaper publishes later.
     services.queue.publish()
 
 

@@ -8,7 +8,7 @@ from api.dependencies import ServicesDep
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.schemas import ChoiceOut, DetectorOut, Options
 from pipeline.config import CHOICES, NETWORKS, install_command
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -22,7 +22,7 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 )
 def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """List the choices of a job with their values, limits and defaults, and the detectors that are installed."""
-    installed = installed_detectors(services.store.workers())
+    installed = installed_detectors(services.store.workers.all())
     options = Options(
         detectors=tuple(
             DetectorOut(

@@ -42,7 +42,7 @@ _HEADERS = {
 )
 def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
     """List the result files of a finished job."""
-    results = records.results(job_id)
+    results = records.results.of_job(job_id)
     return ResultList(results=tuple(ResultOut.of(job_id, result) for result in results))
 
 
@@ -62,9 +62,9 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
 )
 def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Response:
     """Download all result files of a job as one archive."""
-    results = records.results(job_id)
+    results = records.results.of_job(job_id)
     _require_whole(services, results)
-    session = records.session(records.job(job_id).session_id)
+    session = records.sessions.get(records.jobs.get(job_id).session_id)
     # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
@@ -108,7 +108,6 @@ def _attachment(name: str) -> dict[str, str]:
 
 def _expired() -> ApiError:
     return ApiError(
-        410,
         "expired",
         "The file was removed.",
         hint="Start another job of its session: it reuses what this job detected in the videos.",
@@ -131,7 +130,6 @@ def _require_size(services: Services, result: Result) -> None:
 def _damaged(results: Sequence[Result]) -> ApiError:
     message = "The stored file does not have the SHA-256 that it was written with."
     return ApiError(
-        500,
         "result_damaged",
         f"{len(results)} stored result files are damaged."
         if len(results) > 1
@@ -175,7 +173,7 @@ def get_result(
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Download a result file: the whole file, or a range, such as the rest of an interrupted download."""
-    result = records.result(job_id, name)
+    result = records.results.get(job_id, name)
     etag = f'"{result.sha256}"'
     headers = {
         "ETag": etag,
@@ -196,7 +194,7 @@ def get_result(
             wanted = requested_range(range_, result.num_bytes) if if_range in {None, etag} else None
         except UnsatisfiableRange:
             size = {"Content-Range": f"bytes */{result.num_bytes}"}
-            raise ApiError(416, "range_not_satisfiable", "The file has no such range.", headers=size) from None
+            raise ApiError("range_not_satisfiable", "The file has no such range.", headers=size) from None
         stack.pop_all()
     sent = wanted or ByteRange(0, result.num_bytes)
     headers["Content-Length"] = str(sent.stop - sent.start)

@@ -1,18 +1,17 @@
 """Capture sessions: send, list, read, delete."""
 
 from fastapi import APIRouter, Request, Response, status
+from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
 from api.contract.description import answer, location, problems, session_body
-from api.dependencies import Cursor, Limit, ServicesDep, SessionId
+from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
-from api.requests.idempotency import OnceDep
-from api.requests.intake import MANIFEST, NewSession, take_in
+from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.requests.intake import MANIFEST, CheckedSession, check, received, stored
 from api.schemas import SessionOut, SessionPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Session
-from worker.jobs.repositories.idempotency_keys import Answer
-from worker.jobs.repositories.records import Records
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 
@@ -29,19 +28,27 @@ _LOCATION = {"headers": {"Location": location("session", "/v1/sessions/{session_
     responses={201: _ONE | _LOCATION, **problems(400, 408, 409, 413, 415, 422, 507)},
     openapi_extra=session_body(MANIFEST),
 )
-async def create_session(request: Request, services: ServicesDep, once: OnceDep) -> Response:
+async def create_session(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
     As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
     found, or all that is wrong.
     """
+    async with received(request, services, idempotent, frozenset({MANIFEST})) as sent:
+        if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
+            return earlier
+        async with idempotent.held():
+            checked = await check(request, services, idempotent.records, sent)
+            answer = await run_in_threadpool(_add_session, services, idempotent, checked)
+    return answer.response()
 
-    def record(records: Records, new: NewSession) -> Session:
-        return records.create_session(
-            new.name, new.files, new.preflight, new.id, new.upload_ids, new.metadata, new.record_sha256
-        )
 
-    return await take_in(request, services, once, frozenset({MANIFEST}), record, _created)
+def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
+    """Store the files of a session and record it."""
+    with stored(services, checked) as new, idempotent.records.transaction() as work:
+        work.uploads.use(new.upload_ids)
+        session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
+        return idempotent.store(work, _created(session))
 
 
 @router.get(
@@ -49,7 +56,7 @@ async def create_session(request: Request, services: ServicesDep, once: OnceDep)
 )
 def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> SessionPage:
     """List sessions, the newest first."""
-    sessions = records.sessions(limit=limit, after=str(cursor) if cursor else None)
+    sessions = records.sessions.page(limit=limit, after=str(cursor) if cursor else None)
     next_cursor = sessions[-1].id if len(sessions) == limit else None
     return SessionPage(sessions=tuple(SessionOut.of(session) for session in sessions), next_cursor=next_cursor)
 
@@ -63,7 +70,7 @@ def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None)
 )
 def get_session(session_id: SessionId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a session: its files, and what was found in them."""
-    return conditional(SessionOut.of(records.session(session_id)), if_none_match)
+    return conditional(SessionOut.of(records.sessions.get(session_id)), if_none_match)
 
 
 @router.delete(
@@ -76,8 +83,8 @@ def get_session(session_id: SessionId, records: RecordsDep, if_none_match: IfNon
 def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a session with its files and its finished jobs."""
     # Its rows first, so that nothing is shown whose files are gone.
-    services.disk.using_reserve(lambda: records.delete_session(session_id))
-    services.disk.using_reserve(lambda: remove_files(services.store, services.artifacts))
+    services.disk.using_reserve(lambda: records.sessions.delete(session_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
 
 
 def _created(session: Session) -> Answer:

@@ -19,11 +19,10 @@ from api.dependencies import Services, ServicesDep, UploadId
 from api.errors import ApiError
 from api.requests.bodies import announced_bytes, drain
 from api.requests.form import name_error, too_large
-from api.requests.idempotency import OnceDep
+from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.tus.files import Checksum
 from worker.jobs.model import Upload
-from worker.jobs.repositories.idempotency_keys import Answer
-from worker.jobs.repositories.records import Records
+from worker.jobs.tenant_records import TenantRecords
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,expiration,checksum"
@@ -62,7 +61,6 @@ def _require_version(
     """Raise 412 for clients of another version of tus."""
     if tus_resumable != VERSION:
         raise ApiError(
-            412,
             "tus_version",
             f"The service uses tus {VERSION}.",
             hint=f"Send Tus-Resumable: {VERSION}.",
@@ -100,7 +98,7 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
 async def create_upload(
     request: Request,
     services: ServicesDep,
-    once: OnceDep,
+    idempotent: IdempotentRequestDep,
     _: Annotated[None, Depends(_require_version)],
     upload_length: Annotated[str | None, Header(description="Bytes of the whole file.")] = None,
     upload_metadata: Annotated[
@@ -125,23 +123,14 @@ async def create_upload(
     has_piece = announced_bytes(request) > 0 or "transfer-encoding" in request.headers
     if has_piece:
         _require_piece_type(request)
-
-    def begin(records: Records) -> Upload:
-        services.disk.require_room(length)
-        upload_id = services.uploads.create()
-        keep_s = services.settings.upload_keep_s
-        try:
-            return records.create_upload(upload_id, name, length, upload_metadata or "", keep_s)
-        except BaseException:
-            services.uploads.remove(upload_id)
-            raise
-
-    response = await run_in_threadpool(once.run, [length, upload_metadata], begin, _begun)
+    response = await run_in_threadpool(_begin, services, idempotent, length, name, upload_metadata)
     if has_piece:
-        upload = await run_in_threadpool(once.records.upload, response.headers["location"].rpartition("/")[2])
+        upload = await run_in_threadpool(
+            idempotent.records.uploads.get, response.headers["location"].rpartition("/")[2]
+        )
         offset = await run_in_threadpool(services.uploads.offset, upload.id)
         if offset == 0:  # else this is a repeated request whose piece was stored before
-            offset, upload = await _append(request, services, once.records, upload, 0, checksum)
+            offset, upload = await _append(request, services, idempotent.records, upload, 0, checksum)
         else:
             await drain(aiter(request.stream()))
         response.headers["Upload-Offset"] = str(offset)
@@ -162,7 +151,7 @@ def get_upload(
     upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
     """Read the offset of an upload, at which a client continues."""
-    upload = records.upload(upload_id)
+    upload = records.uploads.get(upload_id)
     headers = {
         "Upload-Offset": str(services.uploads.offset(upload_id)),
         "Upload-Length": str(upload.num_bytes),
@@ -206,7 +195,7 @@ async def continue_upload(
     """
     _require_piece_type(request)
     offset, checksum = _natural(upload_offset, "Upload-Offset"), _checksum(upload_checksum)
-    upload = await run_in_threadpool(records.renew_upload, upload_id, services.settings.upload_keep_s)
+    upload = await run_in_threadpool(records.uploads.renew, upload_id, services.settings.upload_keep_s)
     offset, upload = await _append(request, services, records, upload, offset, checksum)
     return Response(status_code=204, headers={"Upload-Offset": str(offset)} | _common_headers(upload))
 
@@ -223,10 +212,27 @@ async def delete_upload(
     upload_id: UploadId, services: ServicesDep, records: RecordsDep, _: Annotated[None, Depends(_require_version)]
 ) -> Response:
     """Delete an upload with its file."""
-    await run_in_threadpool(services.disk.using_reserve, lambda: records.delete_upload(upload_id))
+    await run_in_threadpool(services.disk.using_reserve, lambda: records.uploads.delete(upload_id))
     async with services.uploads.writing(upload_id):
         await run_in_threadpool(services.uploads.remove, upload_id)
     return Response(status_code=204)
+
+
+def _begin(services: Services, idempotent: IdempotentRequest, length: int, name: str, metadata: str | None) -> Response:
+    """Make the file of an upload and record it."""
+    if (earlier := idempotent.begin([length, metadata])) is not None:
+        return earlier
+    with idempotent.working():
+        services.disk.require_room(length)
+        upload_id = services.uploads.create()
+        try:
+            with idempotent.records.transaction() as work:
+                keep_s = services.settings.upload_keep_s
+                upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s)
+                return idempotent.store(work, _begun(upload)).response()
+        except BaseException:
+            services.uploads.remove(upload_id)
+            raise
 
 
 def _begun(upload: Upload) -> Answer:
@@ -234,7 +240,7 @@ def _begun(upload: Upload) -> Answer:
 
 
 async def _append(
-    request: Request, services: Services, records: Records, upload: Upload, offset: int, checksum: Checksum | None
+    request: Request, services: Services, records: TenantRecords, upload: Upload, offset: int, checksum: Checksum | None
 ) -> tuple[int, Upload]:
     stream = aiter(request.stream())
     try:
@@ -245,7 +251,7 @@ async def _append(
     except (ApiError, OSError):
         await drain(stream)
         raise
-    return offset, await run_in_threadpool(records.renew_upload, upload.id, services.settings.upload_keep_s)
+    return offset, await run_in_threadpool(records.uploads.renew, upload.id, services.settings.upload_keep_s)
 
 
 def _common_headers(upload: Upload) -> dict[str, str]:
@@ -255,13 +261,13 @@ def _common_headers(upload: Upload) -> dict[str, str]:
 
 def _natural(value: str | None, header: str) -> int:
     if value is None or not (value.isascii() and value.isdecimal() and len(value) <= _MAX_DIGITS):
-        raise ApiError(400, "header_invalid", f"The header {header} is required and must be a number of bytes.")
+        raise ApiError("header_invalid", f"The header {header} is required and must be a number of bytes.")
     return int(value)
 
 
 def _require_piece_type(request: Request) -> None:
     if request.headers.get("content-type") != PIECE_TYPE:
-        raise ApiError(415, "unsupported_media_type", f"A piece must be sent as {PIECE_TYPE}.")
+        raise ApiError("unsupported_media_type", f"A piece must be sent as {PIECE_TYPE}.")
 
 
 def _file_name(metadata: str) -> str:
@@ -284,7 +290,7 @@ def _file_name(metadata: str) -> str:
 
 
 def _metadata_error(message: str) -> ApiError:
-    return ApiError(400, "metadata_invalid", message)
+    return ApiError("metadata_invalid", message)
 
 
 def _checksum(header: str | None) -> Checksum | None:
@@ -296,4 +302,4 @@ def _checksum(header: str | None) -> Checksum | None:
     except (KeyError, ValueError):
         names = ", ".join(CHECKSUMS)
         message = f"Upload-Checksum must be one of {names}, a space, and the digest as base64."
-        raise ApiError(400, "checksum_invalid", message) from None
+        raise ApiError("checksum_invalid", message) from None

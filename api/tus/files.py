@@ -161,7 +161,7 @@ class UploadSpool:
                 num_bytes = await _receive(piece, 0, length - offset, stream, self._disk.require_room, digest.update)
                 if digest.digest() != checksum.digest:
                     message = "The piece that arrived does not have the checksum that was sent."
-                    raise ApiError(460, "checksum_mismatch", message)
+                    raise ApiError("checksum_mismatch", message)
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
 
     def remove(self, upload_id: str) -> None:
@@ -190,11 +190,11 @@ class UploadSpool:
 
         A file is created just before its row in the database and removed after it, so only old files are removed.
         """
-        for upload_id in store.expired_uploads():
+        for upload_id in store.uploads.expired():
             if not self.has_writer(upload_id):
-                store.forget_expired_upload(upload_id)
+                store.uploads.delete_expired(upload_id)
         old_ids = {path.name.removesuffix(_PIECE_SUFFIX) for path in self._folder.iterdir() if _is_old(path)}
-        for upload_id in old_ids - store.known_uploads(old_ids):
+        for upload_id in old_ids - store.uploads.known(old_ids):
             self.remove(upload_id)
 
     def remove_pieces(self) -> None:
@@ -217,7 +217,6 @@ class UploadSpool:
                 raise _locked() from None
             if (size := os.fstat(file.fileno()).st_size) != offset:
                 raise ApiError(
-                    409,
                     "offset_mismatch",
                     f"The upload is at {size} bytes, not at {offset}.",
                     hint="Ask for the offset with HEAD, and continue from there.",
@@ -261,7 +260,7 @@ async def _receive(
     try:
         async for data in stream:
             if end + len(data) > length:
-                raise ApiError(413, "content_too_large", f"The upload was announced to have {length} bytes.")
+                raise ApiError("content_too_large", f"The upload was announced to have {length} bytes.")
             pending.append(data)
             end += len(data)
             if sum(map(len, pending)) >= _BLOCK_BYTES or time.monotonic() > written_s + _BLOCK_S:
@@ -295,4 +294,4 @@ def _is_old(path: Path) -> bool:
 
 
 def _locked() -> ApiError:
-    return ApiError(423, "upload_locked", "Another request is writing to this upload.", retryable=True)
+    return ApiError("upload_locked", "Another request is writing to this upload.", retryable=True)

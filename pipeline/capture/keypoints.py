@@ -211,7 +211,7 @@ def _read_folder(
             ignored.append(path.name)
         elif (number := int(match[1])) in numbered:
             folder_problems.append(
-                Problem("keypoints_duplicate", f"{numbered[number].name} has the same frame number.", file=path.name)
+                Problem("duplicate_keypoints", f"{numbered[number].name} has the same frame number.", file=path.name)
             )
         else:
             numbered[number] = path

@@ -51,7 +51,7 @@ def pair_by_name(
         elif camera in pairs:
             problems.append(
                 Problem(
-                    f"{thing}_doubled",
+                    f"camera_with_two_{thing}s",
                     f"This {thing} and {pairs[camera]} belong to the same camera.",
                     file=name,
                     camera=camera,

@@ -16,12 +16,12 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from pipeline.calibration.registry import UNITS_M
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.video.frame_rate import measured_rate_hz
@@ -32,34 +32,27 @@ EXIT_DISK_FULL = 4
 
 def report(
     session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
-) -> dict[str, Any]:
-    """Describe an opened session for the service, as JSON values.
-
-    The report contains cameras with their files, the output frames, warnings, and the stated recordings. ``stretches``
-    are the ranges of output frames to process, as first and stop; pauses lie between them.
-    """
-    starts_s = {
-        name: float(camera_times.time_s[0]) if len(camera_times.time_s) else 0.0
-        for name, camera_times in session.times.items()
-    }
-    return {
-        "cameras": [
-            {
-                "name": camera.name,
-                "file": file,
-                "size_px": list(camera.size_px),
-                "frame_rate_hz": _camera_rate_hz(session, camera.name),
-                "num_frames": len(session.times[camera.name].time_s),
-                "start_time_s": starts_s[camera.name],
-            }
+) -> Preflight:
+    """Build the preflight record of a session."""
+    starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
+    return Preflight(
+        cameras=tuple(
+            PreflightCamera(
+                name=camera.name,
+                file=file,
+                size_px=camera.size_px,
+                frame_rate_hz=_camera_rate_hz(session, camera.name),
+                num_frames=len(session.times[camera.name].time_s),
+                start_time_s=starts_s[camera.name],
+            )
             for camera, file in zip(session.cameras, files, strict=True)
-        ],
-        "timebase": asdict(session.timebase),
-        "stretches": [[stretch.start, stretch.stop] for stretch in session.stretches],
-        "warnings": [printable(warning) for warning in session.warnings],
-        "recordings": [asdict(recording) for recording in recordings],
-        "units": units,
-    }
+        ),
+        timebase=PreflightTimebase(**asdict(session.timebase)),
+        stretches=tuple(session.stretches),
+        warnings=tuple(printable(warning) for warning in session.warnings),
+        recordings=tuple(PreflightRecording(**asdict(one)) for one in recordings),
+        units=units,
+    )
 
 
 def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:
@@ -71,7 +64,7 @@ def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> f
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
-def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
+def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
     return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
@@ -79,7 +72,7 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]
     )
 
 
-def _check_keypoints(arguments: argparse.Namespace) -> tuple[dict[str, Any], bytes]:
+def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         unpack_keypoints(arguments.keypoints, Path(folder))
         session = open_keypoints(
@@ -122,9 +115,10 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args(words)
     try:
-        answer, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+        preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
         if arguments.record:
             _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
+        answer = preflight.to_json()
     except InputError as error:
         answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
     except MemoryError:

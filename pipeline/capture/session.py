@@ -120,7 +120,7 @@ def open_session(
     names = [camera_of_file.get(path.name, path.stem) for path in paths]
     problems += [
         Problem(
-            "video_doubled",
+            "camera_with_two_videos",
             f"This video has the name of the camera {name}, but {recording_of_camera[name].file} is assigned to it.",
             file=path.name,
             camera=name,
@@ -196,14 +196,14 @@ def _known_recordings(
             problems.append(Problem("recording_camera_unknown", message, camera=recording.camera, hint=hint))
         elif camera in known:
             problems.append(
-                Problem("recording_doubled", "There is more than one recording for this camera.", camera=camera)
+                Problem("duplicate_recording", "There is more than one recording for this camera.", camera=camera)
             )
         elif recording.file is not None and recording.file not in files:
             message = "There is no video of this name."
             problems.append(Problem("recording_file_unknown", message, file=recording.file, camera=camera))
         elif recording.file is not None and recording.file in {other.file for other in known.values()}:
             message = "The video is already assigned to another camera."
-            problems.append(Problem("recording_file_doubled", message, file=recording.file, camera=camera))
+            problems.append(Problem("duplicate_recording_file", message, file=recording.file, camera=camera))
         else:
             known[camera] = recording
     return known, problems

@@ -28,7 +28,7 @@ from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
 from pipeline.progress import OnShare, ignore
 from pipeline.tracking.associate import track_bodies
-from pipeline.tracking.observations import Bodies, gather
+from pipeline.tracking.observations import Bodies
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.parameters import derive_parameters as derive_tracking
 from pipeline.video.timeline import cut_timebase, frames_in, span_s
@@ -49,40 +49,38 @@ def restrict(session: Session, frames: range | None) -> Session: ...
 
 
 def restrict(session: Session, frames: range | None) -> Session:
-    """The session, as if its output frames were only some of them (``None``: all), numbered from 0.
+    """Restrict a session to a range of its output frames (``None``: all), which are numbered from 0.
 
     Raises
     ------
     InputError
-        If it has no such frames.
+        If the session has no such frames.
     """
     if frames is None:
         return session
     whole = session.timebase
     if not 0 <= frames.start < frames.stop <= whole.num_frames:
         message = f"The session has the output frames 0 to {whole.num_frames}, not {frames.start} to {frames.stop}."
-        raise InputError([Problem("frame_range", message, hint="The second number is that after the last frame.")])
+        raise InputError([Problem("frame_range", message, hint="The second number is the one after the last frame.")])
     if isinstance(session, CaptureSession):
         return replace(session, frames=frames)
     span = span_s(whole, frames.start, frames.stop)
-    wanted = {name: bodies_in(one, frames_in(session.times[name], *span)) for name, one in session.detections.items()}
-    return replace(session, timebase=cut_timebase(whole, frames), detections=wanted)
-
-
-def uses_fields(session: Session, config: ReconstructionConfig) -> bool:
-    """Whether people are found from part affinity fields, not from whole bodies."""
-    return config.uses_fields and isinstance(session, CaptureSession)
+    inside = {
+        camera: bodies_in(detections, frames_in(session.times[camera], *span))
+        for camera, detections in session.detections.items()
+    }
+    return replace(session, timebase=cut_timebase(whole, frames), detections=inside)
 
 
 def tracking_parameters(session: Session, changes: Mapping[str, float] = MappingProxyType({})) -> TrackingParameters:
-    """Derive the tracker's parameters from the session, but for what was asked to be otherwise.
+    """Derive the tracker's parameters from the session, with changes by name.
 
     A person in a session of fewer than ``confirm_instants`` frames is confirmed by all of them.
 
     Raises
     ------
     InputError
-        If a parameter does not exist, or can't have that value.
+        If a changed parameter does not exist, or can't have that value.
     """
     derived = derive_tracking(session.cameras, session.timebase.frame_rate_hz)
     confirm_instants = min(derived.confirm_instants, session.timebase.num_frames)
@@ -90,38 +88,30 @@ def tracking_parameters(session: Session, changes: Mapping[str, float] = Mapping
 
 
 def clustering_parameters(session: Session, config: ReconstructionConfig) -> ClusteringParameters:
-    """Those derived from the session and the detector, but for what was asked to be otherwise.
+    """Derive the parameters of clustering from the session and the detector, with the configuration's changes.
 
     Raises
     ------
     InputError
-        If a parameter does not exist, or can't have that value.
+        If a changed parameter does not exist, or can't have that value.
     """
-    fields = entry_of(config.detector).fields if uses_fields(session, config) else None
+    fields = entry_of(config.detector).fields if config.uses_fields and isinstance(session, CaptureSession) else None
     own = {} if fields is None else {"tau2": fields.tau2}
     return change_parameters(derive_clustering(session.cameras, **own), config.clustering)
 
 
 def track(
-    session: Session,
-    detections: Mapping[str, Detections],
-    config: ReconstructionConfig = _DEFAULTS,
-    on_share: OnShare = ignore,
+    session: Session, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
 ) -> People:
-    """Turn all cameras' detections into tracks by cross-view tracking, one pass in time order.
+    """Track people by cross-view tracking: one pass in time order.
 
     Parameters
     ----------
+    bodies
+        Bodies of all cameras, as of ``gather``; the detections of the session are not read.
     on_share
         Called with the share of the work that is done.
     """
-    return track_gathered(session, gather(session.cameras, session.times, detections), config, on_share)
-
-
-def track_gathered(
-    session: Session, bodies: Bodies, config: ReconstructionConfig = _DEFAULTS, on_share: OnShare = ignore
-) -> People:
-    """``track`` what ``gather`` made of all cameras' detections; the session's own are not looked at."""
     parameters = tracking_parameters(session, config.tracking)
     timebase = session.timebase
     approximate: set[int] = set()
@@ -137,12 +127,6 @@ def track_gathered(
     return People(*keep_most_seen(*people, config.num_people), len(approximate))
 
 
-def num_sampled(session: Session, ranges: Iterable[range], config: ReconstructionConfig) -> int:
-    """Count the frames in which bones are measured, in some ranges of output frames."""
-    sampled = sampled_frames(session.timebase, clustering_parameters(session, config))
-    return sum(frame in sampled for frames in ranges for frame in frames)
-
-
 def measure_bones(
     session: Session,
     chunks: Iterable[tuple[range, DetectionsByCamera]],
@@ -150,39 +134,39 @@ def measure_bones(
     config: ReconstructionConfig,
     on_frame: Callable[[], None] = lambda: None,
 ) -> LimbLengths:
-    """Everybody's bone lengths, from a first pass over frames all over the session.
+    """Measure the bones of all people in a first pass over frames all over the session.
 
     Parameters
     ----------
     chunks
-        Ranges of output frames in order of time, and what shows each; read one at a time.
+        Ranges of output frames in order of time, with their detections; read one at a time.
     joints
-        What the joint axis of the detector holds.
+        Joint set of the detector.
     on_frame
         Called after each frame.
     """
     parameters = clustering_parameters(session, config)
     sampled = sampled_frames(session.timebase, parameters)
-    seen = (
-        (_seen(session, frames, found, joints, parameters), [frame for frame in frames if frame in sampled])
-        for frames, found in chunks
+    evidence = (
+        (_evidence(session, frames, detections, joints, parameters), [frame for frame in frames if frame in sampled])
+        for frames, detections in chunks
     )
-    return first_lengths(session.cameras, seen, session.timebase, skeleton_of(joints), parameters, on_frame)
+    return first_lengths(session.cameras, evidence, session.timebase, skeleton_of(joints), parameters, on_frame)
 
 
 def locate_people(
     session: Session,
     frames: range,
-    found: DetectionsByCamera,
+    detections: DetectionsByCamera,
     lengths: LimbLengths,
     joints: JointSet,
     config: ReconstructionConfig,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Poses3D:
-    """Find everybody in a range of output frames; the cut into ranges changes nothing."""
+    """Find all people in a range of output frames; the result does not depend on the cut into ranges."""
     parameters = clustering_parameters(session, config)
-    seen = _seen(session, frames, found, joints, parameters)
-    return find_people(session.cameras, seen, frames, skeleton_of(joints), lengths, parameters, on_frame)
+    evidence = _evidence(session, frames, detections, joints, parameters)
+    return find_people(session.cameras, evidence, frames, skeleton_of(joints), lengths, parameters, on_frame)
 
 
 def link(
@@ -192,25 +176,25 @@ def link(
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
 ) -> People:
-    """Link the poses of all ranges to tracks; ``on_share`` is called as often as the work is far enough to say so."""
+    """Link the poses of all ranges to tracks."""
     parameters = clustering_parameters(session, config)
     poses = join_poses(chunks)
     people = link_people(session.cameras, poses, session.timebase, joints, parameters, on_share)
     return People(*keep_most_seen(*people, config.num_people), len(poses.approximate))
 
 
-def _seen(
-    session: Session, frames: range, found: DetectionsByCamera, joints: JointSet, parameters: ClusteringParameters
+def _evidence(
+    session: Session, frames: range, detections: DetectionsByCamera, joints: JointSet, parameters: ClusteringParameters
 ) -> ViewEvidence:
-    """What shows a range of output frames."""
+    """Evidence in a range of output frames."""
     skeleton = skeleton_of(joints)
-    fields = {camera: one for camera, one in found.items() if isinstance(one, PafFields)}
+    fields = {camera: value for camera, value in detections.items() if isinstance(value, PafFields)}
     if fields:
         return FieldEvidence(session.cameras, session.times, fields, session.timebase, skeleton, parameters)
     span = span_s(session.timebase, frames.start, frames.stop)
     bodies = {
-        camera: bodies_in(one, frames_in(session.times[camera], *span))
-        for camera, one in found.items()
-        if isinstance(one, Detections)
+        camera: bodies_in(value, frames_in(session.times[camera], *span))
+        for camera, value in detections.items()
+        if isinstance(value, Detections)
     }
     return BodyEvidence(session.cameras, session.times, bodies, session.timebase, skeleton, parameters)

@@ -20,8 +20,8 @@ _LOCK = "lock"
 
 
 def default_cache() -> Path:
-    """Folder of the user's cache: ``MULTICAP_CACHE``, else ``multicap`` in the user's cache folder."""
-    chosen = os.environ.get("MULTICAP_CACHE")
+    """Folder of the user's cache: ``MULTICAP_CACHE_HOME``, else ``multicap`` in the user's cache folder."""
+    chosen = os.environ.get("MULTICAP_CACHE_HOME")
     return Path(chosen).expanduser() if chosen else platformdirs.user_cache_path("multicap", appauthor=False)
 
 
@@ -119,5 +119,5 @@ def _unusable(path: Path, error: OSError) -> PipelineError:
     reason = "the disk is full" if error.errno in DISK_FULL else (error.strerror or type(error).__name__).lower()
     return PipelineError(
         f"Intermediate outputs can't be stored in {path}: {reason}. Free space, or choose another folder: by "
-        "--cache or MULTICAP_CACHE for the cache, by TMPDIR for temporary files."
+        "--cache or MULTICAP_CACHE_HOME for the cache, by TMPDIR for temporary files."
     )

@@ -9,7 +9,7 @@ again, after a crash or for another job, has the same keys, and its outputs are 
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any, Literal
 
@@ -25,6 +25,8 @@ MAX_TASKS = 20_000
 _FRAMES_A_UNIT = 10
 # Rate of the frames in which clustering measures bones.
 _MEASURED_HZ = 5
+# Fields of the configuration on which no output depends.
+_WITHOUT_EFFECT = {"chunk_frames", "processes"}
 
 Cut = Literal["camera ranges", "ranges", "whole"]
 
@@ -110,7 +112,7 @@ class Stage:
     follows
         Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
     choices
-        Keys of ``effective_choices`` that its output depends on.
+        Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
     function
         Name of its function in ``pipeline.stages.run``.
     is_planned
@@ -156,7 +158,7 @@ STAGES = (
         "Measure bones",
         cut="whole",
         follows=(DETECT,),
-        choices=("frames", "clustering"),
+        choices=("frame_range", "clustering"),
         function="measure_lengths",
         is_planned=_is_clustering,
     ),
@@ -165,7 +167,7 @@ STAGES = (
         "Find people",
         cut="ranges",
         follows=(DETECT, LENGTHS),
-        choices=("frames", "clustering"),
+        choices=("frame_range", "clustering"),
         function="find_poses",
         is_planned=_is_clustering,
     ),
@@ -174,7 +176,7 @@ STAGES = (
         "Track people",
         cut="whole",
         follows=(DETECT, LENGTHS, POSES),
-        choices=("method", "frames", "people", "tracking", "clustering"),
+        choices=("method", "frame_range", "people", "tracking", "clustering"),
         function="associate_people",
     ),
     Stage(
@@ -282,34 +284,36 @@ def plan(
     whole = range(facts.num_frames)
     cut = FrameCut(config.frames or whole, facts.stretches, _bounded_length(facts, chunk_frames))
     choices = effective_choices(config)
+    # A choice that no stage names counts for all stages, so that no output of another choice is ever reused.
+    unassigned = choices.keys() - {name for stage in STAGES for name in stage.choices}
     keys: dict[str, str] = {}
     stages = []
     for stage in STAGES:
         if stage.is_planned(facts, config):
             inputs = [keys[name] for name in stage.follows if name in keys] or facts.inputs
-            own = {name: choices[name] for name in stage.choices}
+            own = {name: choices[name] for name in (*stage.choices, *unassigned)}
             keys[stage.name] = _hash([stage.name, codes[stage.name], own, inputs])
             stages.append(PlannedStage(stage.name, _tasks(stage, keys[stage.name], facts, cut), codes[stage.name]))
     return tuple(stages)
 
 
 def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
-    """Choices as JSON, as far as outputs depend on them: what has no effect is ``None``."""
+    """Choices as JSON, as far as outputs depend on them: ``None`` for a choice without effect.
+
+    ``output`` stands for the kind of the detections.
+    """
     is_clustering = config.method == "clustering"
+    has_no_effect = {
+        "cutoff_hz": config.smoothing != "butterworth",
+        "bvh": "bvh" not in config.exports,
+    }
+    values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
     return {
-        "detector": config.detector,
-        "output": "fields" if config.uses_fields else "bodies",
-        "method": config.method,
+        **{name: None if has_no_effect.get(name) else values[name] for name in values.keys() - _WITHOUT_EFFECT},
+        "exports": sorted(config.exports),
         "tracking": None if is_clustering else dict(config.tracking),
         "clustering": dict(config.clustering) if is_clustering else None,
-        "frames": config.frame_range,
-        "people": config.people,
-        "smoothing": config.smoothing,
-        "cutoff_hz": config.cutoff_hz if config.smoothing == "butterworth" else None,
-        "feet": config.feet,
-        "exports": sorted(config.exports),
-        "bvh": config.bvh if "bvh" in config.exports else None,
-        "output_rate_hz": config.output_rate_hz,
+        "output": "fields" if config.uses_fields else "bodies",
     }
 
 

@@ -29,7 +29,7 @@ from pipeline.stages.association import (
     locate_people,
     measure_bones,
     restrict,
-    track_gathered,
+    track,
 )
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.outputs_npz import (
@@ -177,7 +177,7 @@ def associate_people(task: Task, context: Context) -> Output:
     else:
         bodies, damaged = _gathered(context)
         session, _ = wanted_session(context.outline(), context.config)
-        people = track_gathered(session, bodies, context.config, on_share)
+        people = track(session, bodies, context.config, on_share)
         del bodies
     archive = context.scratch / _PEOPLE
     write_people(archive, people, damaged)

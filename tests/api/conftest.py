@@ -44,7 +44,7 @@ for video in videos:
         print("x" * 10_000_000)
         sys.exit(0)
     if start in {b"APART", b"TWICE"}:
-        code, field = {b"APART": ("no_overlap", "offset_s"), b"TWICE": ("recording_doubled", None)}[start]
+        code, field = {b"APART": ("no_overlap", "offset_s"), b"TWICE": ("duplicate_recording", None)}[start]
         problems.append({"code": code, "message": "Check it.", "file": None, "camera": video.stem, "field": field,
                          "hint": None})
     if start == b"WRONG":
@@ -58,11 +58,12 @@ if problems:
     print(json.dumps({"problems": problems}))
     sys.exit(2)
 pathlib.Path(arguments[arguments.index("--record") + 1]).write_bytes(b"record")
+recordings = [said for one in arguments if one.startswith("--recordings=") for said in json.loads(one[13:])]
 cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60}
            for video in videos]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
                   "warnings": ["The cameras are close together."],
-                  "recordings": [json.loads(one[13:]) for one in arguments if one.startswith("--recordings=")]}))
+                  "recordings": recordings}))
 """
 
 # Address without a broker: publishing fails at once, which is allowed.
@@ -107,10 +108,10 @@ class Live:
         digest = hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
         result = Result("person-1.bvh", "bvh", "person-1", "text/plain; charset=utf-8", key, len(content), digest)
-        while claim := self.services.store.claim("test", 30.0):
+        while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
             results, said = ([result], warnings) if claim.stage == "export" else ([], ())
-            self.services.store.finish(
+            self.services.store.leases.finish(
                 claim.chunk_id, claim.lease_token, digest, len(content), results=results, warnings=said
             )
 

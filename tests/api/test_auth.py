@@ -58,7 +58,7 @@ class Guarded:
     mine: str
 
     def key(self, scopes: frozenset[Scope], tenant: str = "theirs", lifetime_s: float | None = None) -> tuple[Key, str]:
-        return self.live.services.store.create_key(tenant, "test", scopes, lifetime_s)
+        return self.live.services.store.keys.add(tenant, "test", scopes, lifetime_s)
 
     def ask(self, method: str, path: str, secret: str | None, **options: Any) -> httpx2.Response:
         headers = {"Authorization": f"Bearer {secret}"} if secret is not None else {}
@@ -82,8 +82,8 @@ def refused(answer: httpx2.Response, status: int, code: str) -> None:
 @pytest.fixture(scope="module")
 def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
     with running(make_settings(max_json_bytes=64 * 1024, max_wrong_keys_per_minute=100_000)) as live:
-        _, theirs = live.services.store.create_key("theirs", "portal", USUAL)
-        _, mine = live.services.store.create_key("mine", "portal", ALL)
+        _, theirs = live.services.store.keys.add("theirs", "portal", USUAL)
+        _, mine = live.services.store.keys.add("mine", "portal", ALL)
         live.client.headers["Authorization"] = f"Bearer {theirs}"
         job_id = live.job_id()
         live.finish(job_id)
@@ -109,7 +109,7 @@ def test_the_contract_says_which_calls_want_a_key() -> None:
 @pytest.mark.parametrize(("method", "path"), GUARDED)
 def test_without_a_valid_key_there_is_nothing(guarded: Guarded, method: str, path: str) -> None:
     revoked, revoked_secret = guarded.key(ALL)
-    guarded.live.services.store.revoke_key(revoked.id)
+    guarded.live.services.store.keys.revoke(revoked.id)
     _, expired_secret = guarded.key(ALL, lifetime_s=-1.0)
     for secret in (None, revoked_secret, expired_secret, "mc_unknown", "x" * 5000):
         answer = guarded.ask(method, path, secret)
@@ -261,7 +261,7 @@ class TestBrowser:
         key, secret = guarded.key(USUAL)
         browser.post("/v1/browser-session", json={"key": secret}).raise_for_status()
         assert browser.get("/v1/jobs").status_code == 200
-        guarded.live.services.store.revoke_key(key.id)
+        guarded.live.services.store.keys.revoke(key.id)
         problem_of(browser.get("/v1/jobs"), 401, "key_required")
 
     def test_wrong_keys_open_nothing(self, guarded: Guarded) -> None:
@@ -273,7 +273,7 @@ class TestBrowser:
 
 def test_browsers_come_and_go_on_a_full_disk(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 64) as disk, running(make_settings(data_dir=disk / "data")) as live:
-        _, secret = live.services.store.create_key("mine", "portal", USUAL)
+        _, secret = live.services.store.keys.add("mine", "portal", USUAL)
         requests: list[tuple[str, dict[str, Any]]] = [("POST", {"json": {"key": secret}}), ("DELETE", {})]
         for number, (method, sent) in enumerate(requests):
             live.services.disk.set_aside()
@@ -311,9 +311,9 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
         with pytest.raises(ExposedError, match="`multicap keys create NAME`"):
             require_keys_if_exposed(usual, store)
         require_keys_if_exposed(exposed.model_copy(update={"trust_network": True}), store)
-        key, _ = store.create_key("mine", "portal", USUAL)
+        key, _ = store.keys.add("mine", "portal", USUAL)
         require_keys_if_exposed(exposed, store)
-        store.revoke_key(key.id)
+        store.keys.revoke(key.id)
         require_keys_if_exposed(exposed, store)  # the only key is not valid, but the service asks for keys
 
 
@@ -340,8 +340,8 @@ def test_the_audit_says_by_which_key_and_request(guarded: Guarded) -> None:
     answer = guarded.ask("POST", "/v1/sessions", guarded.mine)
     session_id = answer.json()["id"]
     problem_of(guarded.live.client.delete(f"/v1/sessions/{session_id}"), 401, "key_required")
-    deed = guarded.live.services.store.deeds("mine", limit=1)[0]
-    key = guarded.live.services.store.find_key(guarded.mine)
+    event = guarded.live.services.store.audit.events("mine", limit=1)[0]
+    key = guarded.live.services.store.keys.find(guarded.mine)
     assert key is not None
-    assert (deed.act, deed.subject) == ("session-created", session_id)
-    assert (deed.actor.key_id, deed.actor.request_id) == (key.id, answer.headers["x-request-id"])
+    assert (event.act, event.subject) == ("session-created", session_id)
+    assert (event.actor.key_id, event.actor.request_id) == (key.id, answer.headers["x-request-id"])

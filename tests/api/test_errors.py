@@ -10,7 +10,7 @@ from sqlalchemy.exc import OperationalError
 
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.jobs import Jobs
 
 UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
 
@@ -115,7 +115,7 @@ def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypa
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("/srv/secret/path is gone")
 
-    monkeypatch.setattr(Records, "jobs", fail)
+    monkeypatch.setattr(Jobs, "page", fail)
     answer = live.client.get("/v1/jobs")
     problem = problem_of(answer, 500, "internal_error")
     assert problem["retryable"] is True
@@ -127,7 +127,7 @@ def test_database_away_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> No
     def fail(*_: object, **__: object) -> None:
         raise OperationalError("SELECT secret", {}, sqlite3.OperationalError("unable to open database file"))
 
-    monkeypatch.setattr(Records, "jobs", fail)
+    monkeypatch.setattr(Jobs, "page", fail)
     answer = live.client.get("/v1/jobs")
     problem_of(answer, 503, "database_unavailable")
     assert answer.headers["retry-after"] == "5"

@@ -26,9 +26,9 @@ def sample() -> Sample:
 
 
 @pytest.fixture(scope="session")
-def reconstruction(sample: Sample) -> Reconstruction:
+def reconstruction(sample: Sample, task_cache: Path) -> Reconstruction:
     session = open_session(list(sample.videos.values()), sample.calibration)
-    return reconstruct(session, ReconstructionConfig(chunk_frames=100))
+    return reconstruct(session, ReconstructionConfig(chunk_frames=100), cache=task_cache)
 
 
 @pytest.fixture(scope="session")

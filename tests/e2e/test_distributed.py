@@ -185,7 +185,7 @@ def test_keypoints(distributed: Distributed, tmp_path: Path, archive_bytes: int)
 
 def test_videos(distributed: Distributed, sample: Sample, results: Path, receiver: Receiver, tmp_path: Path) -> None:
     store = JobStore(distributed.database_url)
-    secret = store.rotate_webhook_secret("default", 0.0)
+    secret = store.webhook_secrets.rotate("default", 0.0)
     store.close()
     job = distributed.submit(receiver.url, videos=list(sample.videos.values()), calibration=sample.calibration)
     wait_for(lambda: len(receiver.received) > 0)

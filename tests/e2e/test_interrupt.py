@@ -18,7 +18,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
 from tests.e2e.captures import keypoint_capture, video_capture
 
-COMMAND = [sys.executable, "-m", "api.cli.main", "reconstruct"]
+COMMAND = [sys.executable, "-m", "api.cli.main", "reconstruct", "--no-cache"]
 
 # Runs the command, and interrupts itself at the second call of ``{where}``.
 AT = """

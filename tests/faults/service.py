@@ -118,7 +118,7 @@ class Service:
 
     def make_webhook_secret(self) -> None:
         store = JobStore(f"sqlite:///{self.data_dir / 'multicap.db'}")
-        self.receiver.secret = store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+        self.receiver.secret = store.webhook_secrets.rotate(DEFAULT_TENANT, 0.0)
         store.close()
 
 

@@ -21,7 +21,7 @@ from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
 from tests.waiting import wait_for
-from worker.process.embedded import Place
+from worker.process.embedded import DataDirectory
 
 pytestmark = pytest.mark.xdist_group("faults")
 
@@ -76,12 +76,12 @@ def test_two_versions_work_side_by_side(
         # A short path, because the length of a Unix socket's path is limited.
         data_dir = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mc-")))
         old = opened.enter_context(serving(data_dir, PYTHONPATH=str(ROOT)))
-        place = Place(data_dir, data_dir / "broker" / "socket")
+        directory = DataDirectory(data_dir, data_dir / "broker" / "socket")
         environment = {
             **os.environ,
             "PYTHONPATH": str(other_version(tmp_path / "other")),
             "MULTICAP_DATA_DIR": str(data_dir),
-            "MULTICAP_BROKER_URL": place.broker_url,
+            "MULTICAP_BROKER_URL": directory.broker_url,
             "MULTICAP_PORT": str(port),
         }
         worker = opened.enter_context(running(environment, "worker", "--workers", "1"))

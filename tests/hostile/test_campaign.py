@@ -119,7 +119,7 @@ def campaign(tmp_path: Path) -> Iterator[Campaign]:
     data.mkdir()
     store = JobStore(f"sqlite:///{data / 'multicap.db'}")
     store.migrate()
-    keys = [store.create_key(name, name, {Scope.READ, Scope.WRITE}, None)[1] for name in ("hostile", "ordinary")]
+    keys = [store.keys.add(name, name, {Scope.READ, Scope.WRITE}, None)[1] for name in ("hostile", "ordinary")]
     store.close()
     with serving(data) as served:
         with closing(

@@ -18,6 +18,7 @@ from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, record
 from pipeline.stages.association import link, locate_people, measure_bones, track
+from pipeline.tracking.observations import Bodies, gather
 from tests.hostile.crowds import hostile_crowds
 
 CLUSTERING = ReconstructionConfig(method="clustering")
@@ -33,6 +34,10 @@ def child() -> Iterator[ProcessPoolExecutor]:
         yield pool
 
 
+def gathered(session: KeypointSession) -> Bodies:
+    return gather(session.cameras, session.times, session.detections)
+
+
 def cluster(session: KeypointSession) -> People:
     frames = range(session.timebase.num_frames)
     lengths = measure_bones(session, [(frames, session.detections)], session.joints, CLUSTERING)
@@ -44,7 +49,7 @@ def reconstruct(method: str, name: str, num_cameras: int, num_frames: int) -> tu
     """Reconstruct; return seconds, number of approximate frames, and the process's peak memory in KiB."""
     session = hostile_crowds(MAX_PEOPLE, num_cameras, num_frames)[name]()
     started_s = time.monotonic()
-    people = track(session, session.detections) if method == "tracking" else cluster(session)
+    people = track(session, gathered(session)) if method == "tracking" else cluster(session)
     taken_s = time.monotonic() - started_s
     return taken_s, people.num_approximate_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
@@ -84,7 +89,7 @@ def people_in_a_hall(num_people: int, num_cameras: int, num_frames: int) -> tupl
 def test_a_hundred_people_in_a_frame(method: str) -> None:
     session, truth_m = people_in_a_hall(100, 8, 6 if method == "tracking" else 4)
     assert max(int(np.bincount(one.frame).max()) for one in session.detections.values()) > 90
-    people = track(session, session.detections) if method == "tracking" else cluster(session)
+    people = track(session, gathered(session)) if method == "tracking" else cluster(session)
     middle_m = np.nanmean(truth_m[:, 2], axis=1)
     of_frame = [one for one in people.tracks if one.start_frame <= 2 < one.start_frame + one.num_frames]
     found_m = [np.nanmean(one.xyz_m[2 - one.start_frame], axis=0) for one in of_frame]
@@ -95,7 +100,7 @@ def test_a_hundred_people_in_a_frame(method: str) -> None:
 def test_progress_comes_from_within_a_pass_over_a_crowd() -> None:
     session = hostile_crowds(40, 4, 20)["elsewhere in each frame"]()
     shares: list[float] = []
-    track(session, session.detections, on_share=shares.append)
+    track(session, gathered(session), on_share=shares.append)
     assert len(shares) >= 20
     assert shares == sorted(shares)
 

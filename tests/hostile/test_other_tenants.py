@@ -65,7 +65,7 @@ def job_of(client: httpx2.Client, job_id: str) -> dict[str, Any]:
 def test_long_chunks_of_one_tenant_delay_no_other(tmp_path: Path) -> None:
     store = JobStore(f"sqlite:///{tmp_path / 'multicap.db'}")
     store.migrate()
-    secrets = [store.create_key(name, name, {Scope.READ, Scope.WRITE}, None)[1] for name in ("hostile", "ordinary")]
+    secrets = [store.keys.add(name, name, {Scope.READ, Scope.WRITE}, None)[1] for name in ("hostile", "ordinary")]
     store.close()
     with (
         serving(tmp_path) as served,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
 from worker.chunk import Work
@@ -79,10 +80,10 @@ class Bench:
 
     def create_job(self, retention_s: float | None = None) -> Job:
         stages = plan_job(self.session, JobSpec(), CHUNK_FRAMES)
-        return self.store.create_job(self.session.id, JobSpec(), stages, retention_s)
+        return self.store.jobs.add(self.session.id, JobSpec(), stages, retention_s)
 
     def result(self, job_id: str) -> bytes:
-        (result,) = self.store.results(job_id)
+        (result,) = self.store.results.of_job(job_id)
         with self.artifacts.open(result.key) as file:
             content = file.read()
         assert (result.num_bytes, result.sha256) == (len(content), hashlib.sha256(content).hexdigest())
@@ -93,17 +94,17 @@ def open_bench(data_dir: Path) -> Bench:
     """Create a bench with a new session in a data folder."""
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
-    session_id = store.announce_session()
+    session_id = store.sessions.reserve_id()
     names = [("left.mp4", "video", "a"), ("rig.toml", "calibration", "c")]
     files = [
         InputFile(name, kind, f"sessions/{session_id}/inputs/{name}", 1, digit * 64) for name, kind, digit in names
     ]
-    preflight = {
-        "cameras": [{"name": "left", "frame_rate_hz": 25.0}],
-        "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": NUM_FRAMES},
-        "warnings": [],
-    }
-    session = store.create_session("take", files, preflight, session_id)
+    preflight = Preflight(
+        cameras=(PreflightCamera("left", "left.mp4", (640, 480), 25.0, NUM_FRAMES),),
+        timebase=PreflightTimebase(0.0, 25.0, NUM_FRAMES),
+        stretches=(range(NUM_FRAMES),),
+    )
+    session = store.sessions.add("take", files, preflight, session_id)
     return Bench(data_dir, store, LocalArtifacts(data_dir / "artifacts"), session)
 
 

@@ -40,12 +40,14 @@ def run_worker() -> None:
 
 
 def run_all(data_dir: Path) -> None:
-    with embedded.occupy(data_dir) as place:
-        JobStore(WorkerSettings(data_dir=place.data_dir).resolved_database_url).migrate()
-        worker = embedded.worker(place, workers=2)
+    with embedded.lock(data_dir) as directory:
+        JobStore(WorkerSettings(data_dir=directory.path).resolved_database_url).migrate()
+        worker = embedded.worker(directory, workers=2)
         here = [sys.executable, __file__, "--worker", "--workers", "2"]
         Supervisor(
-            [embedded.broker(place), replace(worker, command=here), embedded.reaper(place)], place.logs_dir, say
+            [embedded.broker(directory), replace(worker, command=here), embedded.reaper(directory)],
+            directory.logs_dir,
+            say,
         ).run()
 
 

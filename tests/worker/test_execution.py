@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture import preflight
+from pipeline.capture.preflight_record import Preflight
 from pipeline.errors import InputError
 from pipeline.stages.outputs_npz import decode_detections
 from tests.e2e.captures import video_capture
@@ -43,7 +44,7 @@ def session(
     calibration, record = tmp_path / "calibration.json", tmp_path / "record"
     arguments = ["--videos", *map(str, videos), "--calibration", str(calibration), "--record", str(record)]
     assert preflight.main(arguments) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = Preflight.from_json(json.loads(capsys.readouterr().out))
     session_id = "0190"
     files = [keep(artifacts, session_id, number, path, "video") for number, path in enumerate(videos)]
     files.append(keep(artifacts, session_id, len(files), calibration, "calibration"))

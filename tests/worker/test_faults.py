@@ -50,15 +50,15 @@ class Service:
         return job
 
     def publish(self) -> bool:
-        place = embedded.Place(self.data_dir, self.data_dir / "broker" / "socket")
-        return WorkQueue(place.broker_url).publish()
+        directory = embedded.DataDirectory(self.data_dir, self.data_dir / "broker" / "socket")
+        return WorkQueue(directory.broker_url).publish()
 
     def wait_until_detecting(self, job: Job) -> None:
-        wait_for(lambda: self.bench.store.job(job.id).stages[0].done > 0)
+        wait_for(lambda: self.bench.store.jobs.get(job.id).stages[0].done > 0)
 
     def wait_for_end(self, job: Job, timeout_s: float = 60.0) -> Job:
-        wait_for(lambda: self.bench.store.job(job.id).state in FINISHED, timeout_s)
-        return self.bench.store.job(job.id)
+        wait_for(lambda: self.bench.store.jobs.get(job.id).state in FINISHED, timeout_s)
+        return self.bench.store.jobs.get(job.id)
 
 
 @pytest.fixture
@@ -118,7 +118,7 @@ def test_a_message_lost_with_the_broker_is_made_good(service: Service) -> None:
     service.part("valkey-server").kill()
     published_s = time.monotonic()
     worker.resume()
-    wait_for(lambda: service.bench.store.job(job.id).state is not JobState.QUEUED, timeout_s=30)
+    wait_for(lambda: service.bench.store.jobs.get(job.id).state is not JobState.QUEUED, timeout_s=30)
     assert time.monotonic() - published_s < 30
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
@@ -157,7 +157,7 @@ def test_a_killed_broker_is_replaced(service: Service) -> None:
 def test_cancel_ends_within_seconds(service: Service) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
-    service.bench.store.cancel(job.id)
+    service.bench.store.jobs.cancel(job.id)
     assert service.wait_for_end(job, timeout_s=5).state is JobState.CANCELED
 
 

@@ -2,7 +2,7 @@
 
 import tracemalloc
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,13 +10,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import MAX_OUTPUT_FRAMES, method_warnings
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
+from pipeline.config import MAX_OUTPUT_FRAMES, ReconstructionConfig, method_warnings
 from pipeline.detect.registry import REGISTRY
 from pipeline.stages.code import stage_codes
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, LENGTHS, MAX_TASKS, POSES, FrameCut
+from pipeline.stages.plan import (
+    ASSOCIATE,
+    DETECT,
+    EXPORT,
+    FIT,
+    LENGTHS,
+    MAX_TASKS,
+    POSES,
+    STAGES,
+    FrameCut,
+    effective_choices,
+    plan,
+)
 from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec
-from worker.planning import plan_job
+from worker.planning import plan_job, session_facts
 
 FILES = tuple(
     InputFile(name, kind, f"sessions/s/inputs/{k}-{name}", 10, digit * 64)
@@ -28,11 +41,13 @@ FILES = tuple(
 
 def make_session(num_frames: int = 100, rates_hz: tuple[float, ...] = (25.0, 25.0), **changes: Any) -> Session:
     """Session of as many output frames, at the rate of the fastest camera."""
-    preflight = {
-        "cameras": [{"name": str(k), "frame_rate_hz": rate_hz} for k, rate_hz in enumerate(rates_hz)],
-        "timebase": {"start_time_s": 0.0, "frame_rate_hz": max(rates_hz), "num_frames": num_frames},
-        "warnings": [],
-    }
+    preflight = Preflight(
+        cameras=tuple(
+            PreflightCamera(str(k), f"{k}.mp4", (640, 480), rate_hz, num_frames) for k, rate_hz in enumerate(rates_hz)
+        ),
+        timebase=PreflightTimebase(0.0, max(rates_hz), num_frames),
+        stretches=(range(num_frames),),
+    )
     return Session(
         **{
             "id": "s",
@@ -162,6 +177,23 @@ def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, chan
     assert {name for name in before if before[name] != after[name]} == changed
 
 
+def test_a_choice_that_no_stage_names_counts_for_all() -> None:
+    @dataclass(frozen=True)
+    class NewConfig(ReconstructionConfig):
+        new_choice: int = 1
+
+    facts, codes = session_facts(make_session()), stage_codes()
+    first, second = (plan(facts, NewConfig(new_choice=value), codes) for value in (1, 2))
+    for one, other in zip(first, second, strict=True):
+        assert next(iter(one.tasks)).key != next(iter(other.tasks)).key
+
+
+def test_every_choice_is_named_by_a_stage() -> None:
+    """A choice that counts for all stages makes detections anew when it changes."""
+    named = {name for stage in STAGES for name in stage.choices}
+    assert set(effective_choices(ReconstructionConfig())) == named
+
+
 def test_keys_are_unique_and_safe_as_names() -> None:
     found = [key for stage in keys(make_session(1000)).values() for key in stage]
     assert len(set(found)) == len(found)
@@ -186,12 +218,13 @@ def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
 
 
 def test_what_was_said_of_the_videos_is_an_input() -> None:
-    def said(**recording: object) -> Session:
+    def said(offset_s: float) -> Session:
         plain = make_session()
-        return replace(plain, preflight={**plain.preflight, "recordings": [{"camera": "0", **recording}]})
+        recordings = (PreflightRecording("0", offset_s=offset_s),)
+        return replace(plain, preflight=replace(plain.preflight, recordings=recordings))
 
     plain = make_session()
-    in_mm = replace(plain, preflight={**plain.preflight, "units": "mm"})
+    in_mm = replace(plain, preflight=replace(plain.preflight, units="mm"))
     found = [keys(plain), keys(said(offset_s=0.1)), keys(said(offset_s=0.2)), keys(in_mm)]
     for stage in found[0]:
         assert len({key for one in found for key in one[stage]}) == 4 * len(found[0][stage])
@@ -228,7 +261,7 @@ def test_how_many_people_are_wanted_counts_from_association_on() -> None:
 
 def paused(num_frames: int, stretches: list[list[int]], **changes: Any) -> Session:
     plain = make_session(num_frames, **changes)
-    return replace(plain, preflight={**plain.preflight, "stretches": stretches})
+    return replace(plain, preflight=replace(plain.preflight, stretches=tuple(range(*one) for one in stretches)))
 
 
 def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:

@@ -44,14 +44,14 @@ def test_messages_are_published_for_ready_work_only(bench: Bench) -> None:
 
 def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
     job = bench.create_job()
-    claims = [bench.store.claim("gone", 0.05) for _ in range(4)]
+    claims = [bench.store.leases.claim("gone", 0.05) for _ in range(4)]
     assert all(claims)
     publish = Publisher()
     time.sleep(0.1)
     reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)
     assert publish.count == 1
     bench.runner().work(60.0)
-    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+    assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
 def test_the_reaper_survives_an_unreachable_database(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
@@ -66,9 +66,9 @@ def test_expired_results_are_removed(bench: Bench, capfd: pytest.CaptureFixture[
     bench.runner().work(60.0)
     time.sleep(0.1)
     reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
-    assert bench.store.job(short.id).state is JobState.EXPIRED
+    assert bench.store.jobs.get(short.id).state is JobState.EXPIRED
     assert not bench.artifacts.exists(result_key(short.id, "person-1.bvh"))
-    assert bench.store.job(kept.id).state is JobState.SUCCEEDED
+    assert bench.store.jobs.get(kept.id).state is JobState.SUCCEEDED
     assert bench.artifacts.exists(result_key(kept.id, "person-1.bvh"))
     assert "job_expired" in "".join(capfd.readouterr())
 
@@ -78,13 +78,13 @@ def test_files_of_interrupted_deletions_are_removed(bench: Bench) -> None:
     bench.runner().work(60.0)
     files = [
         result_key(job.id, "person-1.bvh"),
-        *(stage_key(bench.session.id, output.key) for output in bench.store.outputs(job.id, DETECT)),
+        *(stage_key(bench.session.id, output.key) for output in bench.store.outputs.of_stage(job.id, DETECT)),
     ]
     assert all(bench.artifacts.exists(key) for key in files)
-    bench.store.delete_session(bench.session.id)
+    bench.store.sessions.delete(bench.session.id)
     reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S)
     assert not any(bench.artifacts.exists(key) for key in files)
-    assert bench.store.removals() == []
+    assert bench.store.removals.due() == []
 
 
 def test_failed_removals_are_repeated(
@@ -92,8 +92,8 @@ def test_failed_removals_are_repeated(
 ) -> None:
     job, other = bench.create_job(), bench.create_job()
     bench.runner().work(60.0)
-    bench.store.delete_job(job.id)
-    bench.store.delete_job(other.id)
+    bench.store.jobs.delete(job.id)
+    bench.store.jobs.delete(other.id)
     remove = bench.artifacts.delete_prefix
 
     def refuse(prefix: str) -> None:
@@ -103,27 +103,27 @@ def test_failed_removals_are_repeated(
 
     with monkeypatch.context() as broken:
         broken.setattr(bench.artifacts, "delete_prefix", refuse)
-        remove_files(bench.store, bench.artifacts)
+        remove_files(bench.store.removals, bench.artifacts)
     assert bench.artifacts.exists(result_key(job.id, "person-1.bvh"))
     assert not bench.artifacts.exists(result_key(other.id, "person-1.bvh"))
     assert "removal_failed" in "".join(capfd.readouterr())
-    remove_files(bench.store, bench.artifacts)
+    remove_files(bench.store.removals, bench.artifacts)
     assert not bench.artifacts.exists(result_key(job.id, "person-1.bvh"))
 
 
 def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: Bench) -> None:
-    arriving, recorded = bench.store.announce_session(), bench.store.announce_session()
+    arriving, recorded = bench.store.sessions.reserve_id(), bench.store.sessions.reserve_id()
     for session_id in (arriving, recorded):
         bench.artifacts.put_bytes(record_key(session_id), b"record")
-    bench.store.create_session("take", [], {}, recorded)
-    remove_files(bench.store, bench.artifacts)
+    bench.store.sessions.add("take", [], bench.session.preflight, recorded)
+    remove_files(bench.store.removals, bench.artifacts)
     assert bench.artifacts.exists(record_key(arriving))
     database = Database(f"sqlite:///{bench.data_dir / 'multicap.db'}")
     with database.writing() as connection:
         connection.execute(sa.update(removals).values(due_at=removals.c.due_at - 86_400.0))
     database.close()
-    remove_files(bench.store, bench.artifacts)
+    remove_files(bench.store.removals, bench.artifacts)
     assert not bench.artifacts.exists(record_key(arriving))
     assert bench.artifacts.exists(record_key(recorded))
     with pytest.raises(Conflict):
-        bench.store.create_session("take", [], {}, arriving)
+        bench.store.sessions.add("take", [], bench.session.preflight, arriving)

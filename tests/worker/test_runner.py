@@ -18,7 +18,7 @@ from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, assoc
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
 from worker.jobs.model import ChunkState, Job, JobState, ResultWarning
-from worker.jobs.repositories.leases import MAX_ATTEMPTS
+from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
 
@@ -74,13 +74,13 @@ def run_side_by_side(bench: Bench, num_workers: int) -> None:
 def test_a_job_runs_to_its_results(bench: Bench) -> None:
     job = bench.create_job()
     assert bench.runner().work(60.0) == 4 + 3
-    job = bench.store.job(job.id)
+    job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
         (name, ChunkState.DONE) for name in (DETECT, ASSOCIATE, FIT, EXPORT)
     ]
     assert not any(stage.reused for stage in job.stages)
-    (result,) = bench.store.results(job.id)
+    (result,) = bench.store.results.of_job(job.id)
     assert (result.name, result.kind, result.person) == ("person-1.bvh", "bvh", "person-1")
     assert bench.result(job.id) == RESULT
 
@@ -124,7 +124,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
-    job = bench.store.job(again.id)
+    job = bench.store.jobs.get(again.id)
     assert job.state is JobState.SUCCEEDED
     assert {stage.name: stage.reused for stage in job.stages} == {
         DETECT: True,
@@ -138,17 +138,17 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None
 def test_a_damaged_output_is_made_again(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    key = bench.store.outputs(bench.store.jobs()[0].id, ASSOCIATE)[0].key
+    key = bench.store.outputs.of_stage(bench.store.jobs.page()[0].id, ASSOCIATE)[0].key
     bench.artifacts.put_bytes(stage_key(bench.session.id, key), b"damaged")
     again = bench.create_job()
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
-    assert {stage.name: stage.reused for stage in bench.store.job(again.id).stages}[ASSOCIATE] is False
+    assert {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}[ASSOCIATE] is False
 
 
 def stored(bench: Bench, job_id: str, stage: str, chunk: int = 0) -> Path:
     """File of a chunk's output."""
-    key = bench.store.outputs(job_id, stage)[chunk].key
+    key = bench.store.outputs.of_stage(job_id, stage)[chunk].key
     return bench.data_dir / "artifacts" / stage_key(bench.session.id, key)
 
 
@@ -183,9 +183,9 @@ def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
     bench.stages[reader] = damaging
     job = bench.create_job()
     bench.runner().work(60.0)
-    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+    assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
     assert bench.result(job.id) == RESULT
-    (attempt,) = bench.store.attempts(job.id)
+    (attempt,) = bench.store.jobs.attempts(job.id)
     (failure,) = attempt.failures
     assert (failure.stage, failure.chunk_index, failure.problem.code) == (stage, chunk, "output_damaged")
     assert f"chunk {chunk} of the stage {stage}" in failure.problem.detail
@@ -209,7 +209,7 @@ def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
     assert computed == [0, 1, 2, 3, 1, 3]
-    assert bench.store.job(job.id).progress == 1.0
+    assert bench.store.jobs.get(job.id).progress == 1.0
 
 
 def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: Bench) -> None:
@@ -224,7 +224,7 @@ def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(benc
     job = bench.create_job()
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
-    (attempt,) = bench.store.attempts(job.id)
+    (attempt,) = bench.store.jobs.attempts(job.id)
     assert [failure.stage for failure in attempt.failures] == [ASSOCIATE, DETECT]
 
 
@@ -239,7 +239,7 @@ def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(ben
     bench.stages[ASSOCIATE] = damaging
     job = bench.create_job()
     bench.runner().work(60.0)
-    found = bench.store.job(job.id)
+    found = bench.store.jobs.get(job.id)
     assert found.state is JobState.FAILED
     assert found.problem is not None
     assert (found.problem.code, found.problem.stage, found.problem.retryable) == ("output_damaged", DETECT, True)
@@ -247,7 +247,7 @@ def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(ben
     assert "disk" in (found.problem.hint or "")
     assert len(runs) == MAX_ATTEMPTS
     bench.stages[ASSOCIATE] = associate
-    bench.store.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
 
@@ -272,11 +272,11 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> 
     job = bench.create_job()
     bench.runner().work(60.0)
     flip(stored(bench, job.id, FIT))
-    flip(bench.data_dir / "artifacts" / bench.store.results(job.id)[0].key)
+    flip(bench.data_dir / "artifacts" / bench.store.results.of_job(job.id)[0].key)
     again = bench.create_job()
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
-    reused = {stage.name: stage.reused for stage in bench.store.job(again.id).stages}
+    reused = {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}
     assert reused == {DETECT: True, ASSOCIATE: True, FIT: False, EXPORT: False}
 
 
@@ -287,7 +287,7 @@ def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
     bench.stages[DETECT] = fail_with(InputError([problem]))
     job = bench.create_job()
     bench.runner().work(60.0)
-    job = bench.store.job(job.id)
+    job = bench.store.jobs.get(job.id)
     assert job.state is JobState.FAILED
     assert job.problem is not None
     assert (job.problem.code, job.problem.detail) == ("video_truncated", "left.mp4: Frame 7 can't be decoded.")
@@ -300,7 +300,7 @@ def test_several_problems_are_all_told(bench: Bench) -> None:
     bench.stages[DETECT] = fail_with(InputError(problems))
     job = bench.create_job()
     bench.runner().work(60.0)
-    found = bench.store.job(job.id).problem
+    found = bench.store.jobs.get(job.id).problem
     assert found is not None
     assert found.code == "input_error"
     assert "left.mp4" in found.detail
@@ -320,14 +320,14 @@ def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retr
     bench.stages[DETECT] = fail_with(error)
     job = bench.create_job()
     bench.runner().work(60.0)
-    found = bench.store.job(job.id).problem
+    found = bench.store.jobs.get(job.id).problem
     assert found is not None
     assert (found.code, found.retryable) == (code, True)
     assert "multicap models install x" in found.detail
     bench.stages[DETECT] = detect
-    bench.store.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
+    bench.store.jobs.retry(job.id, plan_job(bench.session, JobSpec(), CHUNK_FRAMES))
     bench.runner().work(60.0)
-    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+    assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
 def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
@@ -340,7 +340,7 @@ def test_other_errors_are_tried_again_and_tell_nothing(bench: Bench, capfd: pyte
     bench.stages[ASSOCIATE] = broken
     job = bench.create_job()
     bench.runner().work(60.0)
-    found = bench.store.job(job.id)
+    found = bench.store.jobs.get(job.id)
     assert tries == [1, 2, 3, 4, 5]
     assert found.state is JobState.FAILED
     assert found.problem is not None
@@ -366,12 +366,12 @@ def test_one_bad_moment_costs_nothing(bench: Bench) -> None:
 
 def test_cancel_stops_the_running_pass(bench: Bench) -> None:
     job, thread = begin_endless_job(bench)
-    bench.store.cancel(job.id)
+    bench.store.jobs.cancel(job.id)
     asked_s = time.monotonic()
     thread.join(5)
     assert not thread.is_alive()
     assert time.monotonic() - asked_s < 2
-    assert bench.store.job(job.id).state is JobState.CANCELED
+    assert bench.store.jobs.get(job.id).state is JobState.CANCELED
     assert bench.stuck == []
 
 
@@ -390,23 +390,23 @@ def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
     thread = in_thread(bench)
     assert halfway.wait(5)
     deadline_s = time.monotonic() + 5
-    while (done := bench.store.job(job.id).stages[0].done) == 0 and time.monotonic() < deadline_s:
+    while (done := bench.store.jobs.get(job.id).stages[0].done) == 0 and time.monotonic() < deadline_s:
         time.sleep(0.05)
     go_on.set()
     thread.join()
     assert done == 5  # half of a chunk
-    assert bench.store.job(job.id).stages[0].total == NUM_FRAMES
+    assert bench.store.jobs.get(job.id).stages[0].total == NUM_FRAMES
 
 
 def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -> None:
     job, thread = begin_endless_job(bench, lease_s=0.3, heartbeat_s=1.5)
     bench.stages[DETECT] = detect
     time.sleep(0.5)
-    assert bench.store.reap(20.0)
+    assert bench.store.leases.reap(20.0)
     bench.runner().work(60.0)
     thread.join(5)
     assert not thread.is_alive()
-    assert bench.store.job(job.id).state is JobState.SUCCEEDED
+    assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
     assert bench.result(job.id) == RESULT
 
 
@@ -433,12 +433,12 @@ def test_a_pass_that_does_not_notice_is_given_up(bench: Bench) -> None:
     job = bench.create_job()
     thread = in_thread(bench)
     assert begun.wait(5)
-    bench.store.cancel(job.id)
+    bench.store.jobs.cancel(job.id)
     asked_s = time.monotonic()
     while not bench.stuck and time.monotonic() < asked_s + 10:
         time.sleep(0.02)
     took_s = time.monotonic() - asked_s
-    state = bench.store.job(job.id).state
+    state = bench.store.jobs.get(job.id).state
     hang.set()
     thread.join()
     assert took_s < 5
@@ -447,13 +447,13 @@ def test_a_pass_that_does_not_notice_is_given_up(bench: Bench) -> None:
 
 def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: Path) -> None:
     job = bench.create_job()
-    claim = bench.store.claim("a", 0.1)
+    claim = bench.store.leases.claim("a", 0.1)
     assert claim is not None
     time.sleep(0.3)
-    bench.store.reap(20.0)
+    bench.store.leases.reap(20.0)
     bench.runner().work(60.0)
-    bench.store.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1)
-    assert bench.store.artifact(bench.session.id, claim.output_key) != ("0" * 64, 1)
+    bench.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1)
+    assert bench.store.outputs.find(bench.session.id, claim.output_key) != ("0" * 64, 1)
     assert bench.result(job.id) == RESULT
 
 
@@ -461,10 +461,10 @@ def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Be
     warning = ResultWarning("nobody_found", "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(asdict(warning),))
     spec = JobSpec(callback_url="https://example.com/hook")
-    job = bench.store.create_job(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
     bench.runner().work(60.0)
-    assert bench.store.job(job.id).result_warnings == (warning,)
-    (delivery,) = bench.store.deliveries()
+    assert bench.store.jobs.get(job.id).result_warnings == (warning,)
+    (delivery,) = bench.store.webhooks.pending()
     assert json.loads(delivery.body)["data"]["warnings"] == ["Nobody was found."]
 
 
@@ -472,7 +472,7 @@ def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: Ben
     bench.stages[DETECT] = fail_with(MemoryError("Unable to allocate 9.74 GiB"))
     job = bench.create_job()
     bench.runner().work(60.0)
-    problem = bench.store.job(job.id).problem
+    problem = bench.store.jobs.get(job.id).problem
     assert problem is not None
     assert (problem.code, problem.stage, problem.retryable) == ("memory_limit", DETECT, False)
     assert "MULTICAP_MEMORY_BYTES" in str(problem.hint)

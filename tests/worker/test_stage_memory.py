@@ -14,6 +14,7 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight_npz import encode_keypoints
+from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.data import Detections, FrameTimes, Timebase
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.scenes import find_scene, record
@@ -47,13 +48,16 @@ def long_session(num_joints: int) -> KeypointSession:
     return KeypointSession(once.cameras, times, timebase, detections, once.joints, {}, ())
 
 
+PREFLIGHT = Preflight((), PreflightTimebase(0.0, 25.0, 1), (range(1),))
+
+
 def work(folder: Path, stage: str) -> Work:
     content = (folder / "record").read_bytes()
     artifacts = LocalArtifacts(folder / "artifacts")
     artifacts.put_bytes(record_key(SESSION_ID), content)
     file = InputFile("cam_00.zip", "keypoints", "sessions/0190/inputs/0-cam_00.zip", 1, "0" * 64)
     digest = hashlib.sha256(content).hexdigest()
-    session = Session(SESSION_ID, "take", datetime.now(UTC), (file,), {}, record_sha256=digest)
+    session = Session(SESSION_ID, "take", datetime.now(UTC), (file,), PREFLIGHT, record_sha256=digest)
     claim = Claim(1, "job", SESSION_ID, stage, 0, PAYLOAD, 100, "0" * 64, JobSpec(smoothing="none"), "token", 1, None)
 
     def outputs(stage: str, chunks: slice = slice(None)) -> list[bytes]:

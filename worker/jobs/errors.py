@@ -1,20 +1,20 @@
-"""Errors of the job store, in the store's words; what they mean over HTTP is the web API's business.
+"""Errors of the job store. The web API decides how it answers them (``api.errors``).
 
 ::
 
     JobStoreError            a sentence for a person
     ├── NotFound             there is no such session, job, result or artifact
     ├── Conflict             not in this state
-    │   ├── NotFinished      results were asked of a job that is still at work
-    │   ├── NoResults        results were asked of a job that failed or was canceled
-    │   └── KeyBusy          the request of an idempotency key is being answered
+    │   ├── NotFinished      a job without results yet
+    │   ├── NoResults        a job that failed or was canceled has no results
+    │   └── KeyBusy          the request of an idempotency key is at work
     ├── KeyReused            an idempotency key came with another request
-    ├── QuotaExceeded        the tenant has as much as it may have
+    ├── QuotaExceeded        the tenant would exceed a quota
     ├── NewerDatabase        the database was written by a newer version of Multicap
     ├── DamagedDatabase      the database's file can't be read (a SQLAlchemyError too)
-    └── DamagedArtifact      a stored file is not what was stored
+    └── DamagedArtifact      a stored file does not have its SHA-256
     OSError
-    └── ArtifactsUnavailable the artifact store does not answer, or refuses us
+    └── ArtifactsUnavailable the artifact store does not answer, or refuses its keys
 """
 
 import shlex
@@ -24,10 +24,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 
 class JobStoreError(Exception):
-    """Base of what the store refuses."""
+    """Base of the errors of the job store."""
 
 
-class NotFound(JobStoreError):  # noqa: N818 - a state of things, not a mishap
+class NotFound(JobStoreError):  # noqa: N818 - a state, not a failure
     """There is no such session, job, result or artifact."""
 
 
@@ -40,9 +40,16 @@ class NotFinished(Conflict):
 
 
 class NoResults(Conflict):
-    """The job has ended without results: ``state`` is its state, ``reason`` the error that it failed with, if any.
+    """The job has ended without results.
 
-    ``retryable``: whether another attempt may succeed.
+    Parameters
+    ----------
+    state
+        State of the job.
+    reason
+        Error that the job failed with, if any.
+    retryable
+        Whether another attempt may succeed.
     """
 
     def __init__(self, state: str, reason: str | None, retryable: bool) -> None:
@@ -51,7 +58,7 @@ class NoResults(Conflict):
 
 
 class KeyBusy(Conflict):
-    """The request of an idempotency key is being answered."""
+    """The request of an idempotency key is at work."""
 
 
 class KeyReused(JobStoreError):  # noqa: N818
@@ -59,7 +66,7 @@ class KeyReused(JobStoreError):  # noqa: N818
 
 
 class NewerDatabase(JobStoreError):  # noqa: N818
-    """The database was written by a newer version of Multicap, whose schema this one does not know."""
+    """A newer version of Multicap wrote the database; this version does not know its schema."""
 
     def __init__(self, schema: str) -> None:
         self.schema = schema
@@ -75,9 +82,9 @@ class DamagedDatabase(JobStoreError, SQLAlchemyError):  # noqa: N818
     Parameters
     ----------
     path
-        The file.
+        Path of the file.
     reason
-        SQLite's words.
+        Message of SQLite.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
@@ -85,7 +92,7 @@ class DamagedDatabase(JobStoreError, SQLAlchemyError):  # noqa: N818
         super().__init__(f"The database {path} is damaged: {reason}.")
 
     def instructions(self) -> str:
-        """What the operator does: sentences and commands, a line each."""
+        """Instructions for the operator: sentences and commands, one a line."""
         folder, restored = self.path.parent, self.path.parent.with_name(f"{self.path.parent.name}-restored")
         aside = folder / "damaged"
         database, quoted = shlex.quote(str(self.path)), shlex.quote(str(aside))
@@ -103,7 +110,7 @@ class DamagedDatabase(JobStoreError, SQLAlchemyError):  # noqa: N818
 
 
 class DamagedArtifact(JobStoreError):  # noqa: N818
-    """A stored file, at ``key`` of the artifact store, does not have the SHA-256 that it was stored with."""
+    """A stored file, at ``key`` of the artifact store, does not have the SHA-256 of its row."""
 
     def __init__(self, key: str) -> None:
         self.key = key
@@ -111,11 +118,11 @@ class DamagedArtifact(JobStoreError):  # noqa: N818
 
 
 class ArtifactsUnavailable(OSError):  # noqa: N818
-    """The artifact store does not answer, or refuses us."""
+    """The artifact store does not answer, or refuses its keys."""
 
 
 class QuotaExceeded(JobStoreError):  # noqa: N818
-    """The tenant has as much as it may have of ``name``, a field of ``Quotas``."""
+    """The tenant would exceed the quota ``name``, a field of ``Quotas``."""
 
     def __init__(self, name: str, limit: int, used: int) -> None:
         self.name, self.limit, self.used = name, limit, used

@@ -1,4 +1,4 @@
-"""Sessions, jobs, stages and chunks: their states, and which transitions are legal.
+"""Records of the job store: sessions, jobs, chunks, keys; states and their legal transitions.
 
 ::
 
@@ -20,11 +20,12 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any
 
+from pipeline.capture.preflight_record import Preflight
 from worker.jobs.spec import JobSpec
 
 
 class JobState(StrEnum):
-    """Where a job is in its life."""
+    """State of a job."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -36,7 +37,7 @@ class JobState(StrEnum):
 
 
 class ChunkState(StrEnum):
-    """Where a chunk is in its life."""
+    """State of a chunk."""
 
     WAITING = "waiting"
     READY = "ready"
@@ -65,16 +66,16 @@ FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, Jo
 
 
 class Scope(StrEnum):
-    """What a key is good for; none includes another."""
+    """Permission of a key; no scope includes another one."""
 
-    READ = "read"  # see the tenant's sessions, jobs and results
-    WRITE = "write"  # make, change and delete them
-    ADMIN = "admin"  # see figures of the whole service
+    READ = "read"  # read the tenant's sessions, jobs and results
+    WRITE = "write"  # add, change and delete them
+    ADMIN = "admin"  # read figures of the whole service
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """Who may use the service. Everything that comes with it belongs to ``tenant``."""
+    """Key of the service. Requests with the key reach the records of ``tenant``."""
 
     id: str
     tenant: str
@@ -87,17 +88,17 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class Actor:
-    """Who does something: by which key, if one was needed, in which request; neither at the command line."""
+    """Key and request of an action; both ``None`` at the command line, and the key if the service has no keys."""
 
     key_id: str | None = None
     request_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Deed:
-    """What somebody did to a session, a job or a key, whose id is ``subject``.
+class AuditEvent:
+    """Action on a session, a job, an upload or a key, whose id is ``subject``.
 
-    Values of ``act``: ``worker.jobs.repositories.audit``.
+    Values of ``act``: ``worker.jobs.repositories.audit.AuditAction``.
     """
 
     done_at: datetime
@@ -120,7 +121,7 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """A file that comes in pieces: ``num_bytes`` when it is whole. ``metadata`` is the client's, as it sent it."""
+    """A file that arrives in pieces; ``num_bytes`` is its complete size, ``metadata`` a text of the client."""
 
     id: str
     name: str
@@ -133,28 +134,33 @@ class Upload:
 class Session:
     """A capture session: its files, and what the preflight found in them.
 
-    ``preflight`` is the JSON object that ``python -m pipeline.capture.preflight`` printed (see there): cameras,
-    timebase, warnings. ``record_sha256`` is the digest of the record that the preflight wrote for the workers;
-    ``None`` for sessions of older versions.
+    Parameters
+    ----------
+    metadata
+        JSON object of the client.
+    record_sha256
+        Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions.
     """
 
     id: str
     name: str
     created_at: datetime
     files: tuple[InputFile, ...]
-    preflight: Mapping[str, Any]
-    metadata: Mapping[str, Any] = field(default_factory=dict)  # the client's own
+    preflight: Preflight
+    metadata: Mapping[str, Any] = field(default_factory=dict)
     record_sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlan:
-    """One unit of work. ``unit_count`` is what its progress counts: a camera's frames, or 1."""
+    """A chunk to be worked on. Its progress counts ``unit_count`` units, such as frames of a camera."""
 
     index: int
-    payload: Mapping[str, Any]  # JSON: of a map {"start_frame", "stop_frame"}, and "camera" if it is of one
+    payload: Mapping[
+        str, Any
+    ]  # JSON object; in a map {"start_frame", "stop_frame"}, and "camera" for chunks of a camera
     unit_count: int
-    output_key: str  # content-addressed key of what it will leave, without a tenant's or session's prefix
+    output_key: str  # content-addressed key of its output, without the prefix of the session
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +172,9 @@ class StagePlan:
     name
         As in ``pipeline.stages.plan``.
     chunks
-        One at least; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
+        At least one; may be iterated more than once. There may be thousands, so a plan derives them one at a time.
     code_sha256
-        Digest of the code that can run them, as in ``pipeline.stages.code``.
+        Digest of the code that can run the chunks, as in ``pipeline.stages.code``.
     """
 
     name: str
@@ -178,7 +184,7 @@ class StagePlan:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What went wrong with a job, in the words of problem+json: never an exception's text or a path."""
+    """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths."""
 
     code: str
     detail: str
@@ -189,13 +195,13 @@ class Problem:
 
 
 def is_worth_a_retry(state: JobState, problem: Problem | None) -> bool:
-    """Whether another attempt of a job may succeed: it was canceled, or failed by an error that is retryable."""
+    """Whether another attempt of a job may succeed: the job was canceled, or its problem is retryable."""
     return state in RETRYABLE and (problem is None or problem.retryable)
 
 
 @dataclass(frozen=True, slots=True)
 class ResultWarning:
-    """Warning about a result that is there: a stable code, and a sentence."""
+    """Warning about the results of a job: a stable code, and a sentence."""
 
     code: str
     message: str
@@ -203,7 +209,7 @@ class ResultWarning:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A stage of a job as a client sees it; ``done`` and ``total`` in the units of its chunks."""
+    """Progress of a stage; ``done`` and ``total`` are in the units of its chunks."""
 
     name: str
     state: ChunkState
@@ -231,15 +237,15 @@ class Result:
 class Job:
     """A reconstruction of a session.
 
-    ``progress`` never goes back within an attempt. ``eta_s`` is a guess of the time left, as if all units of work that
-    are left took as long as those that were done; ``None`` before any was. ``warnings`` are sentences, those of
-    ``result_warnings`` among them.
+    ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
+    units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
+    those of ``result_warnings``.
     """
 
     id: str
     session_id: str
     session_name: str
-    num_frames: int  # of the session, as is the duration
+    num_frames: int  # output frames of the session; ``duration_s`` likewise
     duration_s: float
     state: JobState
     spec: JobSpec
@@ -259,7 +265,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A try of a chunk that came to nothing. ``chunk_try`` counts from 1; it was begun again unless its job ended."""
+    """Failed try of a chunk. ``chunk_try`` counts from 1; the chunk was begun again unless its job ended."""
 
     stage: str
     chunk_index: int
@@ -270,7 +276,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """An attempt of a job: the first one, or a retry. ``problem`` says why it failed, ``failures`` what went before."""
+    """Attempt of a job: the first one, or a retry, with its problem and the failed tries of its chunks."""
 
     attempt: int
     state: JobState
@@ -283,7 +289,7 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """How much a tenant has."""
+    """Amounts that a tenant has of what quotas limit."""
 
     sessions: int
     unfinished_jobs: int
@@ -293,7 +299,7 @@ class Usage:
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """A message of a job's end. ``tries`` counts the one at hand; ``problem`` is of the one before."""
+    """Webhook message of a job's end. ``tries`` includes the present try; ``problem`` is that of the last one."""
 
     id: int
     message_id: str
@@ -308,7 +314,7 @@ class Delivery:
 
 @dataclass(frozen=True, slots=True)
 class WebhookSecret:
-    """What signs messages, until ``expires_at`` if there is a newer one."""
+    """Secret that signs webhook messages, until ``expires_at`` if there is a newer one."""
 
     secret: str = field(repr=False)
     created_at: datetime
@@ -317,7 +323,7 @@ class WebhookSecret:
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """Files of the artifact store, by their keys' prefix, that nobody needs any more."""
+    """Files of the artifact store to be removed, by the prefix of their keys."""
 
     id: int
     prefix: str
@@ -325,7 +331,7 @@ class Removal:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How far a job has come: the number of the last thing that happened to it, and its units of work that are done."""
+    """Progress of a job: the id of its last event, and the number of its finished units."""
 
     event: int
     done: int
@@ -333,16 +339,16 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What monitoring wants to know of all jobs.
+    """Figures of all jobs, for monitoring.
 
     Parameters
     ----------
     totals
-        Sums that only grow, by name and label; see ``worker.jobs.database.totals``.
+        Totals by name and label; see ``worker.jobs.database.totals``.
     jobs, chunks
-        How many there are by state; chunks of unfinished jobs only.
+        Numbers by state; chunks of unfinished jobs only.
     longest_queued_s
-        For how long the first job in the queue has been there; 0 without one.
+        Time that the first job in the queue has waited; 0 without one.
     """
 
     totals: Mapping[tuple[str, str], float]
@@ -351,43 +357,9 @@ class Figures:
     longest_queued_s: float
 
 
-class WorkerState(StrEnum):
-    """Whether a worker process could start a chunk now."""
-
-    STARTING = "starting"
-    READY = "ready"
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerStatus:
-    """A worker process.
-
-    Parameters
-    ----------
-    id
-        Host and process id.
-    activity
-        What it does, in words.
-    done, total
-        Steps of that; both 0 where there are none to count.
-    detectors
-        Names of the detectors that are installed there.
-    codes
-        Digests of the stages' code that it runs.
-    """
-
-    id: str
-    state: WorkerState
-    activity: str
-    done: int = 0
-    total: int = 0
-    detectors: tuple[str, ...] = ()
-    codes: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True, slots=True)
 class ChunkOutput:
-    """Output of a chunk that is done; ``sha256`` is ``None`` while it is not."""
+    """Output of a chunk; ``sha256`` is ``None`` until the chunk is done."""
 
     index: int
     key: str  # as ``ChunkPlan.output_key``
@@ -396,7 +368,7 @@ class ChunkOutput:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A chunk that a worker holds by a lease; only the holder of ``lease_token`` may report on it."""
+    """Chunk that a worker holds by a lease; reports need its ``lease_token``."""
 
     chunk_id: int
     job_id: str
@@ -408,5 +380,5 @@ class Claim:
     output_key: str
     spec: JobSpec
     lease_token: str
-    attempt: int  # of the chunk: 1 at first
-    trace: str | None  # W3C traceparent of who asked for the job
+    attempt: int  # try of the chunk, from 1
+    trace: str | None  # W3C traceparent of the request for the job

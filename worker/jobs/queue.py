@@ -1,4 +1,4 @@
-"""Tell the workers that there is work; what work, the database says."""
+"""Queue of messages that wake workers; the database holds the work."""
 
 from celery import Celery
 from kombu.exceptions import OperationalError
@@ -15,7 +15,7 @@ _tracer = trace.get_tracer("multicap")
 
 
 class WorkQueue:
-    """The broker, as the publishers see it.
+    """Publisher of messages to the broker.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class WorkQueue:
         )
 
     def publish(self) -> bool:
-        """Wake a worker. ``False`` if the broker is away: the reaper wakes one later."""
+        """Wake a worker. ``False`` if the broker does not answer: the reaper wakes a worker later."""
         with _tracer.start_as_current_span("publish", kind=SpanKind.PRODUCER):
             headers: dict[str, str] = {}
             inject(headers)

@@ -1,4 +1,4 @@
-"""Job specs: what a client asks for. The choices are those of ``pipeline.config``."""
+"""Job specs: the choices of a reconstruction, made from ``pipeline.config``."""
 
 import functools
 import operator
@@ -91,7 +91,7 @@ class JobSpec(_Choices, frozen=True):
         return exports
 
     def problems(self, num_frames: int, frame_rate_hz: float) -> dict[str, tuple[str, str]]:
-        """What of this can't be done with a session of so many output frames: code and sentence by field."""
+        """Conflicts of the choices with a session of so many output frames: code and sentence by field."""
         found = {}
         if self.frame_range is not None:
             start, stop = self.frame_range

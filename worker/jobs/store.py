@@ -1,32 +1,42 @@
-"""The job store: what is to be done, who does it, and what came of it."""
+"""The job store: one repository for each resource, on one database."""
+
+from contextlib import AbstractContextManager
 
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
+from worker.jobs.database.access import Access
 from worker.jobs.database.connection import Database
-from worker.jobs.database.quotas import Quotas
+from worker.jobs.database.quotas import NO_QUOTAS, Quotas
 from worker.jobs.database.tables import sessions
 from worker.jobs.database.totals import read_figures
-from worker.jobs.files.removals import Removals
 from worker.jobs.model import Actor, Figures
 from worker.jobs.repositories.audit import Audit
-from worker.jobs.repositories.deliveries import Deliveries
+from worker.jobs.repositories.browser_sessions import BrowserSessions
+from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
+from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.keys import Keys
-from worker.jobs.repositories.leases import MAX_ATTEMPTS, Leases
-from worker.jobs.repositories.plans import Plans
-from worker.jobs.repositories.records import Records
-from worker.jobs.repositories.workers import Workers
+from worker.jobs.repositories.removals import Removals
+from worker.jobs.repositories.results import Results
+from worker.jobs.repositories.sessions import Sessions
+from worker.jobs.repositories.uploads import Uploads
+from worker.jobs.repositories.webhook_secrets import WebhookSecrets
+from worker.jobs.repositories.webhooks import Webhooks
+from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
+from worker.jobs.repositories.work.outputs import Outputs
+from worker.jobs.repositories.work.plans import Plans
+from worker.jobs.repositories.work.workers import Workers
+from worker.jobs.tenant_records import TenantRecords
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]
 
+_NOBODY = Actor()
 
-class JobStore(Records, Leases, Plans, Removals, Deliveries, Keys, Audit, Workers):
-    """Sessions, jobs and chunks in a database.
 
-    ``Records`` for clients, here of all tenants, ``Leases`` for workers, ``Plans`` after an upgrade, ``Removals`` of
-    files, ``Deliveries`` of webhooks, ``Keys``, ``Audit`` and ``Workers``.
+class JobStore:
+    """Repositories of sessions, jobs and all that belongs to them, of all tenants.
 
-    Every method is one transaction. A store may be shared by threads and carried across a fork.
+    Every method of a repository is one transaction. A store may be shared by threads and carried across a fork.
 
     Parameters
     ----------
@@ -35,20 +45,59 @@ class JobStore(Records, Leases, Plans, Removals, Deliveries, Keys, Audit, Worker
     """
 
     def __init__(self, database_url: str) -> None:
-        super().__init__(Database(database_url))
+        self._database = Database(database_url)
+        access = Access(self._database)
+        # Reached by tenants too, through ``of``.
+        self.sessions = Sessions(access)
+        self.jobs = Jobs(access)
+        self.results = Results(access)
+        self.uploads = Uploads(access)
+        self.idempotency_keys = IdempotencyKeys(access)
+        # Of the workers.
+        self.leases = Leases(self._database)
+        self.outputs = Outputs(self._database)
+        self.workers = Workers(self._database)
+        # Of the reaper.
+        self.plans = Plans(self._database)
+        self.removals = Removals(self._database)
+        self.webhooks = Webhooks(self._database)
+        # Of the operator.
+        self.keys = Keys(self._database)
+        self.browser_sessions = BrowserSessions(self._database)
+        self.webhook_secrets = WebhookSecrets(self._database)
+        self.audit = Audit(self._database)
+
+    def of(self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY) -> TenantRecords:
+        """Records of one tenant.
+
+        Parameters
+        ----------
+        quotas
+            Limits of the tenant.
+        actor
+            Key and request that are written to the audit.
+        """
+        return TenantRecords(Access(self._database, tenant, quotas, actor))
+
+    def transaction(
+        self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY
+    ) -> AbstractContextManager[TenantRecords]:
+        """Records of one tenant, all in one transaction; see ``TenantRecords.transaction``.
+
+        >>> with store.transaction("studio") as work:  # doctest: +SKIP
+        ...     session = work.sessions.add(name, files, preflight, session_id)
+        ...     job = work.jobs.add(session.id, spec, stages)
+        """
+        return self.of(tenant, quotas, actor).transaction()
+
+    def figures(self) -> Figures:
+        """Figures of all jobs, for monitoring."""
+        with self._database.reading() as connection:
+            return read_figures(connection)
 
     def migrate(self) -> None:
         """Bring the schema up to date, as ``Database.migrate`` does."""
         self._database.migrate()
-
-    def figures(self) -> Figures:
-        """What monitoring wants to know of all jobs."""
-        with self._database.reading() as connection:
-            return read_figures(connection)
-
-    def of(self, tenant: str, quotas: Quotas, actor: Actor) -> Records:
-        """The clients' side, of one tenant."""
-        return Records(self._database, tenant, quotas, actor)
 
     def require_whole(self) -> None:
         """Raise ``DamagedDatabase`` if the database is damaged, as ``Database.require_whole`` does."""
@@ -60,7 +109,7 @@ class JobStore(Records, Leases, Plans, Removals, Deliveries, Keys, Audit, Worker
         return self._database.is_damaged
 
     def require_known_schema(self) -> None:
-        """Raise ``NewerDatabase`` if the database is of a newer version of Multicap."""
+        """Raise ``NewerDatabase`` if a newer version of Multicap made the database."""
         self._database.require_known_schema()
 
     def ping(self) -> bool:

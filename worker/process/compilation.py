@@ -14,8 +14,8 @@ import structlog
 
 from pipeline.runtime.child_processes import module_command
 from pipeline.runtime.kernel_cache import cache_folder, is_complete
-from worker.jobs.model import WorkerState, WorkerStatus
 from worker.jobs.store import JobStore
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.lifeline import tied_to_parent
 from worker.process.presence import Presence, process_name
 
@@ -34,7 +34,7 @@ def compile_kernels(store: JobStore) -> None:
         log.warning("kernel_cache_unavailable", hint="Every worker process compiles all kernels. Set MULTICAP_HOME.")
         return
     status = WorkerStatus(process_name(), WorkerState.STARTING, COMPILING)
-    presence = Presence(store, lambda: status)
+    presence = Presence(store.workers, lambda: status)
     presence.start()
     log.info("kernels_compiling", hint="A first start takes about a minute.")
     done = total = 0

@@ -27,88 +27,88 @@ class DataFolderError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where an embedded service lives.
+class DataDirectory:
+    """Data folder of a service on one machine, and the socket of its broker.
 
     Parameters
     ----------
-    data_dir
-        Database, artifacts, uploads and logs.
+    path
+        Folder of database, artifacts, uploads and logs.
     socket
-        The broker's Unix socket: nobody but this user can open it, and no port is taken.
+        Unix socket of the broker: only this user can open it, and it takes no port.
     """
 
-    data_dir: Path
+    path: Path
     socket: Path
 
     @property
     def logs_dir(self) -> Path:
-        """Folder of the parts' output."""
-        return self.data_dir / "logs"
+        """Folder of the logs."""
+        return self.path / "logs"
 
     @property
     def temporary_dir(self) -> Path:
-        """Folder of what the parts need for a while; emptied at the next start."""
-        return self.data_dir / "temporary"
+        """Folder of temporary files; emptied at the next start."""
+        return self.path / "temporary"
 
     @property
     def broker_url(self) -> str:
-        """Where the broker answers."""
+        """Address of the broker, for Celery."""
         return f"redis+socket://{quote(str(self.socket))}"
 
     def environment(self) -> dict[str, str]:
-        """Environment of all parts: this process's own, and where things are."""
+        """Environment of all programs: that of this process, with the folder and the broker."""
         return {
             **os.environ,
-            "MULTICAP_DATA_DIR": str(self.data_dir),
+            "MULTICAP_DATA_DIR": str(self.path),
             "MULTICAP_BROKER_URL": self.broker_url,
             "TMPDIR": str(self.temporary_dir),
         }
 
 
 @contextlib.contextmanager
-def occupy(data_dir: Path) -> Iterator[Place]:
-    """Take a data folder for this process alone.
+def lock(path: Path) -> Iterator[DataDirectory]:
+    """Lock a data folder for this process, and prepare it for a start.
 
     Raises
     ------
     DataFolderError
-        If another process has it, or it can't be written.
+        If another process has locked it, or it can't be written.
     """
-    data_dir = data_dir.absolute()
+    path = path.absolute()
     with contextlib.ExitStack() as stack:
         try:
-            place = _furnish(data_dir, stack)
+            directory = _prepare(path, stack)
         except Timeout as error:
             raise DataFolderError(
-                f"Another service runs on the folder {data_dir}. Stop it, or choose another folder."
+                f"Another service runs on the folder {path}. Stop it, or choose another folder."
             ) from error
         except OSError as error:
             raise DataFolderError(
-                f"The folder {data_dir} can't be used: {error.strerror}. Choose another folder."
+                f"The folder {path} can't be used: {error.strerror}. Choose another folder."
             ) from error
-        yield place
+        yield directory
 
 
-def _furnish(data_dir: Path, stack: contextlib.ExitStack) -> Place:
-    make_private(data_dir)
-    stack.enter_context(FileLock(data_dir / "serve.lock", timeout=0))
-    disk = DiskSpace(data_dir)
+def _prepare(path: Path, stack: contextlib.ExitStack) -> DataDirectory:
+    make_private(path)
+    stack.enter_context(FileLock(path / "serve.lock", timeout=0))
+    disk = DiskSpace(path)
     if not disk.has_room():
-        disk.give_up()  # a start writes a little, too
-    socket = data_dir / "broker" / "socket"
+        disk.give_up()  # a start writes a little too
+    socket = path / "broker" / "socket"
     shutil.rmtree(socket.parent, ignore_errors=True)  # brokers of older versions kept files
     socket.parent.mkdir(mode=0o700)
     if len(os.fsencode(socket)) > _MAX_SOCKET_PATH_BYTES:
         socket = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))) / "socket"
-    release_abandoned(data_dir)
-    place = Place(data_dir, socket)
-    shutil.rmtree(place.temporary_dir, ignore_errors=True)
-    place.temporary_dir.mkdir()
-    return place
+    release_abandoned(path)
+    directory = DataDirectory(path, socket)
+    shutil.rmtree(directory.temporary_dir, ignore_errors=True)
+    directory.temporary_dir.mkdir()
+    return directory
 
 
-def broker(place: Place) -> Program:
+def broker(directory: DataDirectory) -> Program:
     """Broker: Valkey on a Unix socket, in memory only.
 
     The reaper replaces lost messages from the database. So the broker needs no disk, which may be full, and reads no
@@ -116,22 +116,22 @@ def broker(place: Place) -> Program:
     """
     options = {
         "port": "0",
-        "unixsocket": str(place.socket),
+        "unixsocket": str(directory.socket),
         "unixsocketperm": "700",
-        "dir": str(place.data_dir / "broker"),
+        "dir": str(directory.path / "broker"),
         "save": "",
         "appendonly": "no",
         "daemonize": "no",
     }
     arguments = [word for name, value in options.items() for word in (f"--{name}", value)]
-    return Program("broker", [str(get_binary_path()), *arguments], place.environment(), stops_last=True)
+    return Program("broker", [str(get_binary_path()), *arguments], directory.environment(), stops_last=True)
 
 
-def worker(place: Place, workers: int) -> Program:
+def worker(directory: DataDirectory, workers: int) -> Program:
     """Celery's worker with a number of processes."""
-    return Program("worker", module_command("worker", "--workers", str(workers)), place.environment())
+    return Program("worker", module_command("worker", "--workers", str(workers)), directory.environment())
 
 
-def reaper(place: Place) -> Program:
+def reaper(directory: DataDirectory) -> Program:
     """Reaper, which repairs lost work and sends webhooks."""
-    return Program("reaper", module_command("worker.reaper"), place.environment())
+    return Program("reaper", module_command("worker.reaper"), directory.environment())

@@ -10,8 +10,8 @@ from functools import partial
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.jobs.model import WorkerStatus
-from worker.jobs.repositories.workers import Workers
+from worker.jobs.repositories.work.workers import Workers
+from worker.jobs.worker_status import WorkerStatus
 from worker.process.scratch import is_running
 
 log = structlog.get_logger()
@@ -26,11 +26,11 @@ def process_name() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def remove_killed(store: Workers) -> None:
+def remove_killed(workers: Workers) -> None:
     """Remove killed processes of this machine from the list of workers, before their rows expire."""
-    named = [(worker.id, *worker.id.rsplit(":", 1)) for worker in store.workers()]
+    named = [(worker.id, *worker.id.rsplit(":", 1)) for worker in workers.all()]
     here = socket.gethostname()
-    store.remove_workers([name for name, host, pid in named if host == here and not is_running(int(pid))])
+    workers.remove([name for name, host, pid in named if host == here and not is_running(int(pid))])
 
 
 class Presence:
@@ -40,14 +40,14 @@ class Presence:
 
     Parameters
     ----------
-    store
-        Store with the list of workers.
+    workers
+        List of workers in the job store.
     look
         Returns the present status of this process; ``None`` when it accepts no more work. Called from the thread.
     """
 
-    def __init__(self, store: Workers, look: Callable[[], WorkerStatus | None]) -> None:
-        self._store, self._look = store, look
+    def __init__(self, workers: Workers, look: Callable[[], WorkerStatus | None]) -> None:
+        self._workers, self._look = workers, look
         self._name = process_name()
         self._ended = threading.Event()
         self._is_reported = True
@@ -76,10 +76,10 @@ class Presence:
                 break
             now_s = time.monotonic()
             if status != reported or now_s - reported_s >= _REPORT_S:
-                self._try(partial(self._store.report_worker, status))
+                self._try(partial(self._workers.report, status))
                 reported, reported_s = status, now_s
             self._ended.wait(_LOOK_S)
-        self._try(partial(self._store.remove_worker, self._name))
+        self._try(partial(self._workers.remove, [self._name]))
 
     def _try(self, report: Callable[[], None]) -> None:
         try:

@@ -23,7 +23,7 @@ from standardwebhooks import Webhook
 
 from worker.jobs.errors import DamagedDatabase
 from worker.jobs.model import Delivery, WebhookSecret
-from worker.jobs.repositories.deliveries import MAX_TRIES
+from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.jobs.store import JobStore
 from worker.webhooks.addresses import is_public, url_fault
 
@@ -194,7 +194,7 @@ class Courier:
         if free == 0:
             return 0
         busy = Counter(self._running.values())
-        due = self._store.claim_deliveries(free, _LEASE_S, _AT_ONCE_A_TENANT, busy)
+        due = self._store.webhooks.claim(free, _LEASE_S, _AT_ONCE_A_TENANT, busy)
         for delivery in due:
             self._running[self._pool.submit(_deliver, self._store, self._sender, delivery)] = delivery.tenant
         return len(due)
@@ -227,9 +227,9 @@ def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
     try:
         problem = _try(store, sender, delivery)
         if problem is None:
-            store.delivered(delivery)
+            store.webhooks.delivered(delivery)
             log.info("webhook_delivered", **known)
-        elif store.not_delivered(delivery, problem):
+        elif store.webhooks.failed(delivery, problem):
             log.warning("webhook_not_delivered", problem=problem, **known)
         else:
             log.error("webhook_given_up", problem=problem, **known)
@@ -240,7 +240,7 @@ def _deliver(store: JobStore, sender: Sender, delivery: Delivery) -> None:
 def _try(store: JobStore, sender: Sender, delivery: Delivery) -> str | None:
     if delivery.tries > MAX_TRIES:
         return delivery.problem or "No attempt was completed."
-    secrets = store.webhook_secrets(delivery.tenant)
+    secrets = store.webhook_secrets.valid(delivery.tenant)
     try:
         return sender.send(delivery, secrets)
     except Exception:  # An unrecorded attempt would be repeated without end.

@@ -18,6 +18,7 @@ import typer
 
 from api.cli.client import ServiceError
 from api.cli.console import emit, reporting
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.runtime.child_processes import module_command
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
 from worker.jobs.model import InputFile
@@ -37,15 +38,15 @@ def fill(data_dir: Path, num_jobs: int) -> tuple[JobStore, list[str]]:
     store = JobStore(f"sqlite:///{data_dir / 'multicap.db'}")
     store.migrate()
     cameras = [f"cam_{number}" for number in range(_CAMERAS)]
-    preflight = {
-        "cameras": [{"name": name, "frame_rate_hz": _RATE_HZ} for name in cameras],
-        "timebase": {"start_time_s": 0.0, "frame_rate_hz": _RATE_HZ, "num_frames": _NUM_FRAMES},
-        "warnings": [],
-    }
+    preflight = Preflight(
+        cameras=tuple(PreflightCamera(name, f"{name}.mp4", (1280, 720), _RATE_HZ, _NUM_FRAMES) for name in cameras),
+        timebase=PreflightTimebase(0.0, _RATE_HZ, _NUM_FRAMES),
+        stretches=(range(_NUM_FRAMES),),
+    )
     files = [InputFile(f"{name}.mp4", "video", f"inputs/{name}.mp4", 1, "0" * 64) for name in cameras]
-    session = store.create_session("take", files, preflight, store.announce_session())
+    session = store.sessions.add("take", files, preflight, store.sessions.reserve_id())
     stages = plan_job(session, JobSpec(), DEFAULT_CHUNK_FRAMES)
-    return store, [store.create_job(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
+    return store, [store.jobs.add(session.id, JobSpec(), stages).id for _ in range(num_jobs)]
 
 
 @contextlib.contextmanager
@@ -88,7 +89,7 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
                 raise ServiceError("A job is not in the queue.")
 
         def claim(store: JobStore) -> None:
-            chunk = store.claim("benchmark", 60.0)
+            chunk = store.leases.claim("benchmark", 60.0)
             if chunk is None:
                 raise ServiceError("There is nothing to claim.")
             held.append((store, chunk.chunk_id, chunk.lease_token))
@@ -102,7 +103,7 @@ def measure(folder: Path, num_jobs: int, rounds: int) -> dict[str, Any]:
                     seconds["poll", number].append(polled)
                     seconds["claim", number].append(claimed)
             for store, chunk_id, token in held:
-                store.release(chunk_id, token)
+                store.leases.release(chunk_id, token)
             held.clear()
     result: dict[str, Any] = {"jobs": [_FEW, num_jobs]}
     for what in ("poll", "claim"):

@@ -8,7 +8,7 @@ import typer
 
 from api.cli.console import show_list
 from api.cli.store import store_in
-from worker.jobs.model import Deed
+from worker.jobs.model import AuditEvent
 
 
 def command(
@@ -21,28 +21,28 @@ def command(
 ) -> None:
     """List creations, changes and deletions in the service with their tenant and key, the latest first."""
     with store_in(data) as store:
-        deeds = store.deeds(tenant, limit)
-        names = {key.id: key.name for key in store.list_keys()}
+        events = store.audit.events(tenant, limit)
+        names = {key.id: key.name for key in store.keys.all()}
 
-    def name_of(deed: Deed) -> str:
-        return names.get(deed.actor.key_id, deed.actor.key_id) if deed.actor.key_id else ""
+    def name_of(event: AuditEvent) -> str:
+        return names.get(event.actor.key_id, event.actor.key_id) if event.actor.key_id else ""
 
-    cells: dict[str, Callable[[Deed], str]] = {
-        "when": lambda deed: f"{deed.done_at:%Y-%m-%d %H:%M:%S} UTC",
-        "tenant": lambda deed: deed.tenant,
+    cells: dict[str, Callable[[AuditEvent], str]] = {
+        "when": lambda event: f"{event.done_at:%Y-%m-%d %H:%M:%S} UTC",
+        "tenant": lambda event: event.tenant,
         "key": name_of,
-        "did": lambda deed: deed.act,
-        "to": lambda deed: deed.subject,
+        "did": lambda event: event.act,
+        "to": lambda event: event.subject,
     }
-    show_list("deeds", deeds, _document, cells, as_json)
+    show_list("deeds", events, _document, cells, as_json)
 
 
-def _document(deed: Deed) -> dict[str, Any]:
+def _document(event: AuditEvent) -> dict[str, Any]:
     return {
-        "done_at": deed.done_at.isoformat(),
-        "tenant": deed.tenant,
-        "key_id": deed.actor.key_id,
-        "request_id": deed.actor.request_id,
-        "act": deed.act,
-        "subject": deed.subject,
+        "done_at": event.done_at.isoformat(),
+        "tenant": event.tenant,
+        "key_id": event.actor.key_id,
+        "request_id": event.actor.request_id,
+        "act": event.act,
+        "subject": event.subject,
     }

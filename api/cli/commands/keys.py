@@ -56,7 +56,7 @@ def create(
     if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
         raise refusal("A key's name has 1 to 200 characters, a tenant's name 1 to 64. Choose other names.")
     with store_in(data) as store:
-        key, secret = store.create_key(tenant, name, set(scope), None if days is None else days * _DAY_S)
+        key, secret = store.keys.add(tenant, name, set(scope), None if days is None else days * _DAY_S)
     sentence = f"Key {key.id} of {key.tenant}. Store it; it is not shown again:"
     show_secret(secret, sentence, {**_document(key), "key": secret}, as_json)
 
@@ -65,7 +65,7 @@ def create(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
-        keys = store.list_keys()
+        keys = store.keys.all()
     now = datetime.now(UTC)
     cells: dict[str, Callable[[Key], str]] = {
         "id": lambda key: key.id,
@@ -96,7 +96,7 @@ def revoke(
     with opened_store(settings) as store:
         try:
             # A leaked key must be revocable even if the disk is full.
-            key = DiskSpace(settings.data_dir).using_reserve(lambda: store.revoke_key(key_id))
+            key = DiskSpace(settings.data_dir).using_reserve(lambda: store.keys.revoke(key_id))
         except NotFound:
             raise refusal("There is no such key. `multicap keys list` lists all keys.") from None
     console.print(f"Key {key.id} ({key.name}) is revoked.")

@@ -183,8 +183,8 @@ def command(
     cache: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for intermediate outputs, which later runs reuse. Default: MULTICAP_CACHE, else the user's "
-            "cache folder; at most 2 GiB.",
+            help="Folder for intermediate outputs, which later runs reuse. Default: MULTICAP_CACHE_HOME, else the "
+            "user's cache folder; at most 2 GiB.",
             show_default=False,
         ),
     ] = None,

@@ -53,10 +53,10 @@ def _url(host: str, port: int) -> str:
     return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
 
 
-def _api(place: embedded.Place, host: str, listening: socket.socket) -> Program:
+def _api(directory: embedded.DataDirectory, host: str, listening: socket.socket) -> Program:
     fd = listening.fileno()
     command = module_command("api", "--fd", str(fd))
-    return Program("api", command, place.environment() | {"MULTICAP_HOST": host}, pass_fds=[fd])
+    return Program("api", command, directory.environment() | {"MULTICAP_HOST": host}, pass_fds=[fd])
 
 
 def _announce(url: str) -> None:
@@ -105,33 +105,33 @@ def command(
     with reporting(as_json=False):
         models.verify(JobSpec().detector)
     try:
-        with embedded.occupy(settings.data_dir) as place:
+        with embedded.lock(settings.data_dir) as directory:
             with opened_store(settings) as store:
                 require_keys_if_exposed(settings, store)
-                remove_killed(store)
-                default_workers = _default_workers(store)
-            _serve(settings, place, port, workers or default_workers)
+                remove_killed(store.workers)
+                default_workers = _default_workers(store.keys)
+            _serve(settings, directory, port, workers or default_workers)
     except (embedded.DataFolderError, ExposedError) as error:
         raise refusal(str(error)) from error
     console.print("Stopped.")
 
 
-def _default_workers(store: Keys) -> int:
-    # One worker stays free for the other tenants, see `worker.jobs.repositories.turns`.
-    return (os.cpu_count() or 1) + (store.count_tenants() > 1)
+def _default_workers(keys: Keys) -> int:
+    # One worker stays free for the other tenants, see `worker.jobs.repositories.work.turns`.
+    return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 
-def _serve(settings: Settings, place: embedded.Place, port: int, workers: int) -> None:
+def _serve(settings: Settings, directory: embedded.DataDirectory, port: int, workers: int) -> None:
     with _listen(settings.host, port) as listening:
         url = _url(settings.host, listening.getsockname()[1])
         threading.Thread(target=_announce, args=[url], daemon=True).start()
         programs = [
-            embedded.broker(place),
-            embedded.worker(place, workers),
-            embedded.reaper(place),
-            _api(place, settings.host, listening),
+            embedded.broker(directory),
+            embedded.worker(directory, workers),
+            embedded.reaper(directory),
+            _api(directory, settings.host, listening),
         ]
-        Supervisor(programs, place.logs_dir, _warn).run()
+        Supervisor(programs, directory.logs_dir, _warn).run()
 
 
 def _warn(sentence: str) -> None:

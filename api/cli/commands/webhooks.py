@@ -52,7 +52,7 @@ def rotate(
     if not 0 < len(tenant) <= 64:
         raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
     with store_in(data) as store:
-        secret = store.rotate_webhook_secret(tenant, keep_hours * _HOUR_S)
+        secret = store.webhook_secrets.rotate(tenant, keep_hours * _HOUR_S)
     sentence = f"Secret of {tenant}, with which receivers verify its webhooks:"
     show_secret(secret, sentence, {"tenant": tenant, "secret": secret}, as_json)
 
@@ -61,5 +61,5 @@ def rotate(
 def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
-        deliveries = store.deliveries()
+        deliveries = store.webhooks.pending()
     show_list("deliveries", deliveries, _document, _CELLS, as_json)

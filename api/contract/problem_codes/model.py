@@ -12,9 +12,9 @@ class ProblemCode:
     name
         The code, such as ``video_truncated``.
     where
-        Places in which clients meet the code: HTTP statuses of answers as digits, ``job`` (the error of a job),
-        ``attempt`` (a failed attempt at a chunk), ``readyz`` (the errors of ``/readyz``), ``command`` (the command
-        line), ``warning`` (a warning of a job and in ``metrics.json``).
+        Places in which clients meet the code: HTTP statuses of answers as digits, the usual one first; ``job`` (the
+        error of a job), ``attempt`` (a failed attempt at a chunk), ``readyz`` (the errors of ``/readyz``), ``command``
+        (the command line), ``warning`` (a warning of a job and in ``metrics.json``).
     meaning, remedy
         One sentence each.
     """
@@ -23,6 +23,11 @@ class ProblemCode:
     where: tuple[str, ...]
     meaning: str
     remedy: str
+
+    @property
+    def statuses(self) -> tuple[int, ...]:
+        """HTTP statuses of answers with the code, the usual one first."""
+        return tuple(int(place) for place in self.where if place.isdecimal())
 
 
 @dataclass(frozen=True, slots=True)

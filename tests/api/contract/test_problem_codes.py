@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from api.contract.problem_codes import GROUPS, ProblemCode
+from api.contract.problem_codes import GROUPS, STATUSES, ProblemCode
 from api.contract.problem_codes.page import PAGE, document, main
+from api.errors import _CODES
 from api.requests.form import VIEWS
 from pipeline.config import CHOICES, FILE_FORMATS
 
@@ -22,7 +23,7 @@ PLACES = {"job", "attempt", "readyz", "command", "warning"}
 
 # Functions with tuples whose first items are codes.
 IN_TUPLES = {
-    "api/requests/intake.py": {"callback_errors"},
+    "api/requests/spec_checks.py": {"callback_errors"},
     "api/cli/commands/backup.py": {"_code_and_faults"},
     "pipeline/capture/session.py": {"_range_problems"},
     "worker/jobs/spec.py": {"problems"},
@@ -31,8 +32,8 @@ IN_TUPLES = {
 }
 # Functions that get their codes from a caller or a mapping; the codes are found there.
 PASSED_ON = {
-    ("api/requests/intake.py", "spec_errors"),  # those of JobSpec.problems
-    ("api/requests/intake.py", "callback_errors"),
+    ("api/requests/spec_checks.py", "spec_errors"),  # those of JobSpec.problems
+    ("api/requests/spec_checks.py", "callback_errors"),
     ("api/requests/validation.py", "_parameter_items"),  # those of _CODES and of validators
     ("api/requests/validation.py", "_items"),
     ("api/errors.py", "_from_status"),  # those of _CODES
@@ -236,25 +237,30 @@ def test_entries_are_sentences_and_places(code: ProblemCode) -> None:
     assert all(place in PLACES or re.fullmatch(r"4\d\d|5\d\d", place) for place in code.where)
 
 
+def calls_of(function: str) -> Iterator[ast.Call]:
+    for tree in sources().values():
+        yield from (node for node in ast.walk(tree) if isinstance(node, ast.Call) and name_of(node) == function)
+
+
 def test_statuses_are_those_of_the_answers() -> None:
+    raised_codes = {code for call in calls_of("ApiError") for code in constants(call.args[0]) or ()}
+    assert len(raised_codes) > 30
+    assert sorted(raised_codes - STATUSES.keys()) == []
+    away = {code for call in calls_of("service_away") for code in constants(call.args[0]) or ()}
+    assert {code: STATUSES[code] for code in away} == dict.fromkeys(away, 503)
+    of_frameworks = {code: status for status, code in _CODES.items()}
+    assert {code: STATUSES[code] for code in of_frameworks} == of_frameworks
+
+
+def test_other_statuses_of_a_code_are_documented() -> None:
     stated = {
-        (code, str(status.value))
-        for tree in sources().values()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call)
-        and name_of(node) == "ApiError"
-        and isinstance(status := node.args[0], ast.Constant)
-        for code in constants(node.args[1]) or ()
+        (code, status.value)
+        for call in calls_of("ApiError")
+        if isinstance(status := argument(call, "status", 99), ast.Constant)
+        for code in constants(call.args[0]) or ()
     }
-    stated |= {
-        (code, "503")
-        for tree in sources().values()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and name_of(node) == "service_unavailable"
-        for code in constants(node.args[0]) or ()
-    }
-    assert len(stated) > 40
-    assert sorted((code, status) for code, status in stated if status not in CODES[code].where) == []
+    assert stated == {("quota_exceeded", 429)}
+    assert all(status in CODES[code].statuses for code, status in stated)
 
 
 def test_page_is_what_the_code_says(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,8 @@ from api.routes.uploads import PIECE_TYPE
 from api.settings import KIB, Settings
 from pipeline.config import NETWORKS
 from tests.api.conftest import Live, running
-from worker.jobs.model import Scope, WorkerState, WorkerStatus
+from worker.jobs.model import Scope
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, process_name
 
 schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
@@ -39,7 +40,7 @@ SETTINGS = settings(
 def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
     """Service with a key of all scopes, and with limits so high that generated requests do not meet them first."""
     with running(make_settings(max_json_bytes=64 * KIB, max_wrong_keys_per_minute=1_000_000)) as live:
-        _, secret = live.services.store.create_key("default", "test", frozenset(Scope))
+        _, secret = live.services.store.keys.add("default", "test", frozenset(Scope))
         live.client.headers["Authorization"] = f"Bearer {secret}"
         yield live
 
@@ -48,7 +49,7 @@ def service(make_settings: Callable[..., Settings]) -> Iterator[Live]:
 def known(service: Live) -> Iterator[dict[str, str]]:
     """Ids of an existing session, job and upload, so that not all ids are unknown; the service is ready."""
     worker = WorkerStatus(process_name(), WorkerState.READY, "A worker works", detectors=tuple(NETWORKS))
-    presence = Presence(service.services.store, lambda: worker)
+    presence = Presence(service.services.store.workers, lambda: worker)
     presence.start()
     service.services.queue.ping = lambda: True  # type: ignore[method-assign]
     job_id = service.job_id()

@@ -116,10 +116,10 @@ def test_a_tag_changes_with_the_body(live: Live) -> None:
     job_id = live.job_id()
     path = f"/v1/jobs/{job_id}"
     tags = [live.client.get(path).headers["etag"]]
-    claim = live.services.store.claim("test", 30.0)
+    claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
     tags.append(live.client.get(path).headers["etag"])
-    live.services.store.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
+    live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
     answer = live.client.get(path, headers={"If-None-Match": ", ".join(tags)})
     assert (answer.status_code, answer.json()["stages"][0]["done"]) == (200, 30)
     live.client.post(f"{path}/cancel")
@@ -183,7 +183,7 @@ def test_without_a_limit_nothing_is_left_of_it(live: Live) -> None:
 def test_pages_from_elsewhere_may_read_what_concerns_them(make_settings: Callable[..., Settings]) -> None:
     portal = "https://portal.example"
     with running(make_settings(allowed_origins=frozenset({portal}))) as live:
-        _, secret = live.services.store.create_key("mine", "x", {Scope.READ})
+        _, secret = live.services.store.keys.add("mine", "x", {Scope.READ})
         headers = {"Origin": portal, "Authorization": f"Bearer {secret}"}
         exposed = live.client.get("/v1/jobs", headers=headers).headers["access-control-expose-headers"].lower()
         for name in ("idempotent-replayed", "ratelimit-limit", "ratelimit-remaining", "ratelimit-reset", "etag"):

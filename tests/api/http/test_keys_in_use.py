@@ -35,7 +35,7 @@ def live(request: pytest.FixtureRequest, make_settings: Callable[..., Settings])
             changes = {"artifacts_url": s3.new_url()}
         live = stack.enter_context(running(make_settings(**changes)))
         # From here on the service has keys; the client that prepares records uses another key.
-        _, secret = live.services.store.create_key("studio", "first", USUAL)
+        _, secret = live.services.store.keys.add("studio", "first", USUAL)
         live.client.headers["Authorization"] = f"Bearer {secret}"
         yield live
 
@@ -52,7 +52,7 @@ def no_work(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture
 def key(live: Live) -> tuple[Key, str]:
-    return live.services.store.create_key("studio", "portal", USUAL)
+    return live.services.store.keys.add("studio", "portal", USUAL)
 
 
 @contextlib.contextmanager
@@ -133,7 +133,7 @@ def test_uploads_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str]) -
 
 def test_event_streams_end_when_the_key_expires(live: Live) -> None:
     path = f"/v1/jobs/{live.job_id()}/events"
-    _, secret = live.services.store.create_key("studio", "guest", USUAL, lifetime_s=2.0)
+    _, secret = live.services.store.keys.add("studio", "guest", USUAL, lifetime_s=2.0)
     with asking(live, path, secret) as stream:
         assert stream.recv(65536).startswith(b"HTTP/1.1 200 ")
         read_to_end(stream)
@@ -141,7 +141,7 @@ def test_event_streams_end_when_the_key_expires(live: Live) -> None:
 
 def test_event_streams_of_browsers_end_with_their_key(live: Live, key: tuple[Key, str]) -> None:
     path = f"/v1/jobs/{live.job_id()}/events"
-    cookie = live.services.store.open_browser_session(key[0], 3600.0)
+    cookie = live.services.store.browser_sessions.open(key[0], 3600.0)
     with asking(live, path, None, Cookie=f"multicap_session={cookie}") as stream:
         assert stream.recv(65536).startswith(b"HTTP/1.1 200 ")
         revoke(live, key[0])
@@ -151,13 +151,13 @@ def test_event_streams_of_browsers_end_with_their_key(live: Live, key: tuple[Key
 def test_event_streams_without_a_key_end_when_there_are_keys(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings()) as live, asking(live, f"/v1/jobs/{live.job_id()}/events", None) as stream:
         assert stream.recv(65536).startswith(b"HTTP/1.1 200 ")
-        live.services.store.create_key("studio", "first", USUAL)
+        live.services.store.keys.add("studio", "first", USUAL)
         read_to_end(stream)
         assert live.client.get("/v1/jobs").status_code == 401
 
 
 def test_streams_of_other_keys_go_on(live: Live, key: tuple[Key, str]) -> None:
-    _, other = live.services.store.create_key("studio", "other", USUAL)
+    _, other = live.services.store.keys.add("studio", "other", USUAL)
     path = f"/v1/jobs/{live.job_id()}/events"
     with asking(live, path, key[1]) as ending, asking(live, path, other) as going_on:
         assert going_on.recv(65536).startswith(b"HTTP/1.1 200 ")

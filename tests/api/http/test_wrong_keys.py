@@ -19,7 +19,7 @@ WRONG = {"Authorization": "Bearer mc_wrong"}
 def guarded(make_settings: Callable[..., Settings]) -> Iterator[tuple[Live, dict[str, str]]]:
     settings = make_settings(max_wrong_keys_per_minute=LIMIT, trusted_proxies=frozenset({"127.0.0.9"}))
     with running(settings) as live:
-        _, secret = live.services.store.create_key("studio", "portal", frozenset(Scope))
+        _, secret = live.services.store.keys.add("studio", "portal", frozenset(Scope))
         yield live, {"Authorization": f"Bearer {secret}"}
 
 

@@ -18,7 +18,7 @@ from tests.api.conftest import Live, form, problem_of, running
 from tests.api.processes import serving
 from tests.api.routes.test_events import wait_until
 from tests.api.tus.test_files import PIECE, TUS, Uploader, encoded
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.sessions import Sessions
 
 KEY = {"Idempotency-Key": "01890a5c-7c1e-7a4b-8f00-000000000000"}
 
@@ -123,14 +123,14 @@ def test_a_refused_request_may_be_repeated_with_its_key(live: Live) -> None:
 
 def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     session_id, entered, go_on = live.session_id(), threading.Event(), threading.Event()
-    create = Records.create_job
+    read = Sessions.get
 
     def slow(*arguments: Any) -> Any:
         entered.set()
         assert go_on.wait(20)
-        return create(*arguments)
+        return read(*arguments)
 
-    monkeypatch.setattr(Records, "create_job", slow)
+    monkeypatch.setattr(Sessions, "get", slow)
 
     def send() -> httpx2.Response:
         with httpx2.Client(base_url=live.client.base_url, timeout=30) as client:

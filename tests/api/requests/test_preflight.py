@@ -16,7 +16,7 @@ import pytest
 
 from api.errors import ApiError
 from api.requests.form import Form, ReceivedFile
-from api.requests.preflight import InvalidFilesError, Preflight, allowance_s
+from api.requests.preflight import InvalidFilesError, PreflightProgram, allowance_s
 from api.settings import GIB, Settings
 from tests.api.conftest import NO_BROKER, Live, form, problem_of, running
 from tests.hostile.keypoints import keypoint_files, simulate
@@ -47,7 +47,7 @@ def test_check_that_hangs_is_killed(make_settings: Callable[..., Settings]) -> N
 def test_check_is_killed_with_its_children(tmp_path: Path) -> None:
     script = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(47.11)'])"
     with pytest.raises(InvalidFilesError):
-        Preflight((sys.executable, "-c", script), 1.0, 1000, 1000, GIB).check([], tmp_path / "record")
+        PreflightProgram((sys.executable, "-c", script), 1.0, 1000, 1000, GIB).check([], tmp_path / "record")
     deadline_s = time.monotonic() + 5
     while any("47.11" in str(process.info["cmdline"]) for process in psutil.process_iter(["cmdline"])):
         assert time.monotonic() < deadline_s
@@ -103,7 +103,7 @@ def test_check_that_is_killed_leaves_no_unpacked_file(
 )
 def test_check_that_makes_no_sense(tmp_path: Path, script: str, status: int) -> None:
     with pytest.raises(ApiError) as raised:
-        Preflight((sys.executable, "-c", script), 10.0, 1_000_000, 1000, GIB).check([], tmp_path / "record")
+        PreflightProgram((sys.executable, "-c", script), 10.0, 1_000_000, 1000, GIB).check([], tmp_path / "record")
     assert raised.value.status == status
 
 
@@ -154,10 +154,10 @@ def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
     spool.mkdir()
     command = Settings().preflight_command
     words = ["--keypoints", *archives, *rest]
-    assert Preflight(command, 60.0, 1_000_000, 10_000_000, 3 * GIB).check(words, spool / "record")["cameras"]
+    assert PreflightProgram(command, 60.0, 1_000_000, 10_000_000, 3 * GIB).check(words, spool / "record").cameras
     assert (spool / "record").stat().st_size > 15_000
     with pytest.raises(InvalidFilesError) as raised:
-        Preflight(command, 60.0, 1_000_000, 15_000, 3 * GIB).check(words, spool / "record")
+        PreflightProgram(command, 60.0, 1_000_000, 15_000, 3 * GIB).check(words, spool / "record")
     (error,) = raised.value.errors
     assert error.code == "session_too_large"
     assert error.message == "The keypoints of the session are larger than the service stores."
@@ -176,7 +176,7 @@ def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
 
 def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
-        keys = [live.services.store.create_key(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
+        keys = [live.services.store.keys.add(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
         bad, good = ({"Authorization": f"Bearer {key}"} for key in keys)
         hanging = [
             pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"), headers=bad) for _ in range(4)

@@ -63,9 +63,7 @@ def test_unfinished_jobs(make_settings: Callable[..., Settings]) -> None:
 
 def test_requests_a_minute(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
     with running(make_settings(max_requests_per_minute=5)) as live:
-        secrets = [
-            live.services.store.create_key(tenant, "x", {Scope.READ})[1] for tenant in ("mine", "mine", "theirs")
-        ]
+        secrets = [live.services.store.keys.add(tenant, "x", {Scope.READ})[1] for tenant in ("mine", "mine", "theirs")]
         first, second, theirs = ({"Authorization": f"Bearer {secret}"} for secret in secrets)
         for number in range(5):
             headers = first if number % 2 else second  # keys of one tenant count together

@@ -12,7 +12,7 @@ HOOK = "https://portal.example/hooks/multicap?x=1"
 
 
 def test_a_job_says_who_is_told(live: Live) -> None:
-    live.services.store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+    live.services.store.webhook_secrets.rotate(DEFAULT_TENANT, 0.0)
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json={"callback_url": HOOK})
     assert answer.status_code == 202, answer.text
     assert answer.json()["spec"]["callback_url"] == HOOK
@@ -56,7 +56,7 @@ def test_a_job_says_who_is_told(live: Live) -> None:
     ],
 )
 def test_addresses_that_are_refused(live: Live, url: str, code: str) -> None:
-    live.services.store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+    live.services.store.webhook_secrets.rotate(DEFAULT_TENANT, 0.0)
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json={"callback_url": url})
     problem = problem_of(answer, 422, "invalid_request")
     assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [(code, "/callback_url")]
@@ -74,6 +74,6 @@ def test_without_a_secret_nobody_can_be_told(make_settings: Callable[..., Settin
 
 def test_private_addresses_where_the_operator_allows_them(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(webhook_private=True)) as live:
-        live.services.store.rotate_webhook_secret(DEFAULT_TENANT, 0.0)
+        live.services.store.webhook_secrets.rotate(DEFAULT_TENANT, 0.0)
         body = {"callback_url": "http://127.0.0.1:9/"}
         assert live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json=body).status_code == 202

@@ -62,12 +62,12 @@ def test_a_job_is_followed_to_its_end(live: Live) -> None:
     job_id = live.job_id()
     listener = Listener(live, job_id)
     listener.wait_for(1)
-    claim = live.services.store.claim("test", 300.0)
+    claim = live.services.store.leases.claim("test", 300.0)
     assert claim is not None
     listener.wait_for(2)
-    live.services.store.heartbeat(claim.chunk_id, claim.lease_token, 7, 300.0)
+    live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 7, 300.0)
     listener.wait_for(3)
-    live.services.store.release(claim.chunk_id, claim.lease_token)
+    live.services.store.leases.release(claim.chunk_id, claim.lease_token)
     live.finish(job_id)
     listener.join(PATIENCE_S)
     assert not listener.is_alive()
@@ -87,7 +87,7 @@ def test_a_job_is_followed_to_its_end(live: Live) -> None:
 
 def test_a_reconnected_client_gets_missed_events_once(live: Live) -> None:
     job_id = live.job_id()
-    first = live.services.store.changes([job_id])[job_id].event
+    first = live.services.store.jobs.changes([job_id])[job_id].event
     waiting = Listener(live, job_id, str(first))
     time.sleep(1.2)
     assert waiting.events == []
@@ -115,8 +115,8 @@ def test_a_job_that_is_deleted_meanwhile_is_gone(live: Live) -> None:
     job_id = live.job_id()
     listener = Listener(live, job_id)
     listener.wait_for(1)
-    live.services.store.cancel(job_id)
-    live.services.store.delete_job(job_id)
+    live.services.store.jobs.cancel(job_id)
+    live.services.store.jobs.delete(job_id)
     listener.join(PATIENCE_S)
     # The end may or may not be sent before the deletion.
     assert listener.events[-1]["event"] == "gone" or listener.events[-1]["data"]["state"] == "canceled"
@@ -127,7 +127,7 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
     job_id = live.job_id()
     store = live.services.store
     looks: list[int] = []
-    look = store.changes
+    look = store.jobs.changes
 
     def counted(job_ids: Any) -> Any:
         looks.append(len(job_ids))
@@ -136,7 +136,7 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
     listeners = [Listener(live, job_id) for _ in range(12)]
     for listener in listeners:
         listener.wait_for(1)
-    monkeypatch.setattr(store, "changes", counted)
+    monkeypatch.setattr(store.jobs, "changes", counted)
     started_s = time.monotonic()
     wait_until(lambda: len(looks) >= 4)
     assert len(looks) <= 2 + (time.monotonic() - started_s) / 0.5
@@ -148,14 +148,14 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
 
 
 def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    look = live.services.store.changes
+    look = live.services.store.jobs.changes
 
     def slowly(job_ids: Any) -> Any:
         found = look(job_ids)
         time.sleep(0.4)
         return found
 
-    monkeypatch.setattr(live.services.store, "changes", slowly)
+    monkeypatch.setattr(live.services.store.jobs, "changes", slowly)
     listeners = []
     for _ in range(5):
         listeners.append(Listener(live, live.job_id()))
@@ -171,13 +171,13 @@ def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPa
     with httpx2.Client(timeout=PATIENCE_S, trust_env=False) as client, client.stream("GET", url) as answer:
         assert next(events_of(answer))["data"]["state"] == "queued"
     looks: list[int] = []
-    look = live.services.store.changes
+    look = live.services.store.jobs.changes
 
     def counted(job_ids: Any) -> Any:
         looks.append(len(job_ids))
         return look(job_ids)
 
-    monkeypatch.setattr(live.services.store, "changes", counted)
+    monkeypatch.setattr(live.services.store.jobs, "changes", counted)
 
     def quiet() -> bool:
         before = len(looks)
@@ -192,7 +192,7 @@ def test_a_database_that_is_away_for_a_while_is_waited_for(live: Live, monkeypat
     listener = Listener(live, job_id)
     listener.wait_for(1)
     with monkeypatch.context() as away:
-        away.setattr(live.services.store, "changes", lambda ids: 1 / 0)
+        away.setattr(live.services.store.jobs, "changes", lambda ids: 1 / 0)
         time.sleep(1.2)
     live.finish(job_id)
     listener.join(PATIENCE_S)

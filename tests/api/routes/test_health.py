@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.config import NETWORKS
 from tests.api.conftest import Live, keypoint_form, problem_of
-from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
 COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the numeric kernels", 5, 14)
@@ -17,8 +17,8 @@ def with_broker(live: Live, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     """Service whose broker responds; its workers are removed after the test."""
     monkeypatch.setattr(live.services.queue, "ping", lambda: True)
     yield live
-    for worker in live.services.store.workers():
-        live.services.store.remove_worker(worker.id)
+    for worker in live.services.store.workers.all():
+        live.services.store.workers.remove([worker.id])
 
 
 def test_alive(live: Live) -> None:
@@ -34,8 +34,8 @@ def test_not_ready_says_all_that_is_missing(live: Live) -> None:
 
 
 def test_ready_with_a_worker_that_could_start(with_broker: Live) -> None:
-    with_broker.services.store.report_worker(COMPILING)
-    with_broker.services.store.report_worker(READY)
+    with_broker.services.store.workers.report(COMPILING)
+    with_broker.services.store.workers.report(READY)
     answer = with_broker.client.get("/readyz")
     assert answer.status_code == 200
     names = {"database", "broker", "artifacts", "worker", "model", "disk"}
@@ -44,14 +44,14 @@ def test_ready_with_a_worker_that_could_start(with_broker: Live) -> None:
 
 
 def test_a_worker_that_starts_says_how_far_it_is(with_broker: Live) -> None:
-    with_broker.services.store.report_worker(COMPILING)
+    with_broker.services.store.workers.report(COMPILING)
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
     message = "A worker compiles the numeric kernels: 5 of 14 steps. A first start takes about a minute."
     assert (item["code"], item["message"]) == ("worker_starting", message)
 
 
 def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) -> None:
-    with_broker.services.store.report_worker(WorkerStatus("host:3", WorkerState.READY, "A worker works"))
+    with_broker.services.store.workers.report(WorkerStatus("host:3", WorkerState.READY, "A worker works"))
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
     assert (item["code"], item["hint"]) == ("model_unavailable", "Run: multicap models install movenet-multipose")
 
@@ -59,7 +59,7 @@ def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) ->
 @pytest.mark.parametrize("detector", ["openpose-mobilenet-thin", "human-pose-estimation-0001"])
 def test_a_detector_that_no_worker_has_is_refused(with_broker: Live, detector: str) -> None:
     live, session_id = with_broker, with_broker.session_id()
-    live.services.store.report_worker(READY)
+    live.services.store.workers.report(READY)
     spec = {"detector": detector}
     refused = {"/detector": live.client.post(f"/v1/sessions/{session_id}/jobs", json=spec)}
     files = [("videos", ("cam_0.mp4", b"video")), ("calibration", ("calibration.toml", b"[cam_0]"))]
@@ -80,12 +80,12 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     live = with_broker
     address = f"/v1/sessions/{live.session_id()}/jobs"
     spec = {"detector": "openpose-mobilenet-thin"}
-    live.services.store.report_worker(COMPILING)
+    live.services.store.workers.report(COMPILING)
     job = live.client.post(address, json=spec)
     assert job.status_code == 202
     assert {one["installed"] for one in live.client.get("/v1/options").json()["detectors"]} == {None}
     live.client.post(job.json()["links"]["cancel"]).raise_for_status()
-    live.services.store.report_worker(READY)
+    live.services.store.workers.report(READY)
     (item,) = problem_of(live.client.post(f"{job.json()['links']['self']}/retry"), 422, "invalid_request")["errors"]
     # The request has no field for a pointer.
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.api.conftest import Live, form, problem_of
 from worker.jobs.model import Problem, ResultWarning
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.jobs import Jobs
 
 
 def test_job_from_its_creation_to_its_end(live: Live) -> None:
@@ -102,7 +102,7 @@ def test_session_goes_when_its_job_can_not_be_made(live: Live, monkeypatch: pyte
     def fail(*_: object) -> None:
         raise RuntimeError
 
-    monkeypatch.setattr(Records, "create_session_and_job", fail)
+    monkeypatch.setattr(Jobs, "add", fail)
     problem_of(live.client.post("/v1/jobs", files=form()), 500, "internal_error")
     assert live.kept() == []
     assert live.client.get("/v1/sessions").json()["sessions"] == []
@@ -145,10 +145,10 @@ def test_cancel_and_retry(live: Live) -> None:
 
 def test_failed_job_says_why(live: Live) -> None:
     job_id = live.job_id()
-    claim = live.services.store.claim("test", 30.0)
+    claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
     problem = Problem("video_truncated", "The video ends early.", stage="detect", camera="cam_1", hint="Copy it again.")
-    live.services.store.fail(claim.chunk_id, claim.lease_token, problem)
+    live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     assert job["state"] == "failed"
     assert job["error"] == {
@@ -159,13 +159,15 @@ def test_failed_job_says_why(live: Live) -> None:
 
 def test_attempts_say_why_each_failed(live: Live) -> None:
     job_id = live.job_id()
-    claim = live.services.store.claim("worker", 60.0)
+    claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
     again = Problem("internal_error", "It failed inside.", stage="detect", retryable=True)
-    live.services.store.fail(claim.chunk_id, claim.lease_token, again)
-    claim = live.services.store.claim("worker", 60.0)
+    live.services.store.leases.fail(claim.chunk_id, claim.lease_token, again)
+    claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
-    live.services.store.fail(claim.chunk_id, claim.lease_token, Problem("input_error", "It is broken.", camera="left"))
+    live.services.store.leases.fail(
+        claim.chunk_id, claim.lease_token, Problem("input_error", "It is broken.", camera="left")
+    )
     live.client.post(f"/v1/jobs/{job_id}/retry").raise_for_status()
     link = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["attempts"]
     first, second = live.client.get(link).raise_for_status().json()["attempts"]
@@ -189,9 +191,9 @@ def test_delete_waits_for_the_end(live: Live) -> None:
 
 def test_progress_of_a_running_stage(live: Live) -> None:
     job_id = live.job_id()
-    claim = live.services.store.claim("test", 30.0)
+    claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
-    live.services.store.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
+    live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     assert (job["state"], job["stages"][0]["done"], job["stages"][0]["fraction"]) == ("running", 30, 0.25)
 
@@ -231,21 +233,21 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
 
     def fail(retryable: bool) -> str:
         job_id = live.job_id()
-        claim = live.services.store.claim("test", 30.0)
+        claim = live.services.store.leases.claim("test", 30.0)
         assert claim is not None
         problem = Problem("broken", "It is broken.", retryable=retryable)
         while claim is not None:
-            live.services.store.fail(claim.chunk_id, claim.lease_token, problem)
-            claim = live.services.store.claim("test", 30.0)
+            live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
+            claim = live.services.store.leases.claim("test", 30.0)
         assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "failed"
         return job_id
 
     done = live.job_id()
     assert offered(done) == (True, False)
-    running = live.services.store.claim("test", 30.0)
+    running = live.services.store.leases.claim("test", 30.0)
     assert running is not None
     assert offered(done) == (True, False)
-    live.services.store.release(running.chunk_id, running.lease_token)
+    live.services.store.leases.release(running.chunk_id, running.lease_token)
     live.finish(done)
     assert offered(done) == (False, False)
     assert offered(fail(retryable=True)) == (False, True)

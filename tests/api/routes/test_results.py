@@ -171,9 +171,11 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     live.client.post(f"/v1/jobs/{canceled}/cancel")
     problem = problem_of(live.client.get(f"/v1/jobs/{canceled}/{results}"), 409, "no_results")
     assert problem["hint"] == "Retry the job."
-    claim = live.services.store.claim("test", 30.0)
+    claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
-    live.services.store.fail(claim.chunk_id, claim.lease_token, Problem("video_truncated", "The video ends early."))
+    live.services.store.leases.fail(
+        claim.chunk_id, claim.lease_token, Problem("video_truncated", "The video ends early.")
+    )
     problem = problem_of(live.client.get(f"/v1/jobs/{failed}/{results}"), 409, "no_results")
     assert problem["hint"] == (
         "The job's error is video_truncated: The video ends early. Correct the input and send a new session."
@@ -181,8 +183,8 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     assert not problem["retryable"]
     crashed = live.job_id()
     crash = Problem("internal_error", "It crashed.", retryable=True)
-    while claim := live.services.store.claim("test", 30.0):
-        live.services.store.fail(claim.chunk_id, claim.lease_token, crash)
+    while claim := live.services.store.leases.claim("test", 30.0):
+        live.services.store.leases.fail(claim.chunk_id, claim.lease_token, crash)
     problem = problem_of(live.client.get(f"/v1/jobs/{crashed}/{results}"), 409, "no_results")
     assert problem["hint"].startswith("The job's error is internal_error: It crashed.")
     assert problem["hint"].endswith(" Retry the job.")

@@ -12,9 +12,10 @@ import httpx2
 import pytest
 
 from api.settings import Settings
+from pipeline.capture.preflight_record import PreflightRecording
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
 from worker.jobs.files.artifacts import read_artifact, record_key
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.sessions import Sessions
 
 
 def test_session_says_what_was_found(live: Live) -> None:
@@ -63,7 +64,7 @@ def test_problems_of_an_archive_point_to_it(live: Live) -> None:
 def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None:
     content = os.urandom(99_999)
     answer = live.client.post("/v1/sessions", files=form(1, content))
-    (video, _) = live.services.store.session(answer.json()["id"]).files
+    (video, _) = live.services.store.sessions.get(answer.json()["id"]).files
     with live.services.artifacts.open(video.key) as file:
         assert file.read() == content
     assert list(live.settings.spool_dir.iterdir()) == []
@@ -72,7 +73,7 @@ def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None
 def test_the_preflight_record_is_kept_with_its_digest(live: Live) -> None:
     jobs = live.client.post("/v1/jobs", files=form())
     for session_id in (live.session_id(), jobs.json()["session_id"]):
-        session = live.services.store.session(session_id)
+        session = live.services.store.sessions.get(session_id)
         assert session.record_sha256 == hashlib.sha256(b"record").hexdigest()
         assert read_artifact(live.services.artifacts, record_key(session_id), session.record_sha256) == b"record"
 
@@ -255,7 +256,7 @@ def test_database_that_fails_keeps_no_files(live: Live, monkeypatch: pytest.Monk
     def fail(*_: object) -> None:
         raise RuntimeError
 
-    monkeypatch.setattr(Records, "create_session", fail)
+    monkeypatch.setattr(Sessions, "add", fail)
     problem_of(live.post_session(), 500, "internal_error")
     assert live.kept() == []
 
@@ -290,11 +291,10 @@ class TestManifest:
     def test_cameras_of_the_manifest_reach_the_preflight(self, live: Live) -> None:
         cameras = [{"name": "a", "file": "cam_1.mp4", "offset_s": -0.5, "rate": 50.0}, {"name": "b \u00e4"}]
         session = self.send(live, {"cameras": cameras}).raise_for_status().json()
-        (found,) = live.services.store.session(session["id"]).preflight["recordings"]
-        assert found == [
-            {"camera": "a", "file": "cam_1.mp4", "offset_s": -0.5, "frame_rate_hz": 50.0},
-            {"camera": "b \u00e4", "file": None, "offset_s": 0.0, "frame_rate_hz": None},
-        ]
+        assert live.services.store.sessions.get(session["id"]).preflight.recordings == (
+            PreflightRecording("a", "cam_1.mp4", -0.5, 50.0),
+            PreflightRecording("b \u00e4", None, 0.0, None),
+        )
 
     @pytest.mark.parametrize(
         ("camera", "pointer"),
@@ -347,6 +347,6 @@ def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
     answer = live.client.post("/v1/sessions", files=[*videos, form(0)[0], manifest])
     assert [(item["code"], item["camera"], item["pointer"]) for item in answer.json()["errors"]] == [
         ("no_overlap", "cam_0", "/manifest/cameras/1"),
-        ("recording_doubled", "cam_1", "/manifest/cameras/2"),
+        ("duplicate_recording", "cam_1", "/manifest/cameras/2"),
         ("no_overlap", "cam_2", None),  # not in the manifest
     ]

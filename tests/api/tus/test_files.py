@@ -24,7 +24,7 @@ from api.settings import Settings
 from api.tus import files as uploads
 from tests.api.conftest import Live, problem_of, raw, running
 from worker.jobs.files.disk import DiskSpace
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.sessions import Sessions
 
 TUS = {"Tus-Resumable": "1.0.0"}
 PIECE = TUS | {"Content-Type": "application/offset+octet-stream"}
@@ -440,7 +440,7 @@ class TestSessions:
         def fail(*_: object) -> None:
             raise RuntimeError
 
-        monkeypatch.setattr(Records, "create_session", fail)
+        monkeypatch.setattr(Sessions, "add", fail)
         problem_of(live.client.post("/v1/sessions", json=body), 500, "internal_error")
         monkeypatch.undo()
         assert {path.name for path in live.kept()} == {*body["videos"], body["calibration"]}

@@ -37,4 +37,4 @@ def test_never_half_by_name_and_half_by_order() -> None:
 
 def test_two_of_one_camera() -> None:
     _, problems, _ = pair_by_name(CAMERAS, ["left", "cam_0", "right"], "folder")
-    assert [(one.code, one.file) for one in problems] == [("folder_doubled", "left")]
+    assert [(one.code, one.file) for one in problems] == [("camera_with_two_folders", "left")]

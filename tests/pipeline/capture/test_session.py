@@ -202,13 +202,13 @@ class TestRecordings:
         ("recordings", "found"),
         [
             ([Recording("c")], {("recording_camera_unknown", "c")}),
-            ([Recording("a"), Recording("a", offset_s=1.0)], {("recording_doubled", "a")}),
+            ([Recording("a"), Recording("a", offset_s=1.0)], {("duplicate_recording", "a")}),
             (
                 [Recording("a", "c.mp4"), Recording("d")],
                 {("recording_file_unknown", "a"), ("recording_camera_unknown", "d")},
             ),
-            ([Recording("a", "b.mp4"), Recording("b", "b.mp4")], {("recording_file_doubled", "b")}),
-            ([Recording("a", "b.mp4")], {("video_doubled", "a"), ("camera_without_video", "b")}),
+            ([Recording("a", "b.mp4"), Recording("b", "b.mp4")], {("duplicate_recording_file", "b")}),
+            ([Recording("a", "b.mp4")], {("camera_with_two_videos", "a"), ("camera_without_video", "b")}),
             ([Recording("a", offset_s=100.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
             ([Recording("a", offset_s=-86_400.0)], {("no_overlap", "a"), ("no_overlap", "b")}),
             (

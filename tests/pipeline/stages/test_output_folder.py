@@ -100,8 +100,8 @@ def test_a_cache_that_is_a_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_folder_can_be_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MULTICAP_CACHE", str(tmp_path))
+    monkeypatch.setenv("MULTICAP_CACHE_HOME", str(tmp_path))
     assert default_cache() == tmp_path
-    monkeypatch.delenv("MULTICAP_CACHE")
+    monkeypatch.delenv("MULTICAP_CACHE_HOME")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert default_cache() == tmp_path / "multicap"

@@ -31,7 +31,7 @@ class Data:
     artifacts: LocalArtifacts
 
     def add_session(self, num_bytes: int = 10_000, name: str = "take") -> str:
-        session_id = self.store.announce_session()
+        session_id = self.store.sessions.reserve_id()
         files = []
         for number in range(2):
             content = os.urandom(num_bytes)
@@ -41,19 +41,19 @@ class Data:
                 InputFile(f"cam {number}.mp4", "video", key, len(content), hashlib.sha256(content).hexdigest())
             )
         self.artifacts.put_bytes(record_key(session_id), b"preflight")
-        self.store.create_session(name, files, PREFLIGHT, session_id)
+        self.store.sessions.add(name, files, PREFLIGHT, session_id)
         return session_id
 
     def add_job(self, session_id: str) -> Job:
         chunks = tuple(ChunkPlan(k, {}, UNITS, hashlib.sha256(f"detect-{k}".encode()).hexdigest()) for k in range(2))
         last = ChunkPlan(0, {}, UNITS, hashlib.sha256(b"export").hexdigest())
-        return self.store.create_job(
+        return self.store.jobs.add(
             session_id, JobSpec(), (StagePlan("detect", chunks, ""), StagePlan("export", (last,), ""))
         )
 
     def run_chunk(self) -> bool:
         """Do the next chunk as a worker does; whether there was one."""
-        claim = self.store.claim("worker", LEASE_S)
+        claim = self.store.leases.claim("worker", LEASE_S)
         if claim is None:
             return False
         content = f"output {claim.output_key}".encode()
@@ -65,7 +65,7 @@ class Data:
             sha256 = hashlib.sha256(b"HIERARCHY").hexdigest()
             results.append(Result("person-1.bvh", "bvh", "person-1", "text/plain", key, 9, sha256))
         digest = hashlib.sha256(content).hexdigest()
-        self.store.finish(claim.chunk_id, claim.lease_token, digest, len(content), results=results)
+        self.store.leases.finish(claim.chunk_id, claim.lease_token, digest, len(content), results=results)
         return True
 
     def run_all(self) -> None:
@@ -73,13 +73,13 @@ class Data:
             pass
 
     def add_upload(self, content: bytes, num_bytes: int, upload_id: str) -> None:
-        self.store.create_upload(upload_id, "cam.mp4", num_bytes, "", 3600.0)
+        self.store.uploads.add(upload_id, "cam.mp4", num_bytes, "", 3600.0)
         (self.folder / "uploads").mkdir(exist_ok=True)
         (self.folder / "uploads" / upload_id).write_bytes(content)
 
     def delete_session(self, session_id: str) -> None:
-        self.store.delete_session(session_id)
-        remove_files(self.store, self.artifacts)
+        self.store.sessions.delete(session_id)
+        remove_files(self.store.removals, self.artifacts)
 
     def back_up(self, archive: Path) -> Report:
         return create_backup(self.folder, self.url, "", archive, ignore)
@@ -94,8 +94,10 @@ class Data:
         }
 
     def rows(self) -> object:
-        jobs = [(one.id, one.state, one.attempt, one.created_at, one.stages) for one in self.store.jobs(limit=1000)]
-        return self.store.sessions(limit=1000), jobs, self.store.list_keys(), self.store.figures().totals
+        jobs = [
+            (one.id, one.state, one.attempt, one.created_at, one.stages) for one in self.store.jobs.page(limit=1000)
+        ]
+        return self.store.sessions.page(limit=1000), jobs, self.store.keys.all(), self.store.figures().totals
 
 
 def stopped_service(folder: Path) -> Path:
@@ -104,7 +106,7 @@ def stopped_service(folder: Path) -> Path:
         for _ in range(30):
             data.add_job(data.add_session(100))
         data.run_all()
-        data.store.create_key("studio", "portal", {Scope.READ})
+        data.store.keys.add("studio", "portal", {Scope.READ})
     return folder
 
 

@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 import uuid_utils
 
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
 from worker.jobs.model import ChunkPlan, Claim, InputFile, Job, Result, StagePlan
 from worker.jobs.spec import JobSpec
@@ -22,11 +23,12 @@ EXPIRED_S = -1.0  # a lease that ended before it began
 UNITS = 10
 CODE = "c" * 64
 
-PREFLIGHT = {
-    "cameras": [{"name": "cam one"}],
-    "timebase": {"num_frames": 60, "frame_rate_hz": 25.0},
-    "warnings": ["The clocks drift."],
-}
+PREFLIGHT = Preflight(
+    cameras=(PreflightCamera("cam one", "cam one.mp4", (640, 480), 25.0, 60),),
+    timebase=PreflightTimebase(0.0, 25.0, 60),
+    stretches=(range(60),),
+    warnings=("The clocks drift.",),
+)
 
 
 def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:
@@ -48,20 +50,20 @@ class Bench:
     session_id: str
 
     def queue(self, num_chunks: int = 3) -> Job:
-        return self.store.create_job(self.session_id, JobSpec(), stages(num_chunks))
+        return self.store.jobs.add(self.session_id, JobSpec(), stages(num_chunks))
 
     def claim(self, lease_s: float = LEASE_S) -> Claim:
-        claim = self.store.claim("worker", lease_s)
+        claim = self.store.leases.claim("worker", lease_s)
         assert claim is not None
         return claim
 
     def finish(self, claim: Claim) -> bool:
         results = [result(claim.job_id)] if claim.stage == "export" else []
         sha256 = claim.output_key.ljust(64, "0")
-        return self.store.finish(claim.chunk_id, claim.lease_token, sha256, 7, results=results)
+        return self.store.leases.finish(claim.chunk_id, claim.lease_token, sha256, 7, results=results)
 
     def finish_all(self) -> None:
-        while claim := self.store.claim("worker", LEASE_S):
+        while claim := self.store.leases.claim("worker", LEASE_S):
             self.finish(claim)
 
     def execute(self, statement: sa.Executable) -> None:
@@ -73,12 +75,12 @@ class Bench:
 
 
 def new_session(store: JobStore) -> str:
-    session_id = store.announce_session()
+    session_id = store.sessions.reserve_id()
     files = [
         InputFile("cam one.mp4", "video", f"sessions/{session_id}/inputs/0-cam_one.mp4", 3_000_000_000, "1" * 64),
         InputFile("rig.toml", "calibration", f"sessions/{session_id}/inputs/1-rig.toml", 200, "2" * 64),
     ]
-    store.create_session("take", files, PREFLIGHT, session_id)
+    store.sessions.add("take", files, PREFLIGHT, session_id)
     return session_id
 
 

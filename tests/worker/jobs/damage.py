@@ -30,7 +30,7 @@ def invert_page(path: Path, offset: int) -> None:
 def damage_under(path: Path) -> None:
     """Overwrite all pages except the first with zeros, and make all processes that have the file open read it anew."""
     with contextlib.closing(JobStore(f"sqlite:///{path}")) as other:
-        other.rotate_webhook_secret("studio", 0.0)
+        other.webhook_secrets.rotate("studio", 0.0)
         with other._database.reading() as connection:
             connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
     overwrite(path, PAGE_BYTES, bytes(path.stat().st_size - PAGE_BYTES))

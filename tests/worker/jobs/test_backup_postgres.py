@@ -35,10 +35,10 @@ def fill(data: Data) -> None:
     data.add_job(other)
     data.run_chunk()
     forgotten = data.add_job(other)
-    data.store.cancel(forgotten.id)
-    data.store.delete_job(forgotten.id)  # its chunks had the highest numbers
-    _, secret = data.store.create_key("studio", "portal", {Scope.READ})
-    data.store.rotate_webhook_secret("studio", 60.0)
+    data.store.jobs.cancel(forgotten.id)
+    data.store.jobs.delete(forgotten.id)  # its chunks had the highest numbers
+    _, secret = data.store.keys.add("studio", "portal", {Scope.READ})
+    data.store.webhook_secrets.rotate("studio", 60.0)
     assert secret
 
 
@@ -56,7 +56,7 @@ def all_rows(url: str) -> dict[str, list[tuple[object, ...]]]:
 
 
 def next_chunk_id(data: Data) -> int:
-    job = data.add_job(data.store.sessions()[0].id)
+    job = data.add_job(data.store.sessions.page()[0].id)
     engine = sa.create_engine(sa.make_url(data.url))
     with engine.connect() as connection:
         found = connection.scalar(sa.text("SELECT min(id) FROM chunks WHERE job_id = :id"), {"id": job.id})
@@ -87,7 +87,7 @@ def test_from_sqlite_to_postgresql_and_back(postgres_url_empty: str, second_post
             # No number comes again, not even one whose row was deleted.
             assert next_chunk_id(there) == expected_id
             there.run_all()
-            assert {job.state for job in there.store.jobs()} == {JobState.SUCCEEDED}
+            assert {job.state for job in there.store.jobs.page()} == {JobState.SUCCEEDED}
 
 
 def test_a_database_that_is_not_empty_is_refused_and_stays(postgres_url_empty: str, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ import json, sys
 from worker.jobs.store import JobStore
 store = JobStore(sys.argv[1])
 sys.stdin.readline()
-claims = iter(lambda: store.claim("worker", 60), None)
+claims = iter(lambda: store.leases.claim("worker", 60), None)
 print(json.dumps([claim.chunk_id for claim in claims]))
 store.close()
 """
@@ -38,7 +38,7 @@ def test_threads_claim_every_chunk_once(jobs: Bench) -> None:
         jobs.queue(NUM_CHUNKS // 2)
 
     def claim_all(worker: int) -> list[int]:
-        return [claim.chunk_id for claim in iter(lambda: jobs.store.claim(f"worker {worker}", LEASE_S), None)]
+        return [claim.chunk_id for claim in iter(lambda: jobs.store.leases.claim(f"worker {worker}", LEASE_S), None)]
 
     with ThreadPoolExecutor(NUM_WORKERS) as pool:
         claimed = [chunk_id for chunk_ids in pool.map(claim_all, range(NUM_WORKERS)) for chunk_id in chunk_ids]
@@ -70,11 +70,11 @@ def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: Bench, new_store: 
         claims = [jobs.claim() for _ in range(NUM_WORKERS)]
         with ThreadPoolExecutor(NUM_WORKERS) as pool:
             opened = pool.map(
-                lambda store, claim: store.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1), stores, claims
+                lambda store, claim: store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1), stores, claims
             )
             assert Counter(opened) == {False: NUM_WORKERS - 1, True: 1}
         jobs.finish_all()
-        assert jobs.store.job(job_id).state == JobState.SUCCEEDED
+        assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
 def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: Bench) -> None:
@@ -100,15 +100,15 @@ def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
 
     def work(store: JobStore) -> None:
         bench = Bench(jobs.url, store, jobs.session_id)
-        while claim := store.claim("worker", LEASE_S):
-            store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+        while claim := store.leases.claim("worker", LEASE_S):
+            store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
             bench.finish(claim)
 
     def disturb(store: JobStore) -> None:
         for job_id in job_ids[::2]:
             with contextlib.suppress(Conflict):
-                store.cancel(job_id)
-            store.reap(LEASE_S)
+                store.jobs.cancel(job_id)
+            store.leases.reap(LEASE_S)
 
     with ThreadPoolExecutor(NUM_WORKERS) as pool:
         workers = [pool.submit(work, new_store()) for _ in range(NUM_WORKERS - 1)]
@@ -116,7 +116,7 @@ def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
         for worker in workers:
             worker.result()
     work(jobs.store)
-    states = [jobs.store.job(job_id).state for job_id in job_ids]
+    states = [jobs.store.jobs.get(job_id).state for job_id in job_ids]
     assert states[1::2] == [JobState.SUCCEEDED] * 2
     assert set(states[::2]) <= {JobState.SUCCEEDED, JobState.CANCELED}
 
@@ -129,7 +129,7 @@ def test_a_store_is_carried_across_a_fork(jobs: Bench) -> None:
     _claim_and_finish(jobs, 5)
     assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0, 0]
     _claim_and_finish(jobs, 5)
-    job = jobs.store.jobs()[0]
+    job = jobs.store.jobs.page()[0]
     assert job.stages[0].done == 25 * 10
 
 

@@ -74,10 +74,10 @@ def test_programs_end_with_sentences(database: Path, damage: Callable[[Path], No
 
 
 def read_all(store: JobStore) -> None:
-    for job in store.jobs():
-        store.attempts(job.id)
-        store.results(job.id)
-        store.session(job.session_id)
+    for job in store.jobs.page():
+        store.jobs.attempts(job.id)
+        store.results.of_job(job.id)
+        store.sessions.get(job.session_id)
 
 
 def test_what_is_said_can_be_done(database: Path, tmp_path: Path) -> None:
@@ -89,22 +89,22 @@ def test_what_is_said_can_be_done(database: Path, tmp_path: Path) -> None:
     assert (database.parent / "damaged" / database.name).exists()
     with store_of(database) as store:
         store.migrate()
-        assert store.jobs() == []
+        assert store.jobs.page() == []
 
 
 def test_once_damage_was_met_nothing_is_read_or_written_any_more(database: Path) -> None:
     with store_of(database) as store:
         assert store.ping()
-        assert len(store.jobs()) == 30
+        assert len(store.jobs.page()) == 30
         assert not store.is_damaged
         overwrite(database, middle(database), bytes(database.stat().st_size - middle(database)))
         with store_of(database) as other, contextlib.suppress(SQLAlchemyError):
-            other.rotate_webhook_secret("studio", 0.0)  # whose commit has all others read anew
+            other.webhook_secrets.rotate("studio", 0.0)  # whose commit has all others read anew
         with pytest.raises(DamagedDatabase):
             read_all(store)
         assert store.is_damaged
         assert not store.ping()
-        for act in (store.list_keys, store.workers, lambda: store.claim("worker", 1.0), store.figures):
+        for act in (store.keys.all, store.workers.all, lambda: store.leases.claim("worker", 1.0), store.figures):
             with pytest.raises(DamagedDatabase):
                 act()
 
@@ -116,7 +116,7 @@ def test_a_row_that_can_not_be_read_is_damage(database: Path, value: bytes) -> N
     with store_of(database) as store:
         store.migrate()
         with pytest.raises(DamagedDatabase):
-            store.sessions()
+            store.sessions.page()
 
 
 def test_an_empty_file_without_sessions_is_a_new_database(tmp_path: Path) -> None:

@@ -31,42 +31,42 @@ def test_a_life_is_noted_in_its_order(jobs: Bench) -> None:
 def test_cancel_failure_and_retry_are_noted(jobs: Bench) -> None:
     canceled = jobs.queue()
     claim = jobs.claim()
-    jobs.store.cancel(canceled.id)
-    jobs.store.cancel(canceled.id)
-    jobs.store.release(claim.chunk_id, claim.lease_token)
+    jobs.store.jobs.cancel(canceled.id)
+    jobs.store.jobs.cancel(canceled.id)
+    jobs.store.leases.release(claim.chunk_id, claim.lease_token)
     states = ["queued", "running", "canceling", "canceled"]
     assert noted(jobs, canceled.id) == [("state", state) for state in states]
     failed = jobs.queue()
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
-    jobs.store.retry(failed.id, stages())
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.jobs.retry(failed.id, stages())
     assert noted(jobs, failed.id) == [("state", state) for state in ("queued", "running", "failed", "queued")]
 
 
 def test_changes_are_seen_and_nothing_else_is(jobs: Bench) -> None:
     job, other = jobs.queue(), jobs.queue()
-    queued = jobs.store.changes([job.id, other.id, "nobody"])
+    queued = jobs.store.jobs.changes([job.id, other.id, "nobody"])
     assert set(queued) == {job.id, other.id}
-    assert jobs.store.changes([job.id]) == {job.id: queued[job.id]}
+    assert jobs.store.jobs.changes([job.id]) == {job.id: queued[job.id]}
     claim = jobs.claim()
-    running = jobs.store.changes([job.id])[job.id]
+    running = jobs.store.jobs.changes([job.id])[job.id]
     assert running.event > queued[job.id].event
-    assert jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 4, LEASE_S)
-    further = jobs.store.changes([job.id])[job.id]
+    assert jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 4, LEASE_S)
+    further = jobs.store.jobs.changes([job.id])[job.id]
     assert (further.event, further.done) == (running.event, 4)
-    assert jobs.store.changes([other.id]) == {other.id: queued[other.id]}
-    assert jobs.store.changes([]) == {}
+    assert jobs.store.jobs.changes([other.id]) == {other.id: queued[other.id]}
+    assert jobs.store.jobs.changes([]) == {}
 
 
 def test_numbers_are_not_used_again(jobs: Bench) -> None:
     job = jobs.queue()
-    jobs.store.cancel(job.id)
-    last = jobs.store.changes([job.id])[job.id].event
-    jobs.store.delete_job(job.id)
+    jobs.store.jobs.cancel(job.id)
+    last = jobs.store.jobs.changes([job.id])[job.id].event
+    jobs.store.jobs.delete(job.id)
     assert noted(jobs, job.id) == []
-    assert jobs.store.changes([job.id]) == {}
+    assert jobs.store.jobs.changes([job.id]) == {}
     again = jobs.queue()
-    assert jobs.store.changes([again.id])[again.id].event > last
+    assert jobs.store.jobs.changes([again.id])[again.id].event > last
 
 
 def test_jobs_from_before_there_were_events_have_one(jobs: Bench) -> None:
@@ -85,4 +85,4 @@ def test_jobs_from_before_there_were_events_have_one(jobs: Bench) -> None:
     assert set(sa.inspect(engine).get_table_names()) >= set(metadata.tables)
     engine.dispose()
     assert noted(jobs, job.id) == [("state", "succeeded")]
-    assert jobs.store.job(job.id).state == "succeeded"
+    assert jobs.store.jobs.get(job.id).state == "succeeded"

@@ -34,7 +34,7 @@ class Life(RuleBasedStateMachine):
 
     @rule(lease_s=st.sampled_from([LEASE_S, EXPIRED_S]))
     def claim(self, lease_s: float) -> None:
-        claim = self._store.claim("worker", lease_s)
+        claim = self._store.leases.claim("worker", lease_s)
         if claim is not None:
             assert claim.lease_token not in {old.lease_token for old in self._claims}
             self._claims.append(claim)
@@ -45,7 +45,7 @@ class Life(RuleBasedStateMachine):
     @rule(data=st.data(), done_units=st.integers(0, 2 * UNITS))
     def heartbeat(self, data: st.DataObject, done_units: int) -> None:
         claim = data.draw(st.sampled_from(self._claims))
-        self._store.heartbeat(claim.chunk_id, claim.lease_token, done_units, LEASE_S)
+        self._store.leases.heartbeat(claim.chunk_id, claim.lease_token, done_units, LEASE_S)
 
     @precondition(lambda self: self._claims)
     @rule(data=st.data())
@@ -56,29 +56,29 @@ class Life(RuleBasedStateMachine):
     @rule(data=st.data(), retryable=st.booleans())
     def fail(self, data: st.DataObject, retryable: bool) -> None:
         claim = data.draw(st.sampled_from(self._claims))
-        self._store.fail(claim.chunk_id, claim.lease_token, Problem("bad", "It failed.", retryable=retryable))
+        self._store.leases.fail(claim.chunk_id, claim.lease_token, Problem("bad", "It failed.", retryable=retryable))
 
     @precondition(lambda self: self._claims)
     @rule(data=st.data())
     def release(self, data: st.DataObject) -> None:
         claim = data.draw(st.sampled_from(self._claims))
-        self._store.release(claim.chunk_id, claim.lease_token)
+        self._store.leases.release(claim.chunk_id, claim.lease_token)
 
     @rule()
     def reap(self) -> None:
-        self._store.reap(LEASE_S)
+        self._store.leases.reap(LEASE_S)
 
     @rule(which=st.integers(0, 1))
     def cancel_or_retry(self, which: int) -> None:
-        job = self._store.jobs()[which]
+        job = self._store.jobs.page()[which]
         if job.state not in FINISHED:
-            self._store.cancel(job.id)
+            self._store.jobs.cancel(job.id)
         elif job.state != JobState.SUCCEEDED:
-            self._store.retry(job.id, stages(2))
+            self._store.jobs.retry(job.id, stages(2))
 
     @invariant()
     def progress_never_goes_back_within_an_attempt(self) -> None:
-        for job in self._store.jobs():
+        for job in self._store.jobs.page():
             attempt = (job.id, job.attempt)
             assert self._progress.get(attempt, 0.0) <= job.progress <= 1.0
             self._progress[attempt] = job.progress
@@ -86,7 +86,7 @@ class Life(RuleBasedStateMachine):
     @invariant()
     def an_unfinished_job_has_something_left_that_somebody_will_do(self) -> None:
         under_way = {ChunkState.READY, ChunkState.RUNNING}
-        for job in self._store.jobs():
+        for job in self._store.jobs.page():
             states = {stage.state for stage in job.stages}
             if job.state in FINISHED:
                 assert not states & (under_way | {ChunkState.WAITING})
@@ -95,19 +95,19 @@ class Life(RuleBasedStateMachine):
 
     @invariant()
     def success_means_all_done_with_results(self) -> None:
-        for job in self._store.jobs():
+        for job in self._store.jobs.page():
             if job.state == JobState.SUCCEEDED:
                 assert {stage.state for stage in job.stages} == {ChunkState.DONE}
                 assert job.progress == 1.0
-                assert [result.name for result in self._store.results(job.id)] == ["person-1.bvh"]
+                assert [result.name for result in self._store.results.of_job(job.id)] == ["person-1.bvh"]
             assert (job.problem is not None) == (job.state == JobState.FAILED)
 
     def teardown(self) -> None:
         """Whatever happened, honest workers bring every job to its end."""
         for claim in self._claims:
-            self._store.release(claim.chunk_id, claim.lease_token)
+            self._store.leases.release(claim.chunk_id, claim.lease_token)
         self._bench.finish_all()
-        assert all(job.state in FINISHED for job in self._store.jobs())
+        assert all(job.state in FINISHED for job in self._store.jobs.page())
         self._store.close()
         shutil.rmtree(self._folder)
 

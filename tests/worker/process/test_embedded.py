@@ -17,9 +17,9 @@ from worker.process.lifeline import tied_to_parent
 
 
 @contextlib.contextmanager
-def answering(place: embedded.Place) -> Iterator[WorkQueue]:
+def answering(directory: embedded.DataDirectory) -> Iterator[WorkQueue]:
     """Run the broker during the block."""
-    program, queue = embedded.broker(place), WorkQueue(place.broker_url)
+    program, queue = embedded.broker(directory), WorkQueue(directory.broker_url)
     with subprocess.Popen(tied_to_parent(program.command), env=program.env, stdout=subprocess.DEVNULL) as process:
         try:
             deadline_s = time.monotonic() + 10
@@ -33,24 +33,24 @@ def answering(place: embedded.Place) -> Iterator[WorkQueue]:
 
 def test_a_folder_is_taken_once(tmp_path: Path) -> None:
     refused = pytest.raises(embedded.DataFolderError, match="Another service runs")
-    with embedded.occupy(tmp_path), refused, embedded.occupy(tmp_path):
+    with embedded.lock(tmp_path), refused, embedded.lock(tmp_path):
         pass
-    with embedded.occupy(tmp_path):
+    with embedded.lock(tmp_path):
         pass
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(embedded.DataFolderError, match="can't be used"), embedded.occupy(tmp_path / "file" / "data"):
+    with pytest.raises(embedded.DataFolderError, match="can't be used"), embedded.lock(tmp_path / "file" / "data"):
         pass
 
 
 def test_files_of_a_killed_process_are_removed(tmp_path: Path) -> None:
-    with embedded.occupy(tmp_path) as place:
-        (place.temporary_dir / "left").mkdir()
-    with embedded.occupy(tmp_path) as place:
-        assert list(place.temporary_dir.iterdir()) == []
-        assert place.environment()["TMPDIR"] == str(place.temporary_dir)
+    with embedded.lock(tmp_path) as directory:
+        (directory.temporary_dir / "left").mkdir()
+    with embedded.lock(tmp_path) as directory:
+        assert list(directory.temporary_dir.iterdir()) == []
+        assert directory.environment()["TMPDIR"] == str(directory.temporary_dir)
 
 
 def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path) -> None:
@@ -59,29 +59,29 @@ def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path)
     (old / "appendonly.aof.1.incr.aof").write_bytes(b"*3\r\n$3\r\nSET" + bytes(4096))  # as after a power failure
     (old / "appendonly.aof.manifest").write_bytes(bytes(100))
     (old.parent / "dump.rdb").write_bytes(b"REDIS0011" + bytes(100))
-    with embedded.occupy(tmp_path) as place, answering(place) as queue:
+    with embedded.lock(tmp_path) as directory, answering(directory) as queue:
         assert queue.publish()
     assert not old.exists()
 
 
 def test_the_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
-    with embedded.occupy(tmp_path / ("x" * 100)) as place:
-        assert len(str(place.socket)) <= 100
-        assert place.socket.parent.stat().st_mode & 0o077 == 0
-    assert not place.socket.parent.exists()
+    with embedded.lock(tmp_path / ("x" * 100)) as directory:
+        assert len(str(directory.socket)) <= 100
+        assert directory.socket.parent.stat().st_mode & 0o077 == 0
+    assert not directory.socket.parent.exists()
 
 
 def test_the_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
-    with embedded.occupy(tmp_path / "ä b#c%41?") as place, answering(place) as queue:
+    with embedded.lock(tmp_path / "ä b#c%41?") as directory, answering(directory) as queue:
         assert queue.publish()
-        assert place.socket.stat().st_mode & 0o077 == 0
+        assert directory.socket.stat().st_mode & 0o077 == 0
 
 
 def test_a_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk", 16) as disk, embedded.occupy(disk / "data"):
+    with small_disk(tmp_path / "disk", 16) as disk, embedded.lock(disk / "data"):
         DiskSpace(disk / "data").set_aside()
         fill(disk / "filler")
-        with pytest.raises(embedded.DataFolderError), embedded.occupy(disk / "data"):
+        with pytest.raises(embedded.DataFolderError), embedded.lock(disk / "data"):
             pass
         assert (disk / "data" / "reserve").exists()
 

@@ -71,9 +71,9 @@ def receiver() -> Iterator[Receiver]:
 def end_job(bench: Bench, url: str) -> Job:
     """Run a job with a callback URL to its end."""
     spec = JobSpec(callback_url=url)
-    job = bench.store.create_job(bench.session.id, spec, plan_job(bench.session, spec, 1000))
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000))
     bench.runner().work(60.0)
-    return bench.store.job(job.id)
+    return bench.store.jobs.get(job.id)
 
 
 def deliver(bench: Bench, sender: Sender | None = None) -> int:
@@ -96,7 +96,7 @@ def secret() -> list[WebhookSecret]:
 
 def queue_for(bench: Bench, tenant: str, url: str) -> None:
     """Queue a message of a tenant that is due now."""
-    if not bench.store.deliveries():
+    if not bench.store.webhooks.pending():
         end_job(bench, "https://hook.example/")
         with bench.store._database.writing() as connection:
             connection.execute(deliveries.update().values(tenant=tenant, url=url))

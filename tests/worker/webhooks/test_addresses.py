@@ -29,12 +29,14 @@ WRONG_URLS = [
 
 def test_malformed_urls(bench: Bench) -> None:
     assert [url for url in WRONG_URLS if not url_fault(url)] == []
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     for url in WRONG_URLS:
         queue_for(bench, "default", url)
     while deliver(bench):
         pass
-    assert [(one.tries, one.problem) for one in bench.store.deliveries()] == [(1, url_fault(url)) for url in WRONG_URLS]
+    assert [(one.tries, one.problem) for one in bench.store.webhooks.pending()] == [
+        (1, url_fault(url)) for url in WRONG_URLS
+    ]
 
 
 RIGHT_HOSTS = [

@@ -7,7 +7,7 @@ import pytest
 
 from tests.worker.conftest import Bench
 from tests.worker.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due, message, secret
-from worker.jobs.repositories.deliveries import MAX_TRIES
+from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.webhooks.sender import Sender
 
 
@@ -31,12 +31,12 @@ class TestBadReceivers:
 
     def problem_after_attempt(self, bench: Bench, url: str) -> str | None:
         """Send a message to a URL and return the recorded problem."""
-        bench.store.rotate_webhook_secret("default", HOUR_S)
+        bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, url)
         started_s = time.monotonic()
         assert deliver(bench, Sender(allow_private=True, try_s=self.ATTEMPT_S)) == 1
         assert time.monotonic() - started_s < self.ATTEMPT_S + 3
-        (left,) = bench.store.deliveries()
+        (left,) = bench.store.webhooks.pending()
         assert left.tries == 1
         assert left.due_at.timestamp() - time.time() > 3  # on the schedule
         return left.problem
@@ -80,10 +80,10 @@ class TestBadReceivers:
         assert receiver.paths == ["/hook?x=1"]
 
     def test_is_given_up_after_the_last_try(self, bench: Bench, silent: str) -> None:
-        bench.store.rotate_webhook_secret("default", HOUR_S)
+        bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, silent)
         for _ in range(MAX_TRIES):
-            assert len(bench.store.deliveries()) == 1
+            assert len(bench.store.webhooks.pending()) == 1
             make_due(bench)
             assert deliver(bench, Sender(allow_private=True, try_s=0.05)) == 1
-        assert bench.store.deliveries() == []
+        assert bench.store.webhooks.pending() == []

@@ -3,6 +3,7 @@
 import itertools
 import json
 import time
+from types import SimpleNamespace
 
 import pytest
 from standardwebhooks import Webhook
@@ -12,7 +13,7 @@ from api.schemas import JobEnded
 from tests.worker.conftest import Bench
 from tests.worker.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due
 from worker.jobs.model import Delivery
-from worker.jobs.repositories.deliveries import MAX_TRIES
+from worker.jobs.repositories.webhooks import MAX_TRIES
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
 from worker.webhooks import sender as webhooks
@@ -20,7 +21,7 @@ from worker.webhooks.sender import Sender
 
 
 def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> None:
-    key = bench.store.rotate_webhook_secret("default", HOUR_S)
+    key = bench.store.webhook_secrets.rotate("default", HOUR_S)
     job = end_job(bench, receiver.url)
     assert deliver(bench) == 1
     ((headers, body),) = receiver.received
@@ -33,27 +34,27 @@ def test_the_end_of_a_job_arrives_signed(bench: Bench, receiver: Receiver) -> No
     with pytest.raises(WebhookVerificationError):
         Webhook(key).verify(body + b" ", headers)
     assert deliver(bench) == 0
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 def test_a_job_without_a_callback_url_sends_nothing(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 @pytest.mark.parametrize(("end", "state"), [("cancel", "canceled"), ("fail", "failed")])
 def test_every_end_sends_a_message(bench: Bench, receiver: Receiver, end: str, state: str) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
-    job = bench.store.create_job(bench.session.id, spec, plan_job(bench.session, spec, 1000), retention_s=-1.0)
+    job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, 1000), retention_s=-1.0)
     if end == "cancel":
-        bench.store.cancel(job.id)
+        bench.store.jobs.cancel(job.id)
     else:
         bench.stages["detect"] = lambda work: 1 // 0  # type: ignore[assignment, return-value]
-        while bench.store.job(job.id).finished_at is None:
+        while bench.store.jobs.get(job.id).finished_at is None:
             bench.runner().work(60.0)
-    bench.store.expire()
+    bench.store.removals.expire_jobs()
     deliver(bench)
     said = [json.loads(body) for _, body in receiver.received]
     assert {one["data"]["state"] for one in said} == {state, "expired"}
@@ -62,38 +63,38 @@ def test_every_end_sends_a_message(bench: Bench, receiver: Receiver, end: str, s
 
 @pytest.mark.parametrize("status", [301, 302, 307, 400, 404, 429, 500, 503])
 def test_a_refused_message_is_sent_again_with_the_same_id(bench: Bench, receiver: Receiver, status: int) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [status]
     deliver(bench)
-    (left,) = bench.store.deliveries()
+    (left,) = bench.store.webhooks.pending()
     assert (left.tries, left.problem) == (1, f"It was answered with {status}.")
     assert deliver(bench) == 0  # not due yet
     make_due(bench)
     assert deliver(bench) == 1
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
     assert len({headers["webhook-id"] for headers, _ in receiver.received}) == 1
     assert receiver.paths == ["/hook?x=1"] * 2  # redirects are not followed
 
 
 def test_an_answer_410_ends_the_attempts(bench: Bench, receiver: Receiver) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [410]
     deliver(bench)
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 def test_attempts_end_after_about_a_day(bench: Bench, receiver: Receiver) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [500] * 100
     waits_s: list[float] = []
-    while bench.store.deliveries():
+    while bench.store.webhooks.pending():
         assert len(waits_s) < 50
         make_due(bench)
         deliver(bench)
-        if left := bench.store.deliveries():
+        if left := bench.store.webhooks.pending():
             waits_s.append(left[0].due_at.timestamp() - time.time())
     assert len(receiver.received) == len(waits_s) + 1
     assert all(later > earlier for earlier, later in itertools.pairwise(waits_s))
@@ -101,23 +102,23 @@ def test_attempts_end_after_about_a_day(bench: Bench, receiver: Receiver) -> Non
 
 
 def test_a_sender_killed_before_recording_sends_the_message_again(bench: Bench, receiver: Receiver) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
-    assert len(bench.store.claim_deliveries(10, -1.0)) == 1  # claimed, and never recorded
+    assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # claimed, and never recorded
     assert deliver(bench) == 1
     assert len(receiver.received) == 1
 
 
 def test_two_senders_share_the_work(bench: Bench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
-    assert len(bench.store.claim_deliveries(10, 60.0)) == 1
-    assert bench.store.claim_deliveries(10, 60.0) == []
+    assert len(bench.store.webhooks.claim(10, 60.0)) == 1
+    assert bench.store.webhooks.claim(10, 60.0) == []
 
 
 def test_after_a_rotation_both_secrets_sign_for_a_while(bench: Bench, receiver: Receiver) -> None:
-    old = bench.store.rotate_webhook_secret("default", HOUR_S)
-    other = bench.store.rotate_webhook_secret("other", HOUR_S)
-    new = bench.store.rotate_webhook_secret("default", HOUR_S)
+    old = bench.store.webhook_secrets.rotate("default", HOUR_S)
+    other = bench.store.webhook_secrets.rotate("other", HOUR_S)
+    new = bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     deliver(bench)
     ((headers, body),) = receiver.received
@@ -125,24 +126,25 @@ def test_after_a_rotation_both_secrets_sign_for_a_while(bench: Bench, receiver: 
         Webhook(key).verify(body, headers)
     with pytest.raises(WebhookVerificationError):
         Webhook(other).verify(body, headers)
-    newest = bench.store.rotate_webhook_secret("default", -1.0)
-    assert [one.secret for one in bench.store.webhook_secrets("default")] == [newest, old]
-    assert newest not in repr(bench.store.webhook_secrets("default"))
+    newest = bench.store.webhook_secrets.rotate("default", -1.0)
+    assert [one.secret for one in bench.store.webhook_secrets.valid("default")] == [newest, old]
+    assert newest not in repr(bench.store.webhook_secrets.valid("default"))
 
 
 def test_a_failing_store_does_not_end_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing:
         looks = 0
 
-        def claim_deliveries(self, *_: object) -> list[Delivery]:
+        def claim(self, *_: object) -> list[Delivery]:
             self.looks += 1
             if self.looks == 3:
                 raise KeyboardInterrupt
             raise RuntimeError
 
     monkeypatch.setattr(webhooks, "_LOOK_S", 0.0)
+    store = SimpleNamespace(webhooks=Failing())
     with pytest.raises(KeyboardInterrupt):
-        webhooks.deliver_forever(Failing(), Sender(allow_private=False))  # type: ignore[arg-type]
+        webhooks.deliver_forever(store, Sender(allow_private=False))  # type: ignore[arg-type]
 
 
 class Exploding(Sender):
@@ -153,21 +155,21 @@ class Exploding(Sender):
 
 
 def test_an_unforeseen_exception_counts_as_an_attempt(bench: Bench) -> None:
-    bench.store.rotate_webhook_secret("default", HOUR_S)
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, "https://hook.example/")
     assert deliver(bench, Exploding(allow_private=False)) == 1
-    (left,) = bench.store.deliveries()
+    (left,) = bench.store.webhooks.pending()
     assert (left.tries, left.problem) == (1, "The attempt failed; the reaper's log says why.")
     for _ in range(MAX_TRIES - 1):
         make_due(bench)
         assert deliver(bench, Exploding(allow_private=False)) == 1
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
 
 
 def test_unrecorded_attempts_have_an_end(bench: Bench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
     for _ in range(MAX_TRIES):
-        assert len(bench.store.claim_deliveries(10, -1.0)) == 1  # the sender is killed
+        assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # the sender is killed
     assert deliver(bench) == 1
-    assert bench.store.deliveries() == []
+    assert bench.store.webhooks.pending() == []
     assert receiver.received == []

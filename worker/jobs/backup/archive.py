@@ -1,8 +1,8 @@
 """Archive files of backups: uncompressed tar, written and read as a stream.
 
-The reader takes exactly what the writer writes: regular files under plain names, headers and padding in one canonical
-form, and at the end ``SHA256SUMS``, in the format of ``sha256sum``, with every member before it. So a change of any
-byte is noticed, and so is a missing end.
+The reader accepts exactly the output of the writer: regular files under plain names, headers and padding in one
+canonical form, and at the end ``SHA256SUMS``, in the format of ``sha256sum``, with every member before it. So a change
+of any byte is noticed, and so is a missing end.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ def _padding(num_bytes: int) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Copied:
-    """A member as it was written. ``is_whole``: whether its source could be read to the end."""
+    """Result of writing a member. ``is_whole``: whether its source could be read to the end."""
 
     sha256: str
     is_whole: bool
@@ -46,7 +46,7 @@ class ArchiveWriter:
     Parameters
     ----------
     file
-        The file to write to.
+        File to write to.
     time_s
         Time of all members.
     on_bytes
@@ -58,7 +58,7 @@ class ArchiveWriter:
         self._checksums: list[str] = []
 
     def add(self, name: str, num_bytes: int, source: BinaryIO) -> Copied:
-        """Add so many bytes of a file. Bytes that can't be read are replaced by zeros."""
+        """Add ``num_bytes`` of a file. Bytes that can't be read are replaced by zeros."""
         self._file.write(_header(name, num_bytes, self._time_s))
         digest, left, is_whole = hashlib.sha256(), num_bytes, True
         while left:
@@ -80,7 +80,7 @@ class ArchiveWriter:
         self._checksums.append(f"{hashlib.sha256(content).hexdigest()}  {name}\n")
 
     def finish(self) -> None:
-        """Write the checksums and the end."""
+        """Write the checksums and the end of the archive."""
         self.add_bytes(CHECKSUMS, "".join(self._checksums).encode())
         self._file.write(_END)
 
@@ -107,7 +107,7 @@ class ArchiveReader:
     Parameters
     ----------
     file
-        The file to read.
+        File to read.
     on_bytes
         Called with the number of bytes after each step.
 
@@ -125,12 +125,12 @@ class ArchiveReader:
         self.damaged: list[str] = []
 
     def members(self) -> Iterator[Member]:
-        """All members but the checksums.
+        """Read all members but the checksums.
 
         Raises
         ------
         BackupError
-            If the archive ends too early, or is not what ``ArchiveWriter`` writes.
+            If the archive ends too early, or was not written by ``ArchiveWriter``.
         """
         while True:
             name, num_bytes = self._read_header()
@@ -153,7 +153,7 @@ class ArchiveReader:
                 info = tarfile.TarInfo.frombuf(last, "ascii", "strict")
                 info.name = name
                 header += padded + last
-            # Links, devices and whatever else tar knows have other headers.
+            # Links, devices and other members of tar have other headers.
             if info.size < 0 or header != _header(info.name, info.size, int(info.mtime)):
                 raise self._damaged(start)
         except (tarfile.TarError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Contents of a backup: its manifest, the files that a database's rows name, and what is wrong with them."""
+"""Contents of a backup: its manifest, the files that rows of the database name, and their problems."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _ROWS_AT_ONCE = 50  # a session's rows may have megabytes each
 
 
 class RowCounts(BaseModel):
-    """How much a database holds."""
+    """Numbers of rows of a database."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -35,7 +35,8 @@ class RowCounts(BaseModel):
 class Manifest(BaseModel):
     """First member of a backup.
 
-    ``schema_revision`` is of its database; ``artifacts_url`` says where artifacts stay that are not in the backup.
+    ``schema_revision`` is that of the database; ``artifacts_url`` names the bucket of artifacts that are not in the
+    backup.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -47,11 +48,11 @@ class Manifest(BaseModel):
     artifacts_url: str
     rows: RowCounts
     files: int
-    num_bytes: int  # of the files
+    num_bytes: int  # of all files
 
 
 class FileProblem(BaseModel):
-    """A file that a backup lacks, or that is not what the database says. Without ``needed`` the service makes do."""
+    """A file that a backup lacks, or whose digest differs. The service works without files that are not ``needed``."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -65,7 +66,7 @@ FILE_PROBLEMS = TypeAdapter(tuple[FileProblem, ...])
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """A file that a row names, with its digest if the row has it.
+    """A file that a row names, with its digest if the row has one.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def read_manifest(content: bytes) -> Manifest:
 
 
 def count_rows(connection: Connection) -> RowCounts:
-    """Count what a database holds."""
+    """Count the rows of a database."""
     by_state = connection.execute(select(jobs.c.state, func.count()).group_by(jobs.c.state)).all()
     return RowCounts(
         sessions=connection.scalar(select(func.count()).select_from(sessions)) or 0,
@@ -120,17 +121,17 @@ def count_rows(connection: Connection) -> RowCounts:
 
 
 def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, StoredFile]:
-    """Files that a database's rows name, by path.
+    """Files that the rows of a database name, by path.
 
     Parameters
     ----------
     with_artifacts
-        Whether artifacts are in the data folder; else uploads alone are.
+        Whether artifacts are in the data folder; else only uploads are.
 
     Raises
     ------
     ValueError
-        A row names a file by a key that is none.
+        A row names a file by a malformed key.
     """
     found = list(_uploads(connection))
     if with_artifacts:
@@ -144,7 +145,7 @@ def _artifact(key: str, sha256: str | None, needed: bool) -> StoredFile:
 
 
 def _uploads(connection: Connection) -> Iterator[StoredFile]:
-    # An upload that was just moved into a session's folder has no file, and its client begins again.
+    # The file of an upload may just have been moved to a session; the client then begins the upload again.
     for upload_id in connection.scalars(select(uploads.c.id).order_by(uploads.c.id)):
         require_key(upload_id)
         yield StoredFile(f"uploads/{upload_id}", None, needed=False)
@@ -159,7 +160,7 @@ def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
 
 
 def _outputs(connection: Connection) -> Iterator[StoredFile]:
-    """Outputs of chunks; workers compute one again that is missing or damaged."""
+    """Outputs of chunks; workers compute missing and damaged ones again."""
     query = select(artifacts).order_by(artifacts.c.session_id, artifacts.c.output_key)
     for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
         yield _artifact(stage_key(row.session_id, row.output_key), row.sha256, needed=False)

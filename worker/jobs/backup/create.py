@@ -1,4 +1,4 @@
-"""Make a backup of a service, which may run meanwhile."""
+"""Create a backup of a service, which may be running."""
 
 import contextlib
 import fcntl
@@ -39,8 +39,8 @@ from worker.jobs.backup.snapshot import (
 from worker.jobs.database.connection import schema_revisions, sqlite_path
 from worker.jobs.files.disk import DiskSpace, sync
 
-# Sessions that are deleted between snapshot and links make another snapshot necessary; links are kept, so that each
-# one needs few new ones.
+# If sessions are deleted between the snapshot and the links, another snapshot is made. Existing links are kept, so that
+# it needs few new ones.
 _MAX_SNAPSHOTS = 10
 
 OnProgress = Callable[[int, int], None]
@@ -48,7 +48,7 @@ OnProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot:
-    """The database in a file, with the files that its rows name."""
+    """Snapshot of the database, with the files that its rows name."""
 
     path: Path
     revision: str
@@ -64,21 +64,20 @@ class _Snapshot:
 def create_backup(
     data_dir: Path, database_url: str, artifacts_url: str, archive: Path, on_progress: OnProgress
 ) -> Report:
-    """Write everything that a service keeps to a new file, as it is at one moment.
+    """Write the database and the files of a service to a new archive, as they are at one moment.
 
     Parameters
     ----------
     data_dir, database_url, artifacts_url
-        As in the service's settings. Artifacts in a bucket stay there.
+        As in the settings of the service. Artifacts in a bucket are not copied.
     archive
-        The new file. It gets its name when it is complete and on disk.
+        Path of the new file. The file gets this name when it is complete and on disk.
     on_progress
         Called with bytes written and bytes in all.
 
     Returns
     -------
-        With ``problems``: files that rows name, and that are missing, unreadable or not what the rows say. All else is
-        in the backup.
+        Contents of the backup; ``problems`` lists files that are missing, unreadable or damaged.
 
     Raises
     ------
@@ -122,7 +121,7 @@ def _require_database(database_url: str) -> None:
 
 @contextlib.contextmanager
 def _new_file(archive: Path) -> Iterator[tuple[BinaryIO, Path]]:
-    """A file beside the archive that nobody else may read; removed at the end of the block unless it was renamed."""
+    """Private file beside the archive; removed at the end of the block unless it was renamed."""
     part = archive.with_name(f"{archive.name}.part")
     _remove_abandoned(part)
     handle = os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
@@ -135,7 +134,7 @@ def _new_file(archive: Path) -> Iterator[tuple[BinaryIO, Path]]:
 
 
 def _remove_abandoned(part: Path) -> None:
-    """Remove what a killed backup left; ``BackupUsageError`` if it is being written."""
+    """Remove the file of a killed backup; ``BackupUsageError`` if another backup is writing it."""
     try:
         handle = os.open(part, os.O_RDWR | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -149,7 +148,7 @@ def _remove_abandoned(part: Path) -> None:
 
 
 def _consistent_snapshot(database_url: str, target: Path, links: HeldFiles, with_artifacts: bool) -> _Snapshot:
-    """A snapshot with all its files, unless some are missing for good."""
+    """Take a snapshot with all its files, unless some are missing for good."""
     missing_before: set[str] | None = None
     for _ in range(_MAX_SNAPSHOTS):
         with damage_is_of(database_url):
@@ -164,10 +163,10 @@ def _consistent_snapshot(database_url: str, target: Path, links: HeldFiles, with
 
 
 def _examine(database: Path, revision: str, with_artifacts: bool) -> tuple[dict[str, StoredFile], RowCounts]:
-    """Files that a snapshot's rows name, and how many rows there are."""
+    """Files that the rows of a snapshot name, and numbers of rows."""
     if revision == schema_revisions()[-1]:
         return _examine_current(database, with_artifacts)
-    # The backup keeps the schema that the service had, for the version that it had.
+    # The backup keeps the schema of the service, so that the same version can read it.
     copy = database.with_name(f"{database.name}-current")
     try:
         new_private_file(copy)
@@ -187,7 +186,7 @@ def _examine_current(database: Path, with_artifacts: bool) -> tuple[dict[str, St
 
 
 def _require_room(archive: Path, data_dir: Path, num_bytes: int) -> None:
-    """Refuse a disk that is too small; on the service's own the room that it keeps free has to stay."""
+    """Refuse a disk without enough room; the headroom of the service must stay free on its own disk."""
     free = shutil.disk_usage(archive.parent).free
     if archive.parent.stat().st_dev == data_dir.stat().st_dev:
         free = max(0, free - DiskSpace(data_dir).headroom_bytes)
@@ -233,7 +232,7 @@ def _write(file: BinaryIO, manifest: Manifest, snapshot: _Snapshot, on_progress:
 
 
 def _add(writer: ArchiveWriter, stored: StoredFile, held: dict[str, HeldFile]) -> FileProblem | None:
-    """Copy a file; what is wrong with it."""
+    """Copy a file, and return its problem if it has one."""
     found = held.get(stored.path)
     if found is None:
         return FileProblem(path=stored.path, problem="missing", needed=stored.needed)

@@ -12,7 +12,7 @@ from worker.jobs.files.disk import is_disk_full
 
 
 class BackupError(Exception):
-    """A backup can't be made, read or restored. ``faults`` has a sentence for everything that is wrong."""
+    """A backup can't be made, read or restored. ``faults`` holds one sentence for each problem."""
 
     def __init__(self, *faults: str) -> None:
         super().__init__(" ".join(faults))
@@ -20,12 +20,12 @@ class BackupError(Exception):
 
 
 class BackupUsageError(BackupError):
-    """The command was given something that it can't work with: nothing was done."""
+    """An argument or a setting can't be used; nothing was done."""
 
 
 @contextlib.contextmanager
 def writing_to(place: Path) -> Iterator[None]:
-    """Raise ``BackupError`` where a file or a database at a place can't be written."""
+    """Raise ``BackupError`` if a file or a database can't be written inside the block."""
     try:
         yield
     except DamagedDatabase:
@@ -44,5 +44,5 @@ def writing_to(place: Path) -> Iterator[None]:
 
 
 def disk_full(place: Path) -> BackupError:
-    """The error of a disk that became full."""
+    """Error of a full disk."""
     return BackupError(f"The disk of {place.parent} is full. Make room there, or choose another folder.")

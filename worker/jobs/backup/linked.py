@@ -1,4 +1,4 @@
-"""Files of a data folder that are held while they are copied, so that deletions meanwhile don't matter."""
+"""Hard links to files of a data folder, so that files that are deleted during a backup can still be copied."""
 
 import contextlib
 import fcntl
@@ -16,7 +16,7 @@ _FOLDER = ".backup"
 
 @dataclass(frozen=True, slots=True)
 class HeldFile:
-    """A file as it was found: its content stays at ``path``. An upload may grow beyond ``num_bytes``."""
+    """A held file: its content stays at ``path``. An upload may grow beyond ``num_bytes``."""
 
     path: Path
     num_bytes: int
@@ -30,7 +30,7 @@ class HeldFiles:
         self._held: dict[str, HeldFile] = {}
 
     def hold(self, path: str) -> HeldFile | None:
-        """Hold a file, a path below the data folder, from now on; ``None`` if it is not there."""
+        """Hold a file, by its path below the data folder; ``None`` if it is missing."""
         if path not in self._held:
             source, link = self._data_dir / path, self._folder / str(len(self._held))
             try:
@@ -48,7 +48,7 @@ class HeldFiles:
 
 @contextlib.contextmanager
 def held_files(data_dir: Path) -> Iterator[HeldFiles]:
-    """A place for links, until the end of the block; ``BackupUsageError`` if another backup is being made."""
+    """Folder of links, removed at the end of the block; ``BackupUsageError`` if another backup is being made."""
     folder = data_dir / _FOLDER
     folder.mkdir(mode=0o700, exist_ok=True)
     with _locked(folder) as is_ours:
@@ -62,9 +62,9 @@ def held_files(data_dir: Path) -> Iterator[HeldFiles]:
 
 
 def release_abandoned(data_dir: Path) -> None:
-    """Remove links that a killed backup left: they keep the room of files that were deleted."""
+    """Remove the links of a killed backup: they keep deleted files on the disk."""
     folder = data_dir / _FOLDER
-    folder.mkdir(mode=0o700, exist_ok=True)  # now: on a full disk it could not be made
+    folder.mkdir(mode=0o700, exist_ok=True)  # made now, because it can't be on a full disk
     with _locked(folder) as is_ours:
         if is_ours:
             _empty(folder)
@@ -72,7 +72,7 @@ def release_abandoned(data_dir: Path) -> None:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
-    """Lock a folder against other processes; whether that was possible. The lock goes with the process."""
+    """Lock a folder, and yield whether that was possible. The lock ends with the process."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:

@@ -1,4 +1,4 @@
-"""Read backups: check them, and make a service's folder of them."""
+"""Verify and restore backups."""
 
 import contextlib
 import fcntl
@@ -43,16 +43,16 @@ from worker.jobs.files.disk import sync
 OnProgress = Callable[[int, int], None]
 
 _MAX_DOCUMENT_BYTES = 256 * 2**20
-# Beyond that a list helps nobody.
+# More faults would not help.
 _MAX_FAULTS = 100
 
-# In a data folder that was there, empty, before a restore.
+# Folder of an unfinished restore, in a data folder that existed and was empty.
 _UNFINISHED = ".restoring"
 _FOLDERS = ("artifacts", "uploads")
 
 
 class _Contents:
-    """A backup as it is read, a member after another, into a folder or nowhere."""
+    """Reader of a backup, member by member; extracts the files into a folder, or only checks them."""
 
     def __init__(self, file: BinaryIO, folder: Path | None, database: Path, on_progress: OnProgress) -> None:
         self._folder, self._database = folder, database
@@ -67,7 +67,7 @@ class _Contents:
         self._manifest: Manifest | None = None
 
     def read(self, accept: Callable[[Manifest], None]) -> Report:
-        """Read all; ``accept`` may refuse a manifest. ``faults`` of the report say what is wrong with the archive."""
+        """Read all members; ``accept`` may refuse the manifest. The report lists problems as ``faults``."""
         for number, member in enumerate(self._reader.members()):
             if number == 0:
                 self._manifest = read_manifest(_document(member, MANIFEST))
@@ -105,7 +105,7 @@ class _Contents:
             self._refuse(f"The database is damaged: {error.reason}.")
         except NewerDatabase as error:
             self._refuse(str(error))
-        except Exception as error:  # whatever a damaged or hostile database makes its readers raise
+        except Exception as error:  # a damaged or hostile database may raise anything
             self._refuse(f"The database can't be read: {str(error) or type(error).__name__}.")
 
     def _read_problems(self, member: Member) -> None:
@@ -130,13 +130,13 @@ class _Contents:
             self._differing.add(member.name)
 
     def _refuse(self, *faults: str) -> None:
-        """Nothing is restored; but a check goes on, to say all that is wrong."""
+        """End a restore; a verification goes on, to list all problems."""
         if self._folder is not None:
             raise BackupError(*faults)
         self._faults.extend(faults[: _MAX_FAULTS - len(self._faults)])
 
     def _compare(self, problems: tuple[FileProblem, ...]) -> None:
-        """Add as faults what is wrong with files and was not known when the backup was made."""
+        """Add faults of files that were not known when the backup was made."""
         known = {problem.path for problem in problems}
         missing, damaged = self._expected.keys() - self._seen - known, self._differing - known
         faults = [
@@ -150,7 +150,7 @@ class _Contents:
 
 
 def verify_backup(archive: Path, on_progress: OnProgress) -> Report:
-    """Read all of a backup and check it, as ``restore_backup`` does; ``faults`` say what is wrong.
+    """Read and check a backup as ``restore_backup`` does; the report lists problems as ``faults``.
 
     Raises
     ------
@@ -166,27 +166,27 @@ def verify_backup(archive: Path, on_progress: OnProgress) -> Report:
 def restore_backup(
     archive: Path, data_dir: Path, database_url: str, artifacts_url: str, on_progress: OnProgress
 ) -> Report:
-    """Make a service's folder of a backup; there is none, or an empty one. Everything is checked before it is there.
+    """Restore a backup into a new or empty data folder. Everything is checked before the folder gets its name.
 
     Parameters
     ----------
     archive
-        The backup.
+        Path of the backup.
     data_dir, database_url, artifacts_url
         As in the settings of the service that is to run. A database elsewhere must be empty.
     on_progress
-        Called with bytes read and bytes in all.
+        Called with the number of bytes read, and of all bytes.
 
     Returns
     -------
-        With ``problems``: files that were missing or damaged when the backup was made.
+        Contents of the backup; ``problems`` lists files that were missing or damaged when it was made.
 
     Raises
     ------
     BackupError
         Nothing was restored.
     NewerDatabase
-        The database at ``database_url`` is of a newer version.
+        A newer version of Multicap wrote the database at ``database_url``.
     """
     data_dir = data_dir.absolute()
 
@@ -225,7 +225,7 @@ def _document(member: Member, name: str) -> bytes:
 
 
 def _require_path(path: str) -> None:
-    """Raise ``BackupError`` unless this is a path that a backup may write to: the archive may be a stranger's."""
+    """Raise ``BackupError`` unless a backup may write to a path: the archive may be hostile."""
     folder, _, key = path.partition("/")
     if folder not in _FOLDERS or not is_key(key) or (folder == "uploads" and "/" in key):
         raise BackupError(f"The archive holds {path!r}: no backup of Multicap does.")
@@ -275,10 +275,10 @@ def _require_room(file: BinaryIO, data_dir: Path) -> None:
 
 @contextlib.contextmanager
 def _unfinished(data_dir: Path) -> Iterator[Path]:
-    """A folder to restore into, on the file system of the data folder; nothing of it is left if the block fails.
+    """Folder to restore into, on the file system of the data folder; removed if the block fails.
 
-    Beside the data folder if there is none, so that it comes into being complete; else in it: it may be a mounted disk,
-    or its parent somebody else's.
+    It is beside the data folder if that is missing, so that the data folder appears complete. Else it is inside: the
+    data folder may be a mounted disk, or its parent belong to somebody else.
     """
     inside = data_dir.exists()
     folder = data_dir / _UNFINISHED if inside else data_dir.with_name(f"{data_dir.name}.partial")
@@ -314,13 +314,13 @@ def _require_unused(data_dir: Path) -> None:
                 pass
         except Timeout as error:
             raise BackupUsageError(f"A service runs on {data_dir}. Restore into another folder.") from error
-    # A restore that was killed at its very end has moved these, but not the database.
+    # A restore that was killed at its end has moved these folders, but not the database.
     if names and not (_UNFINISHED in names and names <= {_UNFINISHED, *_FOLDERS}):
         raise BackupUsageError(f"{data_dir} is not empty. Restore into a new folder.")
 
 
 def _clear(folder: Path, data_dir: Path | None) -> None:
-    """Remove what this or a killed restore has written."""
+    """Remove files of this restore or of a killed one."""
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
@@ -339,7 +339,7 @@ def _sync_all(folder: Path) -> None:
 
 
 def _place_database(database: Path, database_url: str, data_dir: Path) -> None:
-    """Have the rows where the service looks for them."""
+    """Move the database to where the service reads it."""
     path = sqlite_path(database_url)
     if path is None:
         load(database, database_url)
@@ -360,7 +360,7 @@ def _place_database(database: Path, database_url: str, data_dir: Path) -> None:
 
 
 def _finish(folder: Path, data_dir: Path) -> None:
-    """Give the complete folder its name; in a folder that was there, the database comes last."""
+    """Give the complete folder its name; in an existing folder, move the database last."""
     if folder.parent == data_dir:
         for name in (*_FOLDERS, DATABASE):
             if (folder / name).exists():

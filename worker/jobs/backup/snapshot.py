@@ -1,4 +1,4 @@
-"""The database of a backup: one SQLite file, whatever the service's database is."""
+"""Database of a backup: one SQLite file, also if the service uses PostgreSQL."""
 
 import contextlib
 import os
@@ -31,7 +31,7 @@ from worker.jobs.database.connection import (
     schema_revisions,
     sqlite_path,
 )
-from worker.jobs.database.tables import Moment, metadata
+from worker.jobs.database.tables import UtcTimestamp, metadata
 from worker.jobs.errors import DamagedDatabase
 
 _ROWS_AT_ONCE = 50
@@ -39,7 +39,7 @@ _BUSY_S = 30.0
 
 
 def take_snapshot(database_url: str, target: Path) -> str:
-    """Copy a database that is in use, as it is at one moment, into a new SQLite file; returns its schema's revision.
+    """Copy a database in use, as it is at one moment, into a new SQLite file; returns the revision of its schema.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def take_snapshot(database_url: str, target: Path) -> str:
         _copy_server(database_url, target)
     else:
         require_content(source)
-        # In one step: between steps others would write, and the copy would begin again.
+        # In one step: writes of others between steps would make the copy begin again.
         with contextlib.closing(_connect(source)) as database, contextlib.closing(_connect(target)) as copy:
             database.backup(copy)
     with contextlib.closing(_connect(target)) as copy:
@@ -69,7 +69,7 @@ def take_snapshot(database_url: str, target: Path) -> str:
 
 @contextlib.contextmanager
 def damage_is_of(database_url: str) -> Iterator[None]:
-    """Raise ``DamagedDatabase`` of a SQLite database when it, or a copy of it, is found damaged inside the block."""
+    """Raise ``DamagedDatabase`` for a SQLite database if it, or a copy of it, is found damaged inside the block."""
     try:
         yield
     except (sqlite3.Error, DamagedDatabase) as error:
@@ -85,13 +85,13 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _make_self_contained(database: sqlite3.Connection) -> None:
-    """Have a database in one file, without a log beside it."""
+    """Keep a database in one file, without a log beside it."""
     database.execute("PRAGMA journal_mode = DELETE")
 
 
 @contextlib.contextmanager
 def opened(database_url: str) -> Iterator[Database]:
-    """A database, for the time of the block."""
+    """Database that is closed at the end of the block."""
     database = Database(database_url)
     try:
         yield database
@@ -100,20 +100,20 @@ def opened(database_url: str) -> Iterator[Database]:
 
 
 def new_private_file(path: Path) -> None:
-    """Make an empty file in place of another one, for this user alone: databases hold secrets."""
+    """Make an empty file in place of another one, readable by this user only: databases hold secrets."""
     remove_database(path)
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
 
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[Connection]:
-    """A transaction that reads a database file of the newest schema."""
+    """Transaction that reads a database file of the newest schema."""
     with opened(f"sqlite:///{path}") as database, database.reading() as connection:
         yield connection
 
 
 def remove_database(path: Path) -> None:
-    """Remove a SQLite file with what SQLite puts beside it."""
+    """Remove a SQLite file with its journal files."""
     for suffix in ("", "-journal", "-wal", "-shm"):
         path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)
 
@@ -125,7 +125,7 @@ def prepare(path: Path) -> None:
     ------
     DamagedDatabase
     BackupError
-        A row refers to another one that is missing, or the database does more than hold rows.
+        A row refers to a missing one, or the database has triggers or views.
     NewerDatabase
     """
     with contextlib.closing(_connect(path)) as database:
@@ -135,7 +135,7 @@ def prepare(path: Path) -> None:
             raise DamagedDatabase(path, " ".join(str(answer).split()))
         if database.execute("PRAGMA foreign_key_check").fetchone() is not None:
             raise BackupError("The database is damaged: a row refers to another one that is missing.")
-        # A trigger would act as the service, and is nothing that Multicap makes.
+        # A trigger would act with the rights of the service; Multicap makes none.
         foreign = database.execute("SELECT name FROM sqlite_master WHERE type IN ('trigger', 'view')").fetchone()
         if foreign is not None:
             raise BackupError(f"The database has a trigger or view {foreign[0]!r}, which is not Multicap's.")
@@ -164,7 +164,7 @@ def _copy_server(database_url: str, target: Path) -> None:
 
 
 def load(path: Path, database_url: str) -> None:
-    """Copy a database file, its schema up to date, into a server's empty database: all of it or nothing."""
+    """Copy a database file of the newest schema into the empty database of a server, in one transaction."""
     with opened(f"sqlite:///{path}") as copy, opened(database_url) as server:
         require_empty(server)
         server.migrate()
@@ -173,7 +173,7 @@ def load(path: Path, database_url: str) -> None:
 
 
 def require_empty(server: Database) -> None:
-    """Raise ``BackupUsageError`` if a database holds anything of Multicap's."""
+    """Raise ``BackupUsageError`` if a database has rows of Multicap."""
     with server.reading() as connection:
         there = set(inspect(connection).get_table_names())
         for table in metadata.sorted_tables:
@@ -182,10 +182,10 @@ def require_empty(server: Database) -> None:
 
 
 def copy_rows(source: Connection, target: Connection) -> None:
-    """Copy all rows, and how far numbers were given out, between databases of the newest schema."""
+    """Copy all rows, and the last ids that were used, between databases of the newest schema."""
     for table in metadata.sorted_tables:
-        # Times are copied as the numbers that they are.
-        columns = [type_coerce(one, Double) if isinstance(one.type, Moment) else one for one in table.columns]
+        # Times are copied as numbers.
+        columns = [type_coerce(one, Double) if isinstance(one.type, UtcTimestamp) else one for one in table.columns]
         query = select(*(column.label(one.name) for column, one in zip(columns, table.columns, strict=True)))
         found = source.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE})
         for rows in found.mappings().partitions():
@@ -196,7 +196,7 @@ def copy_rows(source: Connection, target: Connection) -> None:
 
 
 def _numbered() -> list[Table]:
-    """Tables whose rows are numbered by the database; a number is never used again."""
+    """Tables whose ids are numbers of the database; an id is never used again."""
     return [
         table
         for table in metadata.sorted_tables

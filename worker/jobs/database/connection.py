@@ -1,4 +1,4 @@
-"""The database behind the job store: transactions, its clock, its schema, and all that differs between dialects."""
+"""Database of the job store: transactions, clock, schema, and differences between SQLite and PostgreSQL."""
 
 import contextlib
 import functools
@@ -24,21 +24,21 @@ from sqlalchemy.sql.functions import FunctionElement
 
 from worker.jobs.errors import DamagedDatabase, NewerDatabase
 
-# How long a transaction waits for another one's lock.
+# Time that a transaction waits for the lock of another one.
 _LOCK_TIMEOUT_S = 30.0
 _LOCK_RETRY_S = 0.01
 _CONNECT_TIMEOUT_S = 10
 
 _DAMAGE = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 _PRIMARY_CODE = 0xFF
-# Of Python's driver, for text that a damaged page holds; it has no code.
+# Message of Python's driver for text of a damaged page; the error has no code.
 _NOT_TEXT = "Could not decode to UTF-8"
 
-_MIGRATION_LOCK = 0x6D63_6170  # any number that every process agrees on
+_MIGRATION_LOCK = 0x6D63_6170  # any number, the same in every process
 
 
 class now(FunctionElement[float]):  # noqa: N801 - reads as the SQL function it is
-    """The database's clock, at the statement: seconds since 1970 in UTC."""
+    """Time of the database's clock when the statement runs: seconds since 1970 in UTC."""
 
     type = Double()
     inherit_cache = True
@@ -63,7 +63,7 @@ def upsert(connection: Connection, table: Table, row: Mapping[str, Any]) -> None
 
 
 def add_up(connection: Connection, table: Table, key: Mapping[str, Any], column: str, amount: float) -> None:
-    """Add to a number of the row with a primary key; the row is made if it is missing."""
+    """Add an amount to a column of the row with a primary key; insert the row if it is missing."""
     dialect = postgresql if connection.dialect.name == "postgresql" else sqlite
     row = dialect.insert(table).values(**key, **{column: amount})
     sum_of_both = {column: table.c[column] + row.excluded[column]}
@@ -71,8 +71,8 @@ def add_up(connection: Connection, table: Table, key: Mapping[str, Any], column:
 
 
 def lock(connection: Connection, name: str) -> None:
-    """Keep others who lock a name waiting until the transaction, one that writes, ends."""
-    # In SQLite whoever writes is alone.
+    """Lock a name until the end of the transaction, which writes; other transactions wait for the name."""
+    # SQLite has one writer at a time.
     if connection.dialect.name == "postgresql":
         connection.execute(text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))"), {"name": name})
 
@@ -85,7 +85,7 @@ def schema_revisions() -> tuple[str, ...]:
 
 
 def require_known_schema(revision: str) -> None:
-    """Raise ``NewerDatabase`` for a revision of the schema that is not one of ours."""
+    """Raise ``NewerDatabase`` for a revision of the schema that this version does not know."""
     if revision not in schema_revisions():
         raise NewerDatabase(revision)
 
@@ -97,13 +97,13 @@ def sqlite_path(database_url: str) -> Path | None:
 
 
 def damage_of(error: BaseException) -> str | None:
-    """SQLite's words for what is wrong with its file; ``None`` for other errors."""
+    """Message of SQLite if an error says that its file is damaged; ``None`` for other errors."""
     code = getattr(error, "sqlite_errorcode", 0) & _PRIMARY_CODE
     return str(error) if code in _DAMAGE or str(error).startswith(_NOT_TEXT) else None
 
 
 def require_content(path: Path) -> None:
-    """Raise ``DamagedDatabase`` for a file of no bytes beside files of sessions: SQLite takes it for a new database."""
+    """Raise ``DamagedDatabase`` for an empty file beside files of sessions: SQLite takes it for a new database."""
     if path.is_file() and path.stat().st_size == 0 and any(path.parent.glob("artifacts/sessions/*")):
         raise DamagedDatabase(path, "the file is empty, though there are files of sessions beside it")
 
@@ -117,8 +117,8 @@ def _migrations() -> Config:
 class Database:
     """One database, SQLite or PostgreSQL; may be shared by threads and carried across a fork.
 
-    Once SQLite has found its file damaged, every transaction raises ``DamagedDatabase``: what is written to such a file
-    makes the damage worse.
+    Once SQLite has found its file damaged, every transaction raises ``DamagedDatabase``: writing to such a file makes
+    the damage worse.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Database:
 
     def __init__(self, url: str) -> None:
         self._url = make_url(url)
-        if self._url.drivername in {"postgres", "postgresql"}:  # without a driver's name it is the one that we have
+        if self._url.drivername in {"postgres", "postgresql"}:  # the driver that is installed
             self._url = self._url.set(drivername="postgresql+psycopg")
         self._damage: str | None = None
         self._engine = self._create_engine()
@@ -142,24 +142,24 @@ class Database:
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:
-        """A transaction that reads."""
+        """Transaction that reads."""
         self._require_undamaged()
         with self._engine.begin() as connection:
             yield connection
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Connection]:
-        """A transaction that writes. In SQLite it waits here for its turn, instead of failing at its first write."""
+        """Transaction that writes. In SQLite it waits here for its turn, instead of failing at its first write."""
         self._require_undamaged()
         with self._engine.connect().execution_options(writing=True) as connection, connection.begin():
             yield connection
 
     @contextlib.contextmanager
     def snapshot(self) -> Iterator[Connection]:
-        """A transaction that reads all tables as they are at one moment."""
+        """Transaction that reads all tables as they are at one moment."""
         self._require_undamaged()
         with self._engine.connect() as connection:
-            if connection.dialect.name == "postgresql":  # SQLite reads in no other way
+            if connection.dialect.name == "postgresql":  # SQLite always reads so
                 connection.execution_options(isolation_level="REPEATABLE READ")
             with connection.begin():
                 yield connection
@@ -170,12 +170,12 @@ class Database:
             return MigrationContext.configure(connection).get_current_revision()
 
     def require_known_schema(self) -> None:
-        """Raise ``NewerDatabase`` if the schema is none that this version knows."""
+        """Raise ``NewerDatabase`` if this version does not know the schema."""
         if (revision := self.revision()) is not None:
             require_known_schema(revision)
 
     def require_whole(self) -> None:
-        """Raise ``DamagedDatabase`` if SQLite finds its file damaged; this reads all of the file.
+        """Raise ``DamagedDatabase`` if SQLite finds its file damaged; reads the complete file.
 
         Damage within a row's values is not found.
         """
@@ -194,7 +194,7 @@ class Database:
         ------
         DamagedDatabase
         NewerDatabase
-            If the schema is none that this version knows; the database stays as it is.
+            If this version does not know the schema; the database stays as it is.
         """
         self.require_whole()
         with self.writing() as connection:
@@ -211,8 +211,8 @@ class Database:
         self._engine.dispose()
 
     def _renew_after_fork(self) -> None:
-        # The parent's connections stay open here, unused: closing them would end the parent's sessions and drop
-        # what SQLite holds for the parent.
+        # The parent's connections stay open here, unused: closing them would end the sessions of the parent and release
+        # its locks in SQLite.
         self._inherited.append(self._engine)
         self._engine = self._create_engine()
 
@@ -260,16 +260,15 @@ os.register_at_fork(after_in_child=_renew_all_after_fork)
 
 
 def _configure_sqlite(connection: sqlite3.Connection, record: Any) -> None:
-    # Python's driver begins transactions late and commits some on its own; without an isolation level it leaves both
-    # to us.
+    # Python's driver begins transactions late and commits some by itself; without an isolation level it does neither.
     connection.isolation_level = None
     _write_ahead(connection)
     connection.execute("PRAGMA foreign_keys = ON")
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:
-    # The file keeps its journal mode, so only the first connection of all changes it. Where several are the first,
-    # SQLite refuses all but one at once, whatever the timeout: each holds a shared lock that another would wait for.
+    # The file keeps its journal mode, so only the first connection changes it. If several processes open the first one
+    # at the same time, SQLite refuses all but one, whatever the timeout: each holds a shared lock that another needs.
     deadline = time.monotonic() + _LOCK_TIMEOUT_S
     while True:
         try:
@@ -283,6 +282,6 @@ def _write_ahead(connection: sqlite3.Connection) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    # A transaction that reads first and writes later can't wait for its turn, so one that writes says so at once.
+    # A transaction that reads first and writes later can't wait for its turn, so writing is announced at the begin.
     writing = connection.get_execution_options().get("writing", False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")

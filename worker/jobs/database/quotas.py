@@ -1,4 +1,4 @@
-"""How much a tenant may have, and how much it has."""
+"""Quotas of tenants, and how much of them is used."""
 
 from dataclasses import asdict, dataclass
 
@@ -11,7 +11,7 @@ from worker.jobs.model import FINISHED, JobState, Usage
 
 @dataclass(frozen=True, slots=True)
 class Quotas:
-    """How much each tenant may have; ``None``: as much as there is room for."""
+    """Limits of each tenant; ``None``: no limit."""
 
     sessions: int | None = None
     unfinished_jobs: int | None = None
@@ -23,9 +23,9 @@ NO_QUOTAS = Quotas()
 
 
 def read_usage(connection: Connection, tenant: str) -> Usage:
-    """How much a tenant has now.
+    """Read how much a tenant has now.
 
-    ``stored_bytes`` are of its sessions' files, of what was found in them, of results, and what uploads are to be.
+    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, and the announced sizes of uploads.
     """
     mine = jobs.c.tenant == tenant
     num_sessions, input_bytes = connection.execute(
@@ -58,7 +58,7 @@ def require_room(
     stored_bytes: int = 0,
     uploads: int = 0,
 ) -> None:
-    """Raise ``QuotaExceeded`` if a tenant that has so much may not have so much more."""
+    """Raise ``QuotaExceeded`` if more of something would exceed a quota."""
     more = {
         "sessions": sessions,
         "unfinished_jobs": unfinished_jobs,

@@ -1,4 +1,4 @@
-"""Rows of the tables as the model's records."""
+"""Records of the model, made from rows of the tables."""
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
+from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
 from pipeline.stages.plan import DETECT
 from worker.jobs.database.connection import now
@@ -18,20 +19,20 @@ _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
 def session_of(row: Row[Any]) -> Session:
-    """A session from its row."""
+    """Session from its row."""
     return Session(
         id=row.id,
         name=row.name,
         created_at=row.created_at,
         files=tuple(InputFile(**file) for file in row.files),
-        preflight=row.preflight,
+        preflight=Preflight.from_json(row.preflight),
         metadata=row.client_metadata,
         record_sha256=row.record_sha256,
     )
 
 
 def result_of(row: Row[Any]) -> Result:
-    """A result from its row."""
+    """Result from its row."""
     return Result(
         name=row.name,
         kind=row.kind,
@@ -43,10 +44,10 @@ def result_of(row: Row[Any]) -> Result:
     )
 
 
-# Clients ask for jobs all the time, and to put a query together takes longer than to run it: once is enough.
+# Clients ask for jobs all the time, and building the query takes longer than running it.
 @functools.cache
 def select_jobs() -> Select[Any]:
-    """Jobs with their sessions' preflight and their places in the queue, for ``jobs_of``."""
+    """Query of jobs with the preflight of their sessions and their places in the queue, for ``jobs_of``."""
     ahead = jobs.alias("ahead")
     place = (
         select(func.count() + 1)
@@ -78,15 +79,15 @@ def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Job]:
 
 def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
     spec = JobSpec.model_validate(row.spec)
-    timebase = row.preflight["timebase"]
+    preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(ResultWarning(**warning) for warning in row.warnings)
     return Job(
         id=row.id,
         session_id=row.session_id,
         session_name=row.session_name,
-        num_frames=timebase["num_frames"],
-        duration_s=timebase["num_frames"] / timebase["frame_rate_hz"],
+        num_frames=preflight.timebase.num_frames,
+        duration_s=preflight.duration_s,
         state=JobState(row.state),
         spec=spec,
         attempt=row.attempt,
@@ -100,7 +101,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         eta_s=_eta_s(row, stages),
         problem=None if row.problem is None else Problem(**row.problem),
         warnings=(
-            *row.preflight.get("warnings", ()),
+            *preflight.warnings,
             *method_warnings(spec.config, has_videos),
             *(warning.message for warning in found),
         ),
@@ -111,7 +112,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
 def _eta_s(row: Row[Any], stages: Iterable[Stage]) -> float | None:
     if row.state != JobState.RUNNING:
         return None
-    # What was taken from an earlier job took no time.
+    # Outputs of an earlier job took no time.
     worked_on = [stage for stage in stages if not stage.reused]
     done, total = sum(stage.done for stage in worked_on), sum(stage.total for stage in worked_on)
     return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
@@ -163,11 +164,11 @@ def _stage(row: Row[Any]) -> Stage:
 
 
 def stage_state(states: Iterable[ChunkState]) -> ChunkState:
-    """State of a stage whose chunks are in some states: what is worst, else what is under way, else what they share."""
+    """State of a stage from those of its chunks: the worst one, else running, else the one that all share."""
     found = frozenset(states)
     for decisive in (ChunkState.FAILED, ChunkState.RUNNING, ChunkState.CANCELED):
         if decisive in found:
             return decisive
     if len(found) > 1:
-        return ChunkState.RUNNING  # some are done, the others wait for a worker
+        return ChunkState.RUNNING  # some chunks are done, the others wait for a worker
     return next(iter(found))

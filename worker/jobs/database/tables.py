@@ -1,6 +1,6 @@
-"""The tables. A change here needs a migration beside it (a test compares the two).
+"""Tables of the database. A change here needs a migration (a test compares the two).
 
-Times are seconds since 1970 in UTC, taken from the database's clock only: the machines' clocks need not agree.
+Times are seconds since 1970 in UTC, from the clock of the database only: the clocks of the machines need not agree.
 """
 
 from datetime import UTC, datetime
@@ -24,8 +24,8 @@ from sqlalchemy import (
 )
 
 
-class Moment(TypeDecorator[datetime]):
-    """A time that is a number for the database, which adds to it, and a ``datetime`` in UTC for who reads it."""
+class UtcTimestamp(TypeDecorator[datetime]):
+    """Time: a number in the database, so that seconds can be added to it, and a ``datetime`` in UTC when it is read."""
 
     impl = Double
     cache_ok = True
@@ -44,7 +44,7 @@ metadata = MetaData(
     }
 )
 
-# Everything belongs to it as long as there are no keys.
+# Tenant of everything as long as there are no keys.
 DEFAULT_TENANT = "default"
 
 sessions = Table(
@@ -52,26 +52,26 @@ sessions = Table(
     metadata,
     Column("id", String(36), primary_key=True),
     Column("name", String, nullable=False),
-    Column("created_at", Moment, nullable=False),
+    Column("created_at", UtcTimestamp, nullable=False),
     Column("files", JSON, nullable=False),
     Column("preflight", JSON, nullable=False),
     Column("client_metadata", JSON, nullable=False, server_default="{}"),
     Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
-    Column("record_sha256", String(64)),  # of the preflight record; null: unknown, of a session of an older version
+    Column("record_sha256", String(64)),  # of the preflight's file for the workers; null: session of an older version
     Index(None, "tenant", "id"),
 )
 
-# Files that come in pieces. One that is whole becomes a session's, and its row goes in that transaction.
+# Files that arrive in pieces. A row is deleted in the transaction that adds a session with the complete file.
 uploads = Table(
     "uploads",
     metadata,
     Column("id", String(36), primary_key=True),
     Column("tenant", String(64), nullable=False),
     Column("name", String, nullable=False),
-    Column("num_bytes", BigInteger, nullable=False),  # of the whole file
+    Column("num_bytes", BigInteger, nullable=False),  # of the complete file
     Column("metadata", String, nullable=False),
-    Column("expires_at", Moment, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False),
     Index(None, "tenant", "id"),
     Index(None, "expires_at"),
 )
@@ -85,15 +85,15 @@ jobs = Table(
     Column("spec", JSON, nullable=False),
     Column("attempt", Integer, nullable=False),
     Column("problem", JSON(none_as_null=True)),
-    Column("created_at", Moment, nullable=False),
-    Column("queued_at", Moment, nullable=False),  # of this attempt: a retry goes to the end of the queue
-    Column("started_at", Moment),
-    Column("finished_at", Moment),
-    Column("retention_s", Double),  # how long results are kept after the end; null: until somebody deletes them
-    Column("expires_at", Moment),
-    Column("trace", String(55)),  # W3C traceparent of who asked for this attempt
-    Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # its session's
-    Column("warnings", JSON, nullable=False, server_default="[]"),  # of its result: objects with code and message
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("queued_at", UtcTimestamp, nullable=False),  # this attempt: a retry goes to the end of the queue
+    Column("started_at", UtcTimestamp),
+    Column("finished_at", UtcTimestamp),
+    Column("retention_s", Double),  # time that results are kept after the end; null: until they are deleted
+    Column("expires_at", UtcTimestamp),
+    Column("trace", String(55)),  # W3C traceparent of the request for this attempt
+    Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # of its session
+    Column("warnings", JSON, nullable=False, server_default="[]"),  # about its results: objects with code and message
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
@@ -108,20 +108,20 @@ chunks = Table(
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
     Column("stage_index", Integer, nullable=False),
     Column("stage", String(32), nullable=False),
-    Column("code", String(64)),  # digest of the code that can run it; null: of an older version's
+    Column("code", String(64)),  # digest of the code that can run it; null: of an older version
     Column("chunk_index", Integer, nullable=False),
     Column("payload", JSON, nullable=False),
     Column("output_key", String(128), nullable=False),
     Column("unit_count", Integer, nullable=False),
-    Column("done_units", Integer, nullable=False, default=0),  # the most that any try got to: progress never goes back
+    Column("done_units", Integer, nullable=False, default=0),  # maximum over all tries: progress never goes back
     Column("state", String(16), nullable=False),
     Column("attempt", Integer, nullable=False, default=1),
     Column("reused", Boolean(create_constraint=False), nullable=False, default=False),
     Column("worker", String),
     Column("lease_token", String(36)),
-    Column("lease_until", Moment),
-    Column("started_at", Moment),
-    Column("finished_at", Moment),
+    Column("lease_until", UtcTimestamp),
+    Column("started_at", UtcTimestamp),
+    Column("finished_at", UtcTimestamp),
     UniqueConstraint("job_id", "stage_index", "chunk_index"),
     Index(None, "state", "job_id"),
     sqlite_autoincrement=True,  # a retry replaces a job's chunks: an old number must not come to mean a new chunk
@@ -140,7 +140,7 @@ results = Table(
     Column("sha256", String(64), nullable=False),
 )
 
-# Outputs of chunks that were finished. They outlive the jobs that made them, until their session is deleted.
+# Outputs of finished chunks. They stay when their job is deleted, until their session is.
 artifacts = Table(
     "artifacts",
     metadata,
@@ -150,21 +150,21 @@ artifacts = Table(
     Column("sha256", String(64), nullable=False),
 )
 
-# What happened to jobs, in the order in which it did for each of them: whoever adds a row has locked the job. Rows are
-# only ever added, and go with the job.
+# Events of jobs, in order for each job: the job is locked when a row is added. Rows are never changed, and are deleted
+# with the job.
 events = Table(
     "events",
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
-    Column("created_at", Moment, nullable=False),
-    Column("kind", String(16), nullable=False),  # "state" or "stage": what ``value`` is the new one of
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("kind", String(16), nullable=False),  # "state" or "stage"; ``value`` is the new one
     Column("value", String(32), nullable=False),
     Index(None, "job_id", "id"),
-    sqlite_autoincrement=True,  # numbers only grow, also after deletions
+    sqlite_autoincrement=True,  # ids grow, also after deletions
 )
 
-# Attempts of jobs that were followed by another one; the last one stands in ``jobs``.
+# Earlier attempts of jobs; the last one is in ``jobs``.
 attempts = Table(
     "attempts",
     metadata,
@@ -172,12 +172,12 @@ attempts = Table(
     Column("attempt", Integer, primary_key=True),
     Column("state", String(16), nullable=False),
     Column("problem", JSON(none_as_null=True)),
-    Column("queued_at", Moment, nullable=False),
-    Column("started_at", Moment),
-    Column("finished_at", Moment),
+    Column("queued_at", UtcTimestamp, nullable=False),
+    Column("started_at", UtcTimestamp),
+    Column("finished_at", UtcTimestamp),
 )
 
-# Tries of chunks that came to nothing, and why: a reason for each time that a chunk was begun again, or ended its job.
+# Failed tries of chunks: a problem for each time that a chunk was begun again, or ended its job.
 failures = Table(
     "failures",
     metadata,
@@ -188,22 +188,22 @@ failures = Table(
     Column("chunk_index", Integer, nullable=False),
     Column("chunk_try", Integer, nullable=False),
     Column("problem", JSON, nullable=False),
-    Column("failed_at", Moment, nullable=False),
+    Column("failed_at", UtcTimestamp, nullable=False),
     Index(None, "job_id", "id"),
     sqlite_autoincrement=True,
 )
 
-# What has to go from the artifact store, and when: noted in the transaction that forgets whose it was.
+# Files to be removed from the artifact store, added in the transaction that deletes the rows that name them.
 removals = Table(
     "removals",
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("prefix", String, nullable=False, index=True),
-    Column("due_at", Moment, nullable=False, index=True),
+    Column("due_at", UtcTimestamp, nullable=False, index=True),
     sqlite_autoincrement=True,
 )
 
-# What has been counted since the database was made: sums that only grow, also when jobs are deleted.
+# Totals since the database was made. They never shrink, not even when jobs are deleted.
 totals = Table(
     "totals",
     metadata,
@@ -219,28 +219,26 @@ keys = Table(
     Column("tenant", String(64), nullable=False),
     Column("name", String(200), nullable=False),
     Column("scopes", JSON, nullable=False),
-    Column("sha256", String(64), nullable=False, unique=True),  # of the secret, which nobody keeps
-    Column("created_at", Moment, nullable=False),
-    Column("expires_at", Moment),
-    Column("revoked_at", Moment),
+    Column("sha256", String(64), nullable=False, unique=True),  # of the secret, which is not stored
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp),
+    Column("revoked_at", UtcTimestamp),
 )
 
-# What was answered to requests that may be sent again. Without a status: such a request is being answered.
-receipts = Table(
-    "receipts",
+# Requests that may be sent again, with their answers; null: the request is at work.
+idempotency_keys = Table(
+    "idempotency_keys",
     metadata,
     Column("tenant", String(64), primary_key=True),
     Column("key", String(200), primary_key=True),
     Column("fingerprint", String(64), nullable=False),  # SHA-256 of the request
     Column("token", String(36), nullable=False),
-    Column("claimed_until", Moment, nullable=False),
-    Column("expires_at", Moment, nullable=False, index=True),
-    Column("status", Integer),
-    Column("headers", JSON(none_as_null=True)),
-    Column("body", String),
+    Column("claimed_until", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False, index=True),
+    Column("answer", JSON(none_as_null=True)),
 )
 
-# What has to be told of jobs that have ended.
+# Webhook messages of jobs' ends that were not delivered.
 deliveries = Table(
     "deliveries",
     metadata,
@@ -250,57 +248,57 @@ deliveries = Table(
     Column("tenant", String(64), nullable=False),
     Column("url", String, nullable=False),
     Column("body", String, nullable=False),
-    Column("created_at", Moment, nullable=False),
-    Column("due_at", Moment, nullable=False, index=True),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("due_at", UtcTimestamp, nullable=False, index=True),
     Column("tries", Integer, nullable=False),
-    Column("problem", String),  # of the last try
+    Column("problem", String),  # problem of the last try
     sqlite_autoincrement=True,
 )
 
-# What signs a tenant's messages: it has to be known here as it is.
+# Secrets that sign the messages of a tenant. A signature needs the secret itself, not its digest.
 webhook_secrets = Table(
     "webhook_secrets",
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("tenant", String(64), nullable=False, index=True),
     Column("secret", String(100), nullable=False),
-    Column("created_at", Moment, nullable=False),
-    Column("expires_at", Moment),  # null: until there is a newer one
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp),  # null: valid until there is a newer one
     sqlite_autoincrement=True,
 )
 
-# Worker processes that are there. Each renews its row every few seconds; old rows are of processes that are gone.
+# Worker processes. Each renews its row every few seconds; old rows belong to processes that have ended.
 workers = Table(
     "workers",
     metadata,
     Column("id", String(300), primary_key=True),  # host and process id
     Column("state", String(16), nullable=False),
-    Column("activity", String, nullable=False),  # what it does, a sentence without its full stop
-    Column("done", Integer, nullable=False),  # steps of that
+    Column("activity", String, nullable=False),  # sentence without the full stop
+    Column("done", Integer, nullable=False),  # steps of the activity
     Column("total", Integer, nullable=False),
-    Column("detectors", JSON, nullable=False),  # names of those that are installed there
-    Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the stages' code that it runs
-    Column("seen_at", Moment, nullable=False),
+    Column("detectors", JSON, nullable=False),  # names of the installed detectors
+    Column("codes", JSON, nullable=False, server_default="[]"),  # digests of the code of its stages
+    Column("seen_at", UtcTimestamp, nullable=False),
 )
 
-# Browsers that have shown a key, and have a cookie for it.
+# Browsers that have shown a key, and got a cookie.
 browser_sessions = Table(
     "browser_sessions",
     metadata,
     Column("sha256", String(64), primary_key=True),  # of the cookie's secret
     Column("key_id", ForeignKey("keys.id", ondelete="CASCADE"), nullable=False),
-    Column("expires_at", Moment, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False),
 )
 
-# Who did what. Rows are only ever added, and outlive what they tell of.
+# Audit events. Rows are never changed, and stay when their subject is deleted.
 audit = Table(
     "audit",
     metadata,
     Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("done_at", Moment, nullable=False),
+    Column("done_at", UtcTimestamp, nullable=False),
     Column("tenant", String(64), nullable=False),
-    Column("key_id", String(36)),  # null: nobody needed one, or it was done at the command line
-    Column("request_id", String(36)),  # null: it was done at the command line
+    Column("key_id", String(36)),  # null: the service had no keys, or the command line was used
+    Column("request_id", String(36)),  # null: the command line was used
     Column("act", String(32), nullable=False),
     Column("subject", String(36), nullable=False),  # id of a session, a job or a key
     Index(None, "tenant", "id"),

@@ -1,6 +1,6 @@
-"""What is counted of all jobs, in the transactions in which it happens: a crash neither doubles nor loses any.
+"""Totals over all jobs, counted in the transactions of the events: a crash neither doubles nor loses any.
 
-A transaction adds to sums in the order in which they stand in ``Total``, so two never wait for each other in a circle.
+A transaction adds to totals in the order of ``Total``, so that two transactions never wait for each other in a circle.
 """
 
 from enum import StrEnum
@@ -13,7 +13,7 @@ from worker.jobs.model import FINISHED, ChunkState, Figures, JobState
 
 
 class Total(StrEnum):
-    """A sum, and what its label says."""
+    """A total; its label is named behind it."""
 
     LEASES_LOST = "leases_lost"  # by stage
     CHUNKS_DONE = "chunks_done"  # by stage, without those that were reused
@@ -25,12 +25,12 @@ class Total(StrEnum):
 
 
 def count(connection: Connection, total: Total, label: str, amount: float = 1.0) -> None:
-    """Add to a sum."""
+    """Add an amount to a total."""
     add_up(connection, totals, {"name": total, "label": label}, "value", amount)
 
 
 def read_figures(connection: Connection) -> Figures:
-    """All sums, and how much there is to do now."""
+    """Read all totals, and how much work there is now."""
     by_state = select(jobs.c.state, func.count().label("number")).group_by(jobs.c.state)
     unfinished = select(chunks.c.state, func.count().label("number")).join(jobs).where(jobs.c.state.not_in(FINISHED))
     waiting = select(func.max(now() - jobs.c.queued_at)).where(jobs.c.state == JobState.QUEUED)

@@ -1,7 +1,7 @@
-"""Moves of jobs and chunks from state to state, inside a transaction of the caller's.
+"""Transitions of jobs and chunks from state to state, inside a transaction of the caller.
 
-Whoever changes a job or its chunks locks the job first, so two changes of one job never overlap and never wait for each
-other in a circle. (A heartbeat touches one row and locks nothing else.)
+Every change of a job or its chunks locks the job first. So two changes of one job never overlap and never wait for each
+other in a circle. (A heartbeat updates one row and locks nothing else.)
 """
 
 from collections.abc import Collection
@@ -14,7 +14,7 @@ from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, events, jobs
 from worker.jobs.database.totals import Total, count
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
-from worker.jobs.repositories.deliveries import queue_delivery
+from worker.jobs.repositories.webhooks import queue_delivery
 
 EventKind = Literal["state", "stage"]
 
@@ -23,17 +23,17 @@ _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
 def lock_job(connection: Connection, job_id: str) -> Row[Any] | None:
-    """Keep a job from being changed by others until the transaction ends; ``None`` if there is no such job."""
+    """Lock a job until the transaction ends, and return its row; ``None`` if there is no such job."""
     return connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
 
 
 def note(connection: Connection, job_id: str, kind: EventKind, value: str) -> None:
-    """Add to what happened to a locked job, or to one that nobody else can see yet."""
+    """Add an event of a locked job, or of one that no other transaction can see yet."""
     connection.execute(insert(events).values(job_id=job_id, created_at=now(), kind=kind, value=value))
 
 
 def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
-    """Move a job if that is legal from where it is; whether it was moved."""
+    """Move a job to a state if its state allows it; return whether it was moved."""
     sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
     if to in FINISHED - {JobState.EXPIRED}:
         values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s}
@@ -49,14 +49,14 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
 
 
 def move_chunk(connection: Connection, chunk_id: int, to: ChunkState, **values: Any) -> None:
-    """End the lease of a chunk whose job is locked, and say what it is now."""
+    """Move a chunk whose job is locked to a state, and end its lease."""
     if to in _ENDED:
         values["finished_at"] = now()
     connection.execute(update(chunks).where(chunks.c.id == chunk_id).values(state=to, **_NO_LEASE, **values))
 
 
 def cancel_chunks(connection: Connection, job_id: str, states: Collection[ChunkState]) -> None:
-    """Cancel a locked job's chunks that are in some states."""
+    """Cancel the chunks of a locked job that are in some states."""
     connection.execute(
         update(chunks)
         .where(chunks.c.job_id == job_id, chunks.c.state.in_(states))
@@ -65,9 +65,9 @@ def cancel_chunks(connection: Connection, job_id: str, states: Collection[ChunkS
 
 
 def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
-    """Go on after a chunk of a stage was done: to the next stage, or to the job's end. Whether chunks became ready.
+    """Begin the next stage after the last chunk of a stage, or end the job; return whether chunks became ready.
 
-    The next stage is the first one that is not done. That is an earlier one while outputs are computed again.
+    The next stage is the first one that is not done: an earlier one while outputs are computed again.
     """
     unfinished = select(chunks.c.id).where(
         chunks.c.job_id == job_id, chunks.c.stage_index == stage_index, chunks.c.state != ChunkState.DONE
@@ -95,7 +95,7 @@ def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
 
 
 def fail_job(connection: Connection, job_id: str, chunk_id: int, problem: Problem) -> None:
-    """End a locked job by one chunk's problem; its other chunks are canceled, and their workers lose their leases."""
+    """Fail a locked job by the problem of a chunk; its other chunks are canceled, and workers lose their leases."""
     move_chunk(connection, chunk_id, ChunkState.FAILED)
     cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING))
     move_job(connection, job_id, JobState.FAILED, problem=asdict(problem))

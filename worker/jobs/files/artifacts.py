@@ -31,41 +31,41 @@ _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*",
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
 _MAX_NAME = 100
 
-# A temporary file that nobody has written to for so long was left by a process that was killed.
+# A temporary file that was not written to for so long belongs to a killed process.
 _ABANDONED_S = 24 * 3600
 
 _ExcInfo = tuple[type[BaseException], BaseException, TracebackType]
 
-_MODE = stat.S_IRUSR | stat.S_IWUSR  # as a new temporary file has it
+_MODE = stat.S_IRUSR | stat.S_IWUSR  # mode of new temporary files
 
 
 def session_prefix(session_id: str) -> str:
-    """What the keys of all that a session has begin with, but for its jobs' results."""
+    """Prefix of the keys of a session's files, except for results."""
     return f"sessions/{session_id}/"
 
 
 def job_prefix(job_id: str) -> str:
-    """What the keys of a job's results begin with."""
+    """Prefix of the keys of a job's results."""
     return f"jobs/{job_id}/"
 
 
 def input_key(session_id: str, number: int, name: str) -> str:
-    """Where a session's file is; what a client calls it is kept as far as keys allow."""
+    """Key of an input file; it holds the client's name of the file as far as keys allow."""
     return f"{session_prefix(session_id)}inputs/{number}-{_UNSAFE.sub('_', name)[-_MAX_NAME:]}"
 
 
 def record_key(session_id: str) -> str:
-    """Where that is which the preflight found in a session's files, for the workers."""
+    """Key of the file that the preflight wrote for the workers."""
     return f"{session_prefix(session_id)}record"
 
 
 def stage_key(session_id: str, output_key: str) -> str:
-    """Where a chunk's output is."""
+    """Key of a chunk's output."""
     return f"{session_prefix(session_id)}stages/{output_key}"
 
 
 def result_key(job_id: str, name: str) -> str:
-    """Where a job's result file is."""
+    """Key of a result file."""
     return f"{job_prefix(job_id)}results/{name}"
 
 
@@ -73,50 +73,51 @@ class ArtifactStore(Protocol):
     """Immutable files under keys.
 
     A key consists of names of ASCII letters, digits, ``.``, ``_`` and ``-``, with slashes between them; a name begins
-    with a letter, a digit or ``_``. Every method raises ``ValueError`` for another key. A file is there whole or not at
-    all, and is replaced whole. Where a file is asked for that is not there, ``NotFound`` is raised.
+    with a letter, a digit or ``_``. Every method raises ``ValueError`` for another key. A file is stored and replaced
+    as a whole. Methods that need a file raise ``NotFound`` if it is missing.
 
-    A file that is read with its SHA-256 has it: ``DamagedArtifact`` is raised otherwise, also when the file is damaged
-    while it is read. A process compares a version of a file once (see ``worker.jobs.files.checksums``).
+    A file that is opened with its SHA-256 is compared: ``DamagedArtifact`` is raised if the digest differs, also when
+    the file is damaged while it is read. A process compares each version of a file once (see
+    ``worker.jobs.files.checksums``).
     """
 
     def put_file(self, key: str, path: Path) -> None:
-        """Take a file over: afterwards ``path`` is gone."""
+        """Store a file and remove ``path``."""
 
     def put_bytes(self, key: str, data: bytes) -> None:
-        """Keep bytes."""
+        """Store bytes."""
 
     def open(self, key: str, sha256: str | None = None) -> BinaryIO:
         """Open a file for reading, with seeking; without a digest it is not compared."""
 
     def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> AbstractContextManager[Path]:
-        """A path to read the file at, inside the block only.
+        """Path at which the file can be read, inside the block only.
 
-        The file is compared before the block; ``checksums.require_file`` says whether it has changed since. ``check``
-        is called while it is compared.
+        The file is compared before the block; ``checksums.require_file`` tells whether it has changed since. ``check``
+        is called while the file is compared.
         """
 
     def size(self, key: str) -> int:
-        """Bytes of a file."""
+        """Size of a file in bytes."""
 
     def exists(self, key: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file is stored."""
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
-        """An address that anybody may get the file from for a while; ``None`` where there is no such thing."""
+        """Address at which the file can be downloaded for a while without a key; ``None`` if the store has none."""
 
     def delete_prefix(self, prefix: str) -> None:
         """Remove every file whose key begins with ``prefix``, which ends with a slash."""
 
     def ping(self) -> bool:
-        """Whether files can be kept now."""
+        """Whether files can be stored now."""
 
     def sweep(self) -> None:
-        """Remove what a store keeps on this machine beside its files and nobody uses."""
+        """Remove temporary files and copies on this machine that are not in use."""
 
 
 def read_artifact(artifacts: ArtifactStore, key: str, sha256: str | None) -> bytes:
-    """Content of a file that fits into memory; ``sha256`` is its digest, ``None`` if nobody knows it.
+    """Read a file that fits into memory; ``sha256`` is its digest, ``None`` if it is unknown.
 
     Raises
     ------
@@ -131,18 +132,18 @@ def read_artifact(artifacts: ArtifactStore, key: str, sha256: str | None) -> byt
 
 
 def is_key(key: str) -> bool:
-    """Whether this is a key."""
+    """Whether a text is a key."""
     return _KEY.fullmatch(key) is not None
 
 
 def require_key(key: str) -> None:
-    """Raise ``ValueError`` unless this is a key."""
+    """Raise ``ValueError`` unless a text is a key."""
     if not is_key(key):
         raise ValueError(f"{key!r} is no key of an artifact")
 
 
 def require_prefix(prefix: str) -> None:
-    """Raise ``ValueError`` unless this is a key with a slash behind it."""
+    """Raise ``ValueError`` unless a text is a key with a slash behind it."""
     if not prefix.endswith("/"):
         raise ValueError(f"{prefix!r} does not end with a slash")
     require_key(prefix.removesuffix("/"))
@@ -154,7 +155,7 @@ class LocalArtifacts:
     Parameters
     ----------
     root
-        The folder; made if missing.
+        Path of the folder, which is made if it is missing.
     """
 
     def __init__(self, root: Path) -> None:
@@ -164,7 +165,7 @@ class LocalArtifacts:
         self._remove_abandoned()
 
     def put_file(self, key: str, path: Path) -> None:
-        """Take a file over: renamed where the file system allows, else copied."""
+        """Store a file: renamed where the file system allows, else copied."""
         target = self._path(key)
         with self._temporary() as temporary:
             try:
@@ -177,7 +178,7 @@ class LocalArtifacts:
         path.unlink(missing_ok=True)
 
     def put_bytes(self, key: str, data: bytes) -> None:
-        """Keep bytes."""
+        """Store bytes."""
         target = self._path(key)
         with self._temporary() as temporary:
             temporary.write_bytes(data)
@@ -192,42 +193,42 @@ class LocalArtifacts:
 
     @contextlib.contextmanager
     def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> Iterator[Path]:
-        """The file itself."""
+        """Path of the stored file itself."""
         path = self._path(key)
         require_file(path, key, sha256, check)
         yield path
 
     def size(self, key: str) -> int:
-        """Bytes of a file."""
+        """Size of a file in bytes."""
         path = self._path(key)
         if not path.is_file():
             raise NotFound(f"There is no artifact {key}.")
         return path.stat().st_size
 
     def exists(self, key: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file is stored."""
         return self._path(key).is_file()
 
     def delete_prefix(self, prefix: str) -> None:
-        """Remove a folder with all that is in it."""
+        """Remove a folder with its content."""
         require_prefix(prefix)
         shutil.rmtree(self._path(prefix.removesuffix("/")), onerror=_unless_gone)
 
     def ping(self) -> bool:
-        """Whether files can be kept now."""
+        """Whether files can be stored now."""
         try:
             with self._temporary() as temporary:
                 temporary.write_bytes(b"ping")
         except OSError as error:
-            return is_disk_full(error)  # how much room there is, is asked elsewhere
+            return is_disk_full(error)  # room on the disk is checked elsewhere
         return True
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
-        """None: files of a folder have no address."""
+        """Return ``None``: files of a folder have no address."""
         return None
 
     def sweep(self) -> None:
-        """Remove what killed processes left."""
+        """Remove temporary files of killed processes."""
         self._remove_abandoned()
 
     def _path(self, key: str) -> Path:
@@ -250,7 +251,7 @@ class LocalArtifacts:
                     path.unlink()
 
     def _publish(self, temporary: Path, target: Path) -> None:
-        """Give a complete file its name, so that it survives a loss of power."""
+        """Rename a complete file to its key; it survives a loss of power afterwards."""
         missing = [folder for folder in target.parents if not folder.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary.replace(target)
@@ -259,6 +260,6 @@ class LocalArtifacts:
 
 
 def _unless_gone(function: object, path: str, error: _ExcInfo) -> None:
-    """Go on where another process has removed something in the meantime."""
+    """Ignore files that another process has removed in the meantime."""
     if not isinstance(error[1], FileNotFoundError | NotADirectoryError):
         raise error[1]

@@ -1,7 +1,7 @@
-"""SHA-256 of stored files: compared before a file is used, once for as long as the file does not change.
+"""SHA-256 of stored files: compared before a file is used, once as long as the file does not change.
 
-A file is known by its version: device, inode, size and times of its last changes. A process remembers the versions that
-it has compared, so that a file is not read through again for every chunk or every range of a download.
+The version of a file is its device, inode, size and times of the last changes. A process remembers the versions that it
+has compared, so that a file is not read again for every chunk or every range of a download.
 """
 
 import contextlib
@@ -25,14 +25,14 @@ _SETTLED_NS = 100_000_000
 
 
 class Readable(Protocol):
-    """A file that is read from its present position on."""
+    """File that is read from its present position on."""
 
     def readinto(self, buffer: memoryview, /) -> int | None:
-        """Fill a buffer; how many bytes were read."""
+        """Fill a buffer; return the number of bytes that were read."""
 
 
 class FileVersion(NamedTuple):
-    """A file's content as far as the file system says; other content has another version."""
+    """Version of a file, from the file system; other content has another version."""
 
     device: int
     inode: int
@@ -47,7 +47,7 @@ class FileVersion(NamedTuple):
 
 
 class Verified:
-    """Versions of files whose digests were computed; the oldest are forgotten first.
+    """Versions of files with their digests; the oldest are forgotten first.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Verified:
         self._lock = threading.Lock()
 
     def holds(self, version: Hashable, sha256: str) -> bool:
-        """Whether a version is known to have a digest."""
+        """Whether a version was found to have a digest."""
         return self._sha256_by_version.get(version) == sha256
 
     def add(self, version: Hashable, sha256: str) -> None:
@@ -76,12 +76,12 @@ _verified = Verified()
 
 
 def no_check() -> None:
-    """Callback of a digest that nobody wants to interrupt."""
+    """Callback of a digest that is not to be interrupted."""
 
 
 @contextlib.contextmanager
 def found(key: str) -> Iterator[None]:
-    """Raise ``NotFound`` for an artifact whose file is not there."""
+    """Raise ``NotFound`` for an artifact whose file is missing."""
     try:
         yield
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
@@ -196,7 +196,7 @@ class VerifiedFile(io.FileIO):
     def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
         """Fill a buffer with bytes of the file that has the digest."""
         num_bytes = super().readinto(buffer)
-        # A backup's hard link changes a file's times too, and no byte of it.
+        # The hard link of a backup also changes the times of a file, but not its content.
         if version_of(self.fileno()) != self._version:
             self._version = require_sha256(self.fileno(), self._key, self._sha256)
         return num_bytes

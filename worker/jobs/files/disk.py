@@ -1,8 +1,8 @@
-"""The disk: what survives a loss of power, how much room is left, and a reserve for deleting.
+"""Disk: syncing of files, free space, and a reserve for deletions.
 
-Two amounts are kept free. Nothing new is taken in, and no chunk is begun, where less than the *headroom* is left: the
-database, logs and work under way live on it. The *reserve* is a file that holds room for the moment when other programs
-have filled the disk: whoever deletes something gives it up, for the database needs room even to forget a row.
+Two amounts are kept free. With less than the *headroom* left, nothing new is accepted and no chunk is begun: the
+database, logs and work under way need it. The *reserve* is a file that keeps room for the case that other programs have
+filled the disk: a deletion releases it, because the database needs room even to delete a row.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ _MAX_HEADROOM_BYTES = 256 * _MIB
 _MAX_RESERVE_BYTES = 32 * _MIB
 
 _DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
-# The second is of the write-ahead log's index, which SQLite keeps in a file that it maps; the third of a user's quota.
+# The second is an error of the write-ahead log's index, a mapped file; the third one of a user's quota.
 _SQLITE_FULL = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_SHMSIZE, sqlite3.SQLITE_IOERR_WRITE})
 _POSTGRES_FULL = "53100"
 
@@ -29,7 +29,7 @@ _Result = TypeVar("_Result")
 
 
 def sync(path: Path) -> None:
-    """Have a file's content, or a folder's list of files, on disk before this returns."""
+    """Write a file's content, or a folder's list of files, to the disk before returning."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -49,14 +49,14 @@ def is_disk_full(error: BaseException) -> bool:
 
 
 class DiskSpace:
-    """Room on the file system of a folder.
+    """Free space on the file system of a folder.
 
     Parameters
     ----------
     folder
-        The data folder; made when it is needed.
+        Data folder; made when it is needed.
     headroom_bytes
-        How much is kept free; ``None``: 5 % of the file system, at most 256 MiB.
+        Bytes that are kept free; ``None``: 5 % of the file system, at most 256 MiB.
     """
 
     def __init__(self, folder: Path, headroom_bytes: int | None = None) -> None:
@@ -79,7 +79,7 @@ class DiskSpace:
         return min(_MAX_HEADROOM_BYTES, status.f_blocks * status.f_frsize // 20)
 
     def has_room(self, num_bytes: int = 0) -> bool:
-        """Whether the headroom is free still once so many bytes are written."""
+        """Whether the headroom stays free after so many bytes are written."""
         return self.free_bytes >= self.headroom_bytes + num_bytes
 
     def require_room(self, num_bytes: int = 0) -> None:
@@ -88,7 +88,7 @@ class DiskSpace:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def set_aside(self) -> None:
-        """Make the reserve, or enlarge it: of a full size where there is room, else of half of what is left."""
+        """Make the reserve, or enlarge it: to its full size if there is room, else to half of what is left."""
         status = os.statvfs(self._folder)
         wanted = min(_MAX_RESERVE_BYTES, status.f_blocks * status.f_frsize // 50)
         held = self._reserve.stat().st_size if self._reserve.exists() else 0
@@ -96,21 +96,21 @@ class DiskSpace:
         num_bytes = wanted if free >= wanted + self.headroom_bytes else min(wanted, free // 2)
         if num_bytes <= held:
             return
-        with contextlib.suppress(OSError), self._reserve.open("ab") as file:  # others may have been faster
+        with contextlib.suppress(OSError), self._reserve.open("ab") as file:  # other processes may do the same
             os.posix_fallocate(file.fileno(), 0, num_bytes)
 
     def give_up(self) -> None:
-        """Give the reserve to whoever writes next."""
+        """Remove the reserve, so that its room can be used."""
         with contextlib.suppress(OSError):
             self._reserve.unlink(missing_ok=True)
 
     def using_reserve(self, act: Callable[[], _Result]) -> _Result:
-        """Do what must work on a full disk, at the reserve's expense: delete or end something, open the database.
+        """Run something that must work on a full disk, such as a deletion; release the reserve if it is needed.
 
         Parameters
         ----------
         act
-            Is run a second time if the disk is full.
+            Run a second time if the disk is full.
         """
         try:
             return act()

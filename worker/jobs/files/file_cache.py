@@ -1,4 +1,4 @@
-"""Copies of a distant store's files on this machine, shared by its processes, for as long as they are of use."""
+"""Cache of files of a distant artifact store, shared by the processes of this machine."""
 
 import contextlib
 import fcntl
@@ -12,25 +12,25 @@ from uuid import uuid4
 
 from filelock import FileLock
 
-# Suffixes of a copy, of its lock, of a copy that is not whole yet, and of an empty file whose time is the copy's last
-# use: the copy's own times say whether its content has changed.
+# Suffixes of a copy, of its lock, of an incomplete copy, and of an empty file whose time is the last use of the copy.
+# The times of the copy itself tell whether its content has changed.
 _COPY, _LOCK, _PART, _USED = ".copy", ".lock", ".part", ".used"
 
 
 class FileCache:
-    """A folder of copies.
+    """Folder of copies.
 
-    A copy that is in use is never removed. Others go when room is needed, the one that was used longest ago first, and
-    when they were not used for long: what was deleted in the store must not stay here.
+    A copy in use is never removed. Other copies are removed when room is needed, the one that was used longest ago
+    first, and when they were not used for ``keep_s``: deleted files of the store must not stay here.
 
     Parameters
     ----------
     folder
         Made when it is needed.
     max_bytes
-        Of all copies; what is in use at one time may be more.
+        Maximum size of all copies; copies in use at the same time may exceed it.
     keep_s
-        For how long a copy stays that nobody uses.
+        Time that an unused copy is kept.
     """
 
     def __init__(self, folder: Path, max_bytes: int, keep_s: float) -> None:
@@ -40,16 +40,16 @@ class FileCache:
 
     @contextlib.contextmanager
     def copy(self, key: str, num_bytes: int, fetch: Callable[[Path], None]) -> Iterator[Path]:
-        """A path to read a file at, inside the block only.
+        """Path at which a file can be read, inside the block only.
 
         Parameters
         ----------
         key
-            Of the file, whose content never changes.
+            Key of the file, whose content never changes.
         num_bytes
-            Of the file.
+            Size of the file.
         fetch
-            Writes the file to a path, if there is no copy yet; of all processes only one does.
+            Writes the file to a path; called by one process at a time, if there is no copy yet.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._path(key)
@@ -61,13 +61,13 @@ class FileCache:
             path.with_suffix(_USED).touch()
 
     def drop(self, key: str) -> None:
-        """Remove the copy of a file, also from who uses it: it is damaged."""
+        """Remove a damaged copy, even if it is in use."""
         path = self._path(key)
         with FileLock(path.with_suffix(_LOCK)):
             path.unlink(missing_ok=True)
 
     def sweep(self) -> None:
-        """Remove what was not used for long, and what killed processes left."""
+        """Remove copies that were not used for ``keep_s``, and incomplete files of killed processes."""
         for path, info in self._found(_COPY, _PART, _LOCK, _USED):
             if time.time() - _used_s(path, info) > self._keep_s:
                 _remove_unused(path)
@@ -103,7 +103,7 @@ class FileCache:
 
 
 def _pin(path: Path) -> BinaryIO | None:
-    """Keep a file from being removed until what is returned is closed, or this process is killed."""
+    """Open a file that is not removed until it is closed, or this process is killed; ``None`` if it is missing."""
     try:
         file = path.open("rb")
     except FileNotFoundError:
@@ -125,7 +125,7 @@ def _used_s(path: Path, info: os.stat_result) -> float:
 
 
 def _remove_unused(path: Path) -> bool:
-    """Remove a file unless somebody uses it; whether it is gone."""
+    """Remove a file unless it is in use; return whether it is removed."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Files that nobody but their owner may read: captures of people, webhooks' secrets, logs."""
+"""Files that only their owner may read: captures of people, webhook secrets, logs."""
 
 import contextlib
 import os
@@ -10,15 +10,15 @@ _OURS = ("multicap.db", "artifacts", "serve.lock")
 
 
 def keep_files_private() -> None:
-    """Have all files that this process and its children make be readable by their owner alone."""
+    """Make new files of this process and its children readable by their owner only."""
     os.umask(_OWNER_ONLY)
 
 
 def make_private(folder: Path) -> None:
-    """Make the data folder if it is missing, and close it to others: then none of them reaches what is in it.
+    """Make the data folder if it is missing, and close it to other users.
 
-    Folders of an older version were open. A folder that holds other things stays as it is: it was named by mistake. So
-    does one of another owner, such as a volume of containers.
+    Folders of older versions were open. A folder with other files stays as it is: it was named by mistake. So does a
+    folder of another owner, such as a volume of containers.
     """
     folder.mkdir(mode=_MODE, parents=True, exist_ok=True)
     with contextlib.suppress(PermissionError):

@@ -1,4 +1,4 @@
-"""Artifacts in a bucket of S3, or of what speaks its protocol."""
+"""Artifacts in a bucket of S3, or of another service with its protocol."""
 
 import contextlib
 import io
@@ -17,40 +17,40 @@ from worker.jobs.files.artifacts import require_key, require_prefix
 from worker.jobs.files.checksums import Verified, no_check, require_file, sha256_of
 from worker.jobs.files.file_cache import FileCache
 
-# A part of a large file as it is sent, and how many at once: what a put takes of memory.
+# Size of the parts of a large file, and number of parts at once: the memory that a put takes.
 _MIN_PART_BYTES = 8 * 2**20
 _PARTS_AT_ONCE = 4
 # S3 takes 10,000 parts.
 _MAX_PARTS = 9_000
 _READ_BYTES = 2**20
 
-# Longer and callers wait in vain: what fails is tried again by whoever asked.
+# Callers try again by themselves, so the library need not try for longer.
 _RETRY: Any = {"max_retries": 4, "retry_timeout": timedelta(seconds=20)}
 
 
 class S3Artifacts:
-    """Artifacts as objects.
+    """Artifacts as objects of a bucket.
 
-    Who may, and where else than at Amazon, is in the environment: ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``,
-    ``AWS_REGION``, ``AWS_ENDPOINT_URL``.
+    Keys and address come from the environment: ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_REGION``,
+    ``AWS_ENDPOINT_URL``.
 
     Parameters
     ----------
     url
         ``s3://bucket``, or ``s3://bucket/prefix``.
     cache
-        For files that have to be on disk.
+        Copies of files that have to be on this machine's disk.
 
     Raises
     ------
     ValueError
-        If that is no such URL.
+        The URL is not of this form.
     """
 
     def __init__(self, url: str, cache: FileCache) -> None:
         if not url.startswith("s3://"):
             raise ValueError(f"{url!r} does not begin with s3://")
-        # Whoever gives an address without TLS means it.
+        # An address without TLS was set on purpose.
         plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")
         client: Any = {"connect_timeout": "5s", "timeout": "120s", "allow_http": plain}
         self._store = S3Store.from_url(url, client_options=client, retry_config=_RETRY)
@@ -58,7 +58,7 @@ class S3Artifacts:
         self._verified = Verified()
 
     def put_file(self, key: str, path: Path) -> None:
-        """Send a file, in parts if it is large; then it goes here."""
+        """Send a file, in parts if it is large, and remove ``path``."""
         require_key(key)
         num_bytes = path.stat().st_size
         with _reached(key):
@@ -73,13 +73,13 @@ class S3Artifacts:
         path.unlink()
 
     def put_bytes(self, key: str, data: bytes) -> None:
-        """Keep bytes."""
+        """Send bytes."""
         require_key(key)
         with _reached(key):
             obstore.put(self._store, key, data, attributes=_attributes(key), max_concurrency=_PARTS_AT_ONCE)
 
     def open(self, key: str, sha256: str | None = None) -> BinaryIO:
-        """Open an object; it is read a piece at a time, and once more if it has to be compared."""
+        """Open an object; it is read in pieces, and once more before if it has to be compared."""
         head = self._head(key)
         file = io.BufferedReader(_Object(self._store, key, head["size"], head["e_tag"]), _READ_BYTES)
         version = key, head["size"], head["e_tag"]
@@ -92,7 +92,7 @@ class S3Artifacts:
 
     @contextlib.contextmanager
     def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> Iterator[Path]:
-        """A copy on this machine; one that is damaged is fetched again."""
+        """Path of a copy on this machine; a damaged copy is fetched again."""
         num_bytes = self.size(key)
         with contextlib.ExitStack() as stack:
             path = stack.enter_context(self._copy(key, num_bytes))
@@ -105,11 +105,11 @@ class S3Artifacts:
             yield path
 
     def size(self, key: str) -> int:
-        """Bytes of an object."""
+        """Size of an object in bytes."""
         return int(self._head(key)["size"])
 
     def exists(self, key: str) -> bool:
-        """Whether an object is there."""
+        """Whether an object is stored."""
         try:
             self._head(key)
         except NotFound:
@@ -124,7 +124,7 @@ class S3Artifacts:
                 obstore.delete(self._store, [one["path"] for one in some])
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
-        """An address that anybody may get the object from for a while."""
+        """Address at which the object can be downloaded for a while without a key."""
         require_key(key)
         with _reached(key):
             return obstore.sign(self._store, "GET", key, timedelta(seconds=lifetime_s))
@@ -139,7 +139,7 @@ class S3Artifacts:
         return True
 
     def sweep(self) -> None:
-        """Remove copies that nobody uses."""
+        """Remove copies that are not in use."""
         self._cache.sweep()
 
     def _head(self, key: str) -> Any:
@@ -157,7 +157,7 @@ class S3Artifacts:
 
 
 class _Object(io.RawIOBase):
-    """An object as a file; that it is replaced meanwhile is an error, never a mixture."""
+    """Object as a file. If the object is replaced while it is read, reading fails."""
 
     def __init__(self, store: S3Store, key: str, num_bytes: int, etag: str | None) -> None:
         self._store, self._key, self._num_bytes, self._etag = store, key, num_bytes, etag
@@ -187,16 +187,16 @@ class _Object(io.RawIOBase):
 
 
 def _attributes(key: str) -> Any:
-    # For who downloads from a signed address.
+    # For downloads from a signed address.
     return {"Content-Disposition": f'attachment; filename="{key.rpartition("/")[2]}"'}
 
 
 @contextlib.contextmanager
 def _reached(key: str) -> Iterator[None]:
-    """Errors of the library in the store's words."""
+    """Turn errors of the library into those of the job store."""
     try:
         yield
-    except FileNotFoundError as error:  # which the library raises where there is no object
+    except FileNotFoundError as error:  # raised by the library for a missing object
         raise NotFound(f"There is no artifact {key}.") from error
     except (BaseError, PermissionError) as error:
         raise ArtifactsUnavailable(f"The artifact store failed at {key}.") from error

@@ -1,4 +1,4 @@
-"""Which artifact store there is: the only place that chooses."""
+"""Choice of the artifact store by its URL."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import platformdirs
 from worker.jobs.files.artifacts import ArtifactStore, LocalArtifacts
 from worker.jobs.files.file_cache import FileCache
 
-# What the settings of API and workers take.
+# Allowed URLs in the settings of API and workers.
 ARTIFACTS_URL = r"^(s3://[^/\s]+(/\S*)?)?$"
 
 DEFAULT_CACHE_BYTES = 64 * 2**30
@@ -15,7 +15,7 @@ DEFAULT_CACHE_HOURS = 12.0
 
 
 def default_data_dir() -> Path:
-    """Folder of the service unless somebody says else."""
+    """Default data folder of the service."""
     return platformdirs.user_data_path("multicap", appauthor=False) / "service"
 
 
@@ -29,18 +29,18 @@ def open_artifacts(
     url
         ``s3://bucket/prefix``; empty: a folder of ``data_dir``.
     data_dir
-        Where that folder is, or the copies of what is elsewhere.
+        Data folder, which holds the artifacts, or copies of those in a bucket.
     cache_bytes, cache_hours
-        How much of them, and for how long those that nobody uses.
+        Maximum size of the copies, and time that unused copies are kept.
 
     Raises
     ------
     ValueError
-        There is no store for such a URL.
+        The URL is of no known store.
     """
     if not url:
         return LocalArtifacts(data_dir / "artifacts")
-    # Whoever needs no distant store does without its library.
+    # The library is loaded only where it is needed.
     from worker.jobs.files.s3_artifacts import S3Artifacts  # noqa: PLC0415
 
     return S3Artifacts(url, FileCache(data_dir / "cache", cache_bytes, cache_hours * 3600.0))

@@ -1,1 +1,1 @@
-"""Rows of one resource each: read, written, and moved from state to state."""
+"""Repositories: each module reads and writes the rows of one resource."""

@@ -1,4 +1,4 @@
-"""Attempts of jobs and tries of chunks that came to nothing, each with its reason."""
+"""Attempts of jobs, and failed tries of chunks with their problems."""
 
 from dataclasses import asdict
 from itertools import groupby
@@ -14,7 +14,7 @@ _KEPT = ("attempt", "state", "problem", "queued_at", "started_at", "finished_at"
 
 
 def note_failure(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem) -> None:
-    """Add a try of a locked job's chunk that came to nothing."""
+    """Add a failed try of a chunk whose job is locked."""
     connection.execute(
         insert(failures).values(
             job_id=job.id,
@@ -29,7 +29,7 @@ def note_failure(connection: Connection, job: Row[Any], chunk: Row[Any], problem
 
 
 def keep_attempt(connection: Connection, job: Row[Any]) -> None:
-    """Keep what a locked job's attempt came to, before the next one takes its place."""
+    """Keep the present attempt of a locked job, before the next one replaces it."""
     columns = {name: getattr(job, name) for name in _KEPT}
     for name in ("queued_at", "started_at", "finished_at"):
         columns[name] = columns[name].timestamp() if columns[name] else None
@@ -37,7 +37,7 @@ def keep_attempt(connection: Connection, job: Row[Any]) -> None:
 
 
 def attempts_of(connection: Connection, job: Row[Any]) -> list[Attempt]:
-    """All attempts of a job, the first one first."""
+    """Attempts of a job, the first one first."""
     earlier = connection.execute(select(attempts).where(attempts.c.job_id == job.id).order_by(attempts.c.attempt))
     found = connection.execute(
         select(failures).where(failures.c.job_id == job.id).order_by(failures.c.attempt, failures.c.id)

@@ -1,16 +1,20 @@
-"""Who did what: noted in the transaction that does it, kept when what it was done to is gone."""
+"""Audit: events of what was done to sessions, jobs, uploads and keys, and by which key.
+
+An event is recorded in the transaction of the action, and outlives its subject.
+"""
 
 from enum import StrEnum
 
 from sqlalchemy import Connection, insert, select
 
-from worker.jobs.database.connection import Database, now
+from worker.jobs.database.connection import now
 from worker.jobs.database.tables import audit
-from worker.jobs.model import Actor, Deed
+from worker.jobs.database.transactions import Transactions
+from worker.jobs.model import Actor, AuditEvent
 
 
-class Act(StrEnum):
-    """What can be done."""
+class AuditAction(StrEnum):
+    """Actions that are recorded."""
 
     SESSION_CREATED = "session-created"
     SESSION_DELETED = "session-deleted"
@@ -22,32 +26,32 @@ class Act(StrEnum):
     UPLOAD_DELETED = "upload-deleted"
     KEY_CREATED = "key-created"
     KEY_REVOKED = "key-revoked"
-    WEBHOOK_SECRET_MADE = "webhook-secret-made"  # noqa: S105 - an act
+    WEBHOOK_SECRET_MADE = "webhook-secret-made"  # noqa: S105 - an action
     BROWSER_LET_IN = "browser-let-in"
 
 
-def note_deed(connection: Connection, actor: Actor, tenant: str, act: Act, subject: str) -> None:
-    """Note what is done to a session, a job, an upload or a key."""
+def record_event(connection: Connection, actor: Actor, tenant: str, action: AuditAction, subject: str) -> None:
+    """Record an action on a session, a job, an upload or a key, whose id is ``subject``."""
     connection.execute(
         insert(audit).values(
-            done_at=now(), tenant=tenant, key_id=actor.key_id, request_id=actor.request_id, act=act, subject=subject
+            done_at=now(), tenant=tenant, key_id=actor.key_id, request_id=actor.request_id, act=action, subject=subject
         )
     )
 
 
 class Audit:
-    """The store's list of what was done."""
+    """Audit events of all tenants."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
-    def deeds(self, tenant: str | None = None, limit: int = 100) -> list[Deed]:
-        """What was done last, of one tenant or of all, the last one first."""
+    def events(self, tenant: str | None = None, limit: int = 100) -> list[AuditEvent]:
+        """Last events of a tenant or of all tenants, the newest first."""
         query = select(audit).order_by(audit.c.id.desc()).limit(limit)
         if tenant is not None:
             query = query.where(audit.c.tenant == tenant)
-        with self._database.reading() as connection:
+        with self._transactions.reading() as connection:
             return [
-                Deed(row.done_at, row.tenant, Actor(row.key_id, row.request_id), row.act, row.subject)
+                AuditEvent(row.done_at, row.tenant, Actor(row.key_id, row.request_id), row.act, row.subject)
                 for row in connection.execute(query)
             ]

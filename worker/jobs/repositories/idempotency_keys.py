@@ -1,124 +1,121 @@
-"""Receipts: what was answered to a request that a client may send again, because it never saw the answer.
+"""Idempotency keys: answers to requests that a client may send again because it never saw the answer.
 
-A request claims its key, does its work, and leaves the answer in the transaction of the work: so there are both or
-neither, whoever is killed at whatever moment. Whose claim ran out meanwhile does nothing.
+A request claims its key, does its work, and stores the answer in the transaction of the work. So both are there or
+neither, whenever a process is killed. A request whose claim ran out in the meantime changes nothing.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, delete, insert, select, update
+from sqlalchemy import ColumnElement, delete, insert, select, update
 from uuid_utils import uuid4
 
+from worker.jobs.database.access import Access
 from worker.jobs.database.connection import lock, now
-from worker.jobs.database.tables import receipts
-from worker.jobs.database.tenants import OfTenant
+from worker.jobs.database.tables import idempotency_keys
 from worker.jobs.errors import Conflict, KeyBusy, KeyReused
 
 _KEPT_S = 24 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """An answer over HTTP."""
-
-    status: int
-    headers: Mapping[str, str]
-    body: str
-
-
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """The right to answer for a key. ``render`` says what was made: a session, a job, an upload."""
+class KeyClaim:
+    """Right to store the answer of a key: a lease with a token, as of a chunk."""
 
     key: str
     token: str
-    render: Callable[[Any], Answer]
 
 
-class Receipts(OfTenant):
-    """A tenant's receipts, by the keys that its clients chose. They go after a day."""
+class IdempotencyKeys:
+    """Idempotency keys of a tenant, chosen by its clients. They are forgotten after a day.
 
-    _claim: Claim | None = None
+    An answer is any JSON object of the caller.
+    """
 
-    def claim_key(self, key: str, fingerprint: str, lease_s: float) -> str | Answer:
-        """Claim a key for a request; returns a token, or what was answered to this very request before.
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def claim(self, key: str, fingerprint: str, lease_s: float) -> KeyClaim | Mapping[str, Any]:
+        """Claim a key for a request; returns the claim, or the answer that the same request got before.
 
         Parameters
         ----------
         fingerprint
-            Of the request: another one under the same key is refused.
+            Digest of the request: another request under the same key is refused.
         lease_s
-            How long others are kept from it, unless ``renew_claim`` or ``release_claim`` is called.
+            Time for which other requests are refused, unless ``renew`` or ``release`` is called.
 
         Raises
         ------
         KeyReused
             The key belongs to another request.
         KeyBusy
-            The same request is being answered.
+            The same request is at work.
         """
-        mine = receipts.c.tenant == self._owner, receipts.c.key == key
-        with self._database.writing() as connection:
-            lock(connection, f"receipt {self._owner} {key}")
-            connection.execute(delete(receipts).where(receipts.c.expires_at < now()))
-            free = receipts.c.claimed_until < now()
-            query = select(receipts, free.label("is_free")).where(*mine)
+        this_key = self._of(key)
+        with self._access.writing() as connection:
+            lock(connection, f"idempotency key {self._access.owner} {key}")
+            connection.execute(delete(idempotency_keys).where(idempotency_keys.c.expires_at < now()))
+            is_free = idempotency_keys.c.claimed_until < now()
+            query = select(idempotency_keys, is_free.label("is_free")).where(this_key)
             found = connection.execute(query).one_or_none()
-            if found is not None and found.status is None and found.is_free:
-                # Whoever claimed it was killed, and has left nothing.
-                connection.execute(delete(receipts).where(*mine))
+            if found is not None and found.answer is None and found.is_free:
+                # The request that claimed the key was killed, and has changed nothing.
+                connection.execute(delete(idempotency_keys).where(this_key))
             elif found is not None:
                 if found.fingerprint != fingerprint:
                     raise KeyReused("This key was used for another request.")
-                if found.status is not None:
-                    return Answer(found.status, found.headers, found.body)
-                raise KeyBusy("This very request is being answered.")
-            token = str(uuid4())
+                if found.answer is None:
+                    raise KeyBusy("This very request is being answered.")
+                answer: Mapping[str, Any] = found.answer
+                return answer
+            claim = KeyClaim(key, str(uuid4()))
             connection.execute(
-                insert(receipts).values(
-                    tenant=self._owner,
+                insert(idempotency_keys).values(
+                    tenant=self._access.owner,
                     key=key,
                     fingerprint=fingerprint,
-                    token=token,
+                    token=claim.token,
                     claimed_until=now() + lease_s,
                     expires_at=now() + _KEPT_S,
                 )
             )
-            return token
+            return claim
 
-    def has_receipt(self, key: str) -> bool:
-        """Whether a key was answered."""
-        query = select(receipts.c.key).where(
-            receipts.c.tenant == self._owner, receipts.c.key == key, receipts.c.status.is_not(None)
-        )
-        with self._database.reading() as connection:
+    def is_answered(self, key: str) -> bool:
+        """Whether a key has an answer."""
+        query = select(idempotency_keys.c.key).where(self._of(key), idempotency_keys.c.answer.is_not(None))
+        with self._access.reading() as connection:
             return connection.scalar(query) is not None
 
-    def renew_claim(self, key: str, token: str, lease_s: float) -> None:
+    def renew(self, claim: KeyClaim, lease_s: float) -> None:
         """Keep a claim for longer."""
-        with self._database.writing() as connection:
-            connection.execute(update(receipts).where(*self._claimed(key, token)).values(claimed_until=now() + lease_s))
+        with self._access.writing() as connection:
+            claimed = update(idempotency_keys).where(self._claimed(claim))
+            connection.execute(claimed.values(claimed_until=now() + lease_s))
 
-    def release_claim(self, key: str, token: str) -> None:
-        """Give a claim back: nothing came of it."""
-        with self._database.writing() as connection:
-            connection.execute(delete(receipts).where(*self._claimed(key, token)))
+    def release(self, claim: KeyClaim) -> None:
+        """Give a claim back after a request that failed, so that the request can be sent again."""
+        with self._access.writing() as connection:
+            connection.execute(delete(idempotency_keys).where(self._claimed(claim)))
 
-    def _leave_receipt(self, connection: Connection, made: object) -> None:
-        """Keep the answer, in the transaction that makes what it tells of."""
-        if self._claim is None:
-            return
-        answer = self._claim.render(made)
-        kept = connection.execute(
-            update(receipts)
-            .where(*self._claimed(self._claim.key, self._claim.token))
-            .values(status=answer.status, headers=dict(answer.headers), body=answer.body)
-        )
-        if kept.rowcount == 0:
-            raise Conflict("The request took too long; it was sent again in the meantime.")
+    def answer(self, claim: KeyClaim, answer: Mapping[str, Any]) -> None:
+        """Store the answer of a claimed key, in the transaction of the work that it reports.
 
-    def _claimed(self, key: str, token: str) -> tuple[Any, ...]:
-        unanswered = receipts.c.status.is_(None)
-        return receipts.c.tenant == self._owner, receipts.c.key == key, receipts.c.token == token, unanswered
+        Raises
+        ------
+        Conflict
+            The claim ran out, and another request may have done the work.
+        """
+        with self._access.writing() as connection:
+            claimed = update(idempotency_keys).where(self._claimed(claim))
+            if connection.execute(claimed.values(answer=dict(answer))).rowcount == 0:
+                raise Conflict("The request took too long; it was sent again in the meantime.")
+
+    def _of(self, key: str) -> ColumnElement[bool]:
+        return (idempotency_keys.c.tenant == self._access.owner) & (idempotency_keys.c.key == key)
+
+    def _claimed(self, claim: KeyClaim) -> ColumnElement[bool]:
+        is_open = idempotency_keys.c.answer.is_(None)
+        return self._of(claim.key) & (idempotency_keys.c.token == claim.token) & is_open

@@ -1,32 +1,33 @@
-"""Keys: who may use the service, as which tenant, and for what."""
+"""Keys of the service: each belongs to a tenant, and has scopes."""
 
 import hashlib
 import secrets
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 from uuid_utils import uuid7
 
-from worker.jobs.database.connection import Database, now
+from worker.jobs.database.connection import now
 from worker.jobs.database.tables import browser_sessions, keys
+from worker.jobs.database.transactions import Transactions
 from worker.jobs.errors import NotFound
 from worker.jobs.model import Actor, Key, Scope
-from worker.jobs.repositories.audit import Act, note_deed
+from worker.jobs.repositories.audit import AuditAction, record_event
 
 _PREFIX = "mc_"
 
-# Enough that a digest without salt is safe: nobody guesses it.
+# Long enough that a digest without salt is safe: the secret can't be guessed.
 _SECRET_BYTES = 32
 
 
 class Keys:
-    """The store's keys. Secrets are never kept, only their SHA-256."""
+    """Keys of all tenants. Secrets are not stored, only their SHA-256."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
-    def create_key(
+    def add(
         self, tenant: str, name: str, scopes: Collection[Scope], lifetime_s: float | None = None
     ) -> tuple[Key, str]:
         """Make a key; returns it with its secret, which can't be read again.
@@ -34,115 +35,90 @@ class Keys:
         Parameters
         ----------
         lifetime_s
-            How long it is valid; ``None``: until it is revoked.
+            Time until it expires; ``None``: it is valid until it is revoked.
         """
         key_id, secret = str(uuid7()), _PREFIX + secrets.token_urlsafe(_SECRET_BYTES)
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             connection.execute(
                 insert(keys).values(
                     id=key_id,
                     tenant=tenant,
                     name=name,
                     scopes=sorted(scopes),
-                    sha256=_digest(secret),
+                    sha256=digest(secret),
                     created_at=now(),
                     expires_at=None if lifetime_s is None else now() + lifetime_s,
                 )
             )
-            note_deed(connection, Actor(), tenant, Act.KEY_CREATED, key_id)
-            return _key(connection.execute(select(keys).where(keys.c.id == key_id)).one()), secret
+            record_event(connection, Actor(), tenant, AuditAction.KEY_CREATED, key_id)
+            return key_of(connection.execute(select(keys).where(keys.c.id == key_id)).one()), secret
 
-    def list_keys(self) -> list[Key]:
+    def all(self) -> list[Key]:
         """All keys, also those that are no longer valid, the oldest first."""
-        with self._database.reading() as connection:
-            return [_key(row) for row in connection.execute(select(keys).order_by(keys.c.id))]
+        with self._transactions.reading() as connection:
+            return [key_of(row) for row in connection.execute(select(keys).order_by(keys.c.id))]
 
     def count_tenants(self) -> int:
-        """Number of tenants that have a valid key to make jobs with."""
-        with self._database.reading() as connection:
+        """Number of tenants that have a valid key with the scope ``write``."""
+        with self._transactions.reading() as connection:
             return count_tenants(connection)
 
-    def has_keys(self) -> bool:
-        """Whether there ever was a key: from then on nobody comes in without one."""
-        with self._database.reading() as connection:
+    def exist(self) -> bool:
+        """Whether a key was ever made: from then on every request needs one."""
+        with self._transactions.reading() as connection:
             return connection.execute(select(keys.c.id).limit(1)).first() is not None
 
-    def revoke_key(self, key_id: str) -> Key:
-        """End a key for good, and every browser session that it opened; revoking twice is no error.
+    def revoke(self, key_id: str) -> Key:
+        """Revoke a key for good, with the browser sessions that it opened; revoking twice is no error.
 
         Raises
         ------
         NotFound
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             row = connection.execute(select(keys).where(keys.c.id == key_id).with_for_update()).one_or_none()
             if row is None:
                 raise NotFound("There is no such key.")
             if row.revoked_at is None:
                 connection.execute(update(keys).where(keys.c.id == key_id).values(revoked_at=now()))
                 connection.execute(delete(browser_sessions).where(browser_sessions.c.key_id == key_id))
-                note_deed(connection, Actor(), row.tenant, Act.KEY_REVOKED, key_id)
-            return _key(connection.execute(select(keys).where(keys.c.id == key_id)).one())
+                record_event(connection, Actor(), row.tenant, AuditAction.KEY_REVOKED, key_id)
+            return key_of(connection.execute(select(keys).where(keys.c.id == key_id)).one())
 
-    def find_key(self, secret: str) -> Key | None:
-        """The key with a secret, if it is valid now."""
+    def find(self, secret: str) -> Key | None:
+        """Key with a secret; ``None`` if it is unknown or not valid now."""
         if not secret.startswith(_PREFIX):
             return None
-        query = select(keys).where(keys.c.sha256 == _digest(secret), _is_valid())
-        with self._database.reading() as connection:
+        query = select(keys).where(keys.c.sha256 == digest(secret), is_valid())
+        with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else _key(row)
+        return None if row is None else key_of(row)
 
-    def valid_keys(self, key_ids: Collection[str]) -> set[str]:
-        """Those of some keys, by their ids, that are valid now."""
-        query = select(keys.c.id).where(keys.c.id.in_(key_ids), _is_valid())
-        with self._database.reading() as connection:
+    def valid(self, key_ids: Collection[str]) -> set[str]:
+        """Ids among some whose keys are valid now."""
+        query = select(keys.c.id).where(keys.c.id.in_(key_ids), is_valid())
+        with self._transactions.reading() as connection:
             return set(connection.scalars(query))
-
-    def open_browser_session(self, key: Key, lifetime_s: float, request_id: str | None = None) -> str:
-        """Let a browser in that has shown a key; returns a secret of its own, for a cookie."""
-        secret = secrets.token_urlsafe(_SECRET_BYTES)
-        with self._database.writing() as connection:
-            connection.execute(delete(browser_sessions).where(browser_sessions.c.expires_at < now()))
-            connection.execute(
-                insert(browser_sessions).values(sha256=_digest(secret), key_id=key.id, expires_at=now() + lifetime_s)
-            )
-            note_deed(connection, Actor(key.id, request_id), key.tenant, Act.BROWSER_LET_IN, key.id)
-        return secret
-
-    def find_browser_session(self, secret: str) -> Key | None:
-        """The key that a browser has shown, if both are valid now."""
-        query = (
-            select(keys)
-            .join(browser_sessions)
-            .where(browser_sessions.c.sha256 == _digest(secret), browser_sessions.c.expires_at > now(), _is_valid())
-        )
-        with self._database.reading() as connection:
-            row = connection.execute(query).one_or_none()
-        return None if row is None else _key(row)
-
-    def close_browser_session(self, secret: str) -> None:
-        """Forget a browser."""
-        with self._database.writing() as connection:
-            connection.execute(delete(browser_sessions).where(browser_sessions.c.sha256 == _digest(secret)))
 
 
 def count_tenants(connection: Connection) -> int:
-    """Number of tenants that have a valid key to make jobs with."""
-    valid = keys.c.revoked_at.is_(None) & or_(keys.c.expires_at.is_(None), keys.c.expires_at > now())
-    rows = connection.execute(select(keys.c.tenant, keys.c.scopes).where(valid))
+    """Number of tenants that have a valid key with the scope ``write``."""
+    rows = connection.execute(select(keys.c.tenant, keys.c.scopes).where(is_valid()))
     return len({row.tenant for row in rows if Scope.WRITE in row.scopes})
 
 
-def _digest(secret: str) -> str:
+def digest(secret: str) -> str:
+    """SHA-256 of a secret."""
     return hashlib.sha256(secret.encode(errors="surrogateescape")).hexdigest()
 
 
-def _is_valid() -> Any:
+def is_valid() -> ColumnElement[bool]:
+    """Condition that a key is neither revoked nor expired."""
     return keys.c.revoked_at.is_(None) & (keys.c.expires_at.is_(None) | (keys.c.expires_at > now()))
 
 
-def _key(row: Row[Any]) -> Key:
+def key_of(row: Row[Any]) -> Key:
+    """Key from its row."""
     return Key(
         id=row.id,
         tenant=row.tenant,

@@ -1,7 +1,7 @@
-"""Uploads: files that clients send in pieces, until they are a session's or their time is over.
+"""Uploads: files that clients send in pieces, until a session takes them or they expire.
 
-Here is what was said of them when they were begun. How much of one has come is known to nobody but its file, which is
-on the spool of the API that receives it.
+A row holds what was announced. The number of bytes that have arrived is the size of the file on the spool of the API
+that receives it.
 """
 
 from collections.abc import Collection
@@ -9,100 +9,113 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select, update
 
+from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.model import Upload
-from worker.jobs.repositories.audit import Act, note_deed
-from worker.jobs.repositories.idempotency_keys import Receipts
+from worker.jobs.repositories.audit import AuditAction, record_event
 
 
-class Uploads(Receipts):
-    """A tenant's uploads. One whose time is over is not there."""
+class Uploads:
+    """Uploads of a tenant, or of all tenants. An expired upload is treated as unknown."""
 
-    def create_upload(self, upload_id: str, name: str, num_bytes: int, metadata: str, keep_s: float) -> Upload:
-        """Record an upload; its bytes count for the tenant's quota from now on.
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def add(self, upload_id: str, name: str, num_bytes: int, metadata: str, keep_s: float) -> Upload:
+        """Add an upload; its bytes count for the tenant's quota from now on.
 
         Parameters
         ----------
         upload_id
-            As its file is called.
+            Name of its file on the spool.
         name
-            Of the file.
+            Name that the client gave the file.
         num_bytes
-            Of the whole file.
+            Size of the complete file.
         metadata
-            As the client sent it; it gets it back.
+            Text of the client, stored as it is.
         keep_s
-            How long it is kept, from now on and again from each ``renew_upload``.
+            Time until it expires; begins again with each ``renew``.
 
         Raises
         ------
         QuotaExceeded
         """
-        with self._database.writing() as connection:
-            self._require_room(connection, uploads=1, stored_bytes=num_bytes)
+        access = self._access
+        with access.writing() as connection:
+            access.require_room(connection, uploads=1, stored_bytes=num_bytes)
             connection.execute(
                 insert(uploads).values(
                     id=upload_id,
-                    tenant=self._owner,
+                    tenant=access.owner,
                     name=name,
                     num_bytes=num_bytes,
                     metadata=metadata,
                     expires_at=now() + keep_s,
                 )
             )
-            note_deed(connection, self._actor, self._owner, Act.UPLOAD_CREATED, upload_id)
-            upload = self._upload(connection, upload_id)
-            self._leave_receipt(connection, upload)
-            return upload
+            record_event(connection, access.actor, access.owner, AuditAction.UPLOAD_CREATED, upload_id)
+            return self._read(connection, upload_id)
 
-    def upload(self, upload_id: str) -> Upload:
-        """An upload; ``NotFound`` if there is none."""
-        with self._database.reading() as connection:
-            return self._upload(connection, upload_id)
+    def get(self, upload_id: str) -> Upload:
+        """Upload with an id; ``NotFound`` if there is none."""
+        with self._access.reading() as connection:
+            return self._read(connection, upload_id)
 
-    def renew_upload(self, upload_id: str, keep_s: float) -> Upload:
+    def renew(self, upload_id: str, keep_s: float) -> Upload:
         """Keep an upload for longer; ``NotFound`` if there is none."""
-        with self._database.writing() as connection:
-            self._upload(connection, upload_id)
+        with self._access.writing() as connection:
+            self._read(connection, upload_id)
             connection.execute(update(uploads).where(uploads.c.id == upload_id).values(expires_at=now() + keep_s))
-            return self._upload(connection, upload_id)
+            return self._read(connection, upload_id)
 
-    def delete_upload(self, upload_id: str) -> None:
-        """Forget an upload; ``NotFound`` if there is none."""
-        with self._database.writing() as connection:
-            self._upload(connection, upload_id)
+    def delete(self, upload_id: str) -> None:
+        """Delete an upload; ``NotFound`` if there is none."""
+        access = self._access
+        with access.writing() as connection:
+            self._read(connection, upload_id)
             connection.execute(delete(uploads).where(uploads.c.id == upload_id))
-            note_deed(connection, self._actor, self._owner, Act.UPLOAD_DELETED, upload_id)
+            record_event(connection, access.actor, access.owner, AuditAction.UPLOAD_DELETED, upload_id)
 
-    def expired_uploads(self) -> list[str]:
-        """Ids of those whose time is over."""
-        query = select(uploads.c.id).where(self._mine(uploads), uploads.c.expires_at < now())
-        with self._database.reading() as connection:
-            return list(connection.scalars(query))
+    def use(self, upload_ids: Collection[str]) -> None:
+        """Delete uploads whose files a session of the same transaction takes.
 
-    def forget_expired_upload(self, upload_id: str) -> None:
-        """Forget an upload if its time is over still."""
-        with self._database.writing() as connection:
-            connection.execute(delete(uploads).where(uploads.c.id == upload_id, uploads.c.expires_at < now()))
+        Call it before the session is added, so that no byte counts twice for the quota.
 
-    def known_uploads(self, upload_ids: Collection[str]) -> set[str]:
-        """Those of some ids that are an upload's, expired or not."""
-        query = select(uploads.c.id).where(self._mine(uploads), uploads.c.id.in_(upload_ids))
-        with self._database.reading() as connection:
-            return set(connection.scalars(query))
-
-    def _use_up(self, connection: Connection, upload_ids: Collection[str]) -> None:
-        """Forget uploads whose files become a session's; ``Conflict`` if one is not there any more."""
+        Raises
+        ------
+        Conflict
+            One of the uploads is unknown.
+        """
         if not upload_ids:
             return
-        found = connection.execute(delete(uploads).where(self._mine(uploads), uploads.c.id.in_(upload_ids)))
-        if found.rowcount != len(upload_ids):
-            raise Conflict("An upload was deleted, or used for another session, in the meantime.")
+        chosen = delete(uploads).where(self._access.may_reach(uploads), uploads.c.id.in_(upload_ids))
+        with self._access.writing() as connection:
+            if connection.execute(chosen).rowcount != len(upload_ids):
+                raise Conflict("An upload was deleted, or used for another session, in the meantime.")
 
-    def _upload(self, connection: Connection, upload_id: str) -> Upload:
-        query = select(uploads).where(uploads.c.id == upload_id, self._mine(uploads), uploads.c.expires_at >= now())
+    def expired(self) -> list[str]:
+        """Ids of expired uploads."""
+        query = select(uploads.c.id).where(self._access.may_reach(uploads), uploads.c.expires_at < now())
+        with self._access.reading() as connection:
+            return list(connection.scalars(query))
+
+    def delete_expired(self, upload_id: str) -> None:
+        """Delete an upload unless it was renewed in the meantime."""
+        with self._access.writing() as connection:
+            connection.execute(delete(uploads).where(uploads.c.id == upload_id, uploads.c.expires_at < now()))
+
+    def known(self, upload_ids: Collection[str]) -> set[str]:
+        """Ids among some that belong to an upload, expired or not."""
+        query = select(uploads.c.id).where(self._access.may_reach(uploads), uploads.c.id.in_(upload_ids))
+        with self._access.reading() as connection:
+            return set(connection.scalars(query))
+
+    def _read(self, connection: Connection, upload_id: str) -> Upload:
+        mine = self._access.may_reach(uploads)
+        query = select(uploads).where(uploads.c.id == upload_id, mine, uploads.c.expires_at >= now())
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such upload.")

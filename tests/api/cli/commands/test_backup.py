@@ -42,7 +42,7 @@ def test_create_verify_and_restore_print_summaries(folder: Path, tmp_path: Path)
         assert result.stdout == ""
         assert "1 sessions, 1 jobs (1 succeeded), 0 uploads, 7 files" in result.stderr
     with opened_data(there) as data:
-        assert len(data.store.jobs()) == 1
+        assert len(data.store.jobs.page()) == 1
 
 
 def test_scripts_get_an_object_and_exit_codes(folder: Path, tmp_path: Path) -> None:

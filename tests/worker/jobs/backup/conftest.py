@@ -25,7 +25,7 @@ def busy(data: Data) -> Data:
     data.run_chunk()
     data.add_job(other)
     data.add_upload(b"half", 8, UPLOAD)
-    data.store.create_key("studio", "portal", {Scope.READ})
+    data.store.keys.add("studio", "portal", {Scope.READ})
     return data
 
 

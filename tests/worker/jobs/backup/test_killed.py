@@ -80,9 +80,9 @@ def test_links_of_a_killed_backup_go_when_the_service_starts_and_others_stay(dat
     left = data.folder / ".backup" / "7"
     left.parent.mkdir()
     left.write_bytes(b"deleted long ago")
-    with embedded.occupy(data.folder):
+    with embedded.lock(data.folder):
         assert not left.exists()
     with held_files(data.folder) as links:
         assert links.hold(path) is not None
-        with embedded.occupy(data.folder):
+        with embedded.lock(data.folder):
             assert len(list(left.parent.iterdir())) == 1

@@ -41,7 +41,7 @@ def test_nothing_is_overwritten(busy: Data, archive: Path, tmp_path: Path) -> No
 def test_an_older_schema_is_brought_up_to_date_and_kept_in_the_backup(data: Data, tmp_path: Path) -> None:
     data.add_job(data.add_session())
     data.run_all()
-    before = data.store.sessions()
+    before = data.store.sessions.page()
     older = schema_revisions()[-2]
     database = Database(data.url)
     with database.writing() as connection:
@@ -52,7 +52,7 @@ def test_an_older_schema_is_brought_up_to_date_and_kept_in_the_backup(data: Data
     assert (report.manifest.schema_revision, report.problems) == (older, ())
     restored(tmp_path / "backup.tar", tmp_path / "there")
     with opened_data(tmp_path / "there") as there:
-        assert there.store.sessions() == before
+        assert there.store.sessions.page() == before
 
 
 def test_a_newer_schema_is_refused(busy: Data, archive: Path, tmp_path: Path) -> None:

@@ -43,9 +43,9 @@ def test_all_is_as_it_was_and_goes_on(busy: Data, archive: Path, tmp_path: Path)
         assert there.rows() == before
         assert there.tree() == files
         assert (there.folder / "uploads" / UPLOAD).read_bytes() == b"half"
-        assert there.store.upload(UPLOAD).num_bytes == 8
+        assert there.store.uploads.get(UPLOAD).num_bytes == 8
         there.run_all()
-        assert {job.state for job in there.store.jobs()} == {JobState.SUCCEEDED}
+        assert {job.state for job in there.store.jobs.page()} == {JobState.SUCCEEDED}
     modes = {stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "there").rglob("*") if path.is_file()}
     folders = {stat.S_IMODE(path.stat().st_mode) for path in [tmp_path / "there", tmp_path / "there" / "artifacts"]}
     assert (modes, folders) == ({0o600}, {0o700})
@@ -77,7 +77,7 @@ def test_it_is_consistent_while_others_write_and_delete(data: Data, tmp_path: Pa
     assert found[-1].rows.sessions >= 3
     restored(tmp_path / "7.tar", tmp_path / "there")
     with opened_data(tmp_path / "there") as there:
-        assert len(there.store.sessions(limit=1000)) == found[-1].rows.sessions
+        assert len(there.store.sessions.page(limit=1000)) == found[-1].rows.sessions
 
 
 def test_what_is_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_path: Path) -> None:
@@ -97,15 +97,15 @@ def test_what_is_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_pat
 
 
 def test_missing_and_damaged_files_are_listed_and_the_rest_is_there(busy: Data, tmp_path: Path) -> None:
-    running, done = busy.store.sessions()
-    (finished,) = [job for job in busy.store.jobs() if job.state is JobState.SUCCEEDED]
+    running, done = busy.store.sessions.page()
+    (finished,) = [job for job in busy.store.jobs.page() if job.state is JobState.SUCCEEDED]
     lost = {
         done.files[0].key: "missing",
         done.files[1].key: "damaged",
         record_key(running.id): "missing",
         result_key(finished.id, "person-1.bvh"): "damaged",
     }
-    output = stage_key(done.id, busy.store.outputs(finished.id, "detect")[0].key)
+    output = stage_key(done.id, busy.store.outputs.of_stage(finished.id, "detect")[0].key)
     believed = next(iter(busy.folder.glob(f"artifacts/sessions/{running.id}/stages/*")))
     for key, problem in {**lost, output: "missing"}.items():
         path = busy.folder / "artifacts" / key
@@ -127,7 +127,7 @@ def test_missing_and_damaged_files_are_listed_and_the_rest_is_there(busy: Data, 
 
 def test_uploads_that_grow_are_kept_as_far_as_they_were(data: Data, tmp_path: Path) -> None:
     data.add_upload(b"a" * 3_000_000, 9_000_000, UPLOAD)
-    data.store.create_upload(str(uuid_utils.uuid7()), "gone.mp4", 5, "", 3600.0)
+    data.store.uploads.add(str(uuid_utils.uuid7()), "gone.mp4", 5, "", 3600.0)
 
     def grow(done: int, total: int) -> None:
         with (data.folder / "uploads" / UPLOAD).open("ab") as file:

@@ -25,7 +25,7 @@ def test_migrations_lead_to_the_tables(jobs: Bench) -> None:
 def test_migrating_again_keeps_what_is_there(jobs: Bench) -> None:
     job = jobs.queue()
     jobs.store.migrate()
-    assert jobs.store.job(job.id) == job
+    assert jobs.store.jobs.get(job.id) == job
 
 
 def test_several_may_migrate_at_once(empty_database_url: str) -> None:
@@ -88,19 +88,19 @@ def test_an_error_undoes_the_whole_transaction(jobs: Bench) -> None:
 
     with pytest.raises(RuntimeError):
         write_and_fail()
-    assert jobs.store.artifact(jobs.session_id, "k") is None
+    assert jobs.store.outputs.find(jobs.session_id, "k") is None
     with database.writing() as connection:
         upsert(connection, artifacts, row)
         upsert(connection, artifacts, {**row, "sha256": "1"})
     database.close()
-    assert jobs.store.artifact(jobs.session_id, "k") == ("1", 1)
+    assert jobs.store.outputs.find(jobs.session_id, "k") == ("1", 1)
 
 
 def test_readers_see_a_state_while_another_writes(jobs: Bench) -> None:
     database = Database(jobs.url)
     with database.writing() as connection:
         upsert(connection, artifacts, {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1})
-        assert jobs.store.artifact(jobs.session_id, "k") is None
-        assert jobs.store.session(jobs.session_id).name == "take"
+        assert jobs.store.outputs.find(jobs.session_id, "k") is None
+        assert jobs.store.sessions.get(jobs.session_id).name == "take"
     database.close()
-    assert jobs.store.artifact(jobs.session_id, "k") == ("0", 1)
+    assert jobs.store.outputs.find(jobs.session_id, "k") == ("0", 1)

@@ -13,8 +13,9 @@ from alembic.script import ScriptDirectory
 
 from tests.worker.jobs.conftest import Bench, stages
 from worker.jobs.database.tables import metadata
-from worker.jobs.errors import NewerDatabase
+from worker.jobs.errors import KeyBusy, NewerDatabase
 from worker.jobs.model import Problem, Scope
+from worker.jobs.repositories.idempotency_keys import KeyClaim
 
 CONFIG = Config()
 CONFIG.set_main_option("script_location", "worker.jobs.database:migrations")
@@ -42,16 +43,16 @@ def add_data(jobs: Bench) -> list[str]:
     jobs.finish_all()
     failed = jobs.queue()
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
-    jobs.store.retry(failed.id, stages())
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.jobs.retry(failed.id, stages())
     jobs.finish(jobs.claim())
-    jobs.store.create_key("studio", "portal", {Scope.READ})
+    jobs.store.keys.add("studio", "portal", {Scope.READ})
     return [failed.id, done.id]
 
 
 def everything(jobs: Bench, job_id: str) -> object:
-    timeless = [replace(one, eta_s=None) for one in jobs.store.jobs()]
-    return jobs.store.sessions(), timeless, jobs.store.results(job_id)
+    timeless = [replace(one, eta_s=None) for one in jobs.store.jobs.page()]
+    return jobs.store.sessions.page(), timeless, jobs.store.results.of_job(job_id)
 
 
 def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: Bench, engine: sa.Engine) -> None:
@@ -64,19 +65,35 @@ def test_down_and_up_again_keeps_sessions_jobs_and_results(jobs: Bench, engine: 
     with engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
     assert everything(jobs, ids[1]) == before
-    assert jobs.store.usage().stored_bytes > 3_000_000_000
+    assert jobs.store.of("default").usage().stored_bytes > 3_000_000_000
     # And it goes on.
     jobs.finish_all()
-    assert {one.state for one in jobs.store.jobs()} == {"succeeded"}
+    assert {one.state for one in jobs.store.jobs.page()} == {"succeeded"}
 
 
 @pytest.mark.parametrize("revision", REVISIONS[1:])
 def test_each_step_down_can_be_taken_back_alone(jobs: Bench, engine: sa.Engine, revision: str) -> None:
     add_data(jobs)
-    before = jobs.store.sessions(), [one.id for one in jobs.store.jobs()]
+    before = jobs.store.sessions.page(), [one.id for one in jobs.store.jobs.page()]
     migrate(engine, "downgrade", revision)
     migrate(engine, "upgrade", "head")
-    assert (jobs.store.sessions(), [one.id for one in jobs.store.jobs()]) == before
+    assert (jobs.store.sessions.page(), [one.id for one in jobs.store.jobs.page()]) == before
+
+
+def test_answers_of_idempotency_keys_are_kept(jobs: Bench, engine: sa.Engine) -> None:
+    keys = jobs.store.of("studio").idempotency_keys
+    answer = {"status": 202, "headers": {"Location": "/v1/jobs/1"}, "body": "{}"}
+    claims = [keys.claim(name, "f" * 64, 60.0) for name in ("answered", "at work")]
+    assert isinstance(claims[0], KeyClaim)
+    keys.answer(claims[0], answer)
+    migrate(engine, "downgrade", "0019")
+    with engine.connect() as connection:
+        rows = connection.execute(sa.text("SELECT key, status, body FROM receipts ORDER BY key")).all()
+    assert [tuple(row) for row in rows] == [("answered", 202, "{}"), ("at work", None, None)]
+    migrate(engine, "upgrade", "head")
+    assert keys.claim("answered", "f" * 64, 60.0) == answer
+    with pytest.raises(KeyBusy):
+        keys.claim("at work", "f" * 64, 60.0)
 
 
 def test_a_schema_of_a_newer_version_is_refused_and_left_alone(jobs: Bench, engine: sa.Engine) -> None:

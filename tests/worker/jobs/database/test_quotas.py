@@ -5,20 +5,18 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.worker.jobs.conftest import Bench, result, stages
+from tests.worker.jobs.conftest import PREFLIGHT, Bench, result, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import QuotaExceeded
 from worker.jobs.model import Actor, InputFile, Problem, Usage
-from worker.jobs.repositories.records import Records
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
+from worker.jobs.tenant_records import TenantRecords
 
-PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
-
-def add_session(jobs: Bench, records: Records, num_bytes: int = 100) -> str:
+def add_session(jobs: Bench, records: TenantRecords, num_bytes: int = 100) -> str:
     files = [InputFile("cam.mp4", "video", "sessions/x/inputs/0-cam.mp4", num_bytes, "1" * 64)]
-    return records.create_session("take", files, PREFLIGHT, jobs.store.announce_session()).id
+    return records.sessions.add("take", files, PREFLIGHT, jobs.store.sessions.reserve_id()).id
 
 
 def test_sessions(jobs: Bench) -> None:
@@ -29,9 +27,9 @@ def test_sessions(jobs: Bench) -> None:
         with pytest.raises(QuotaExceeded, match="At most 2 sessions") as error:
             refused()
         assert (error.value.name, error.value.limit, error.value.used) == ("sessions", 2, 2)
-    assert len(mine.sessions()) == 2
+    assert len(mine.sessions.page()) == 2
     add_session(jobs, theirs)
-    mine.delete_session(first)
+    mine.sessions.delete(first)
     mine.require_room(10**12)
     add_session(jobs, mine)
 
@@ -45,16 +43,16 @@ def test_bytes(jobs: Bench) -> None:
     full = add_session(jobs, mine, 100)
     with pytest.raises(QuotaExceeded, match="stored bytes"):
         add_session(jobs, mine, 1)
-    mine.delete_session(full)
+    mine.sessions.delete(full)
     # Work that was accepted is not stopped by what it leaves; the next session is.
-    job = mine.create_job(session_id, JobSpec(), stages(1))
+    job = mine.jobs.add(session_id, JobSpec(), stages(1))
     jobs.finish(jobs.claim())
     jobs.finish(jobs.claim())
     expected = Usage(sessions=1, unfinished_jobs=0, stored_bytes=900 + 2 * 7 + result(job.id).num_bytes, uploads=0)
     assert mine.usage() == expected
     with pytest.raises(QuotaExceeded):
         add_session(jobs, mine, 100)
-    mine.delete_job(job.id)
+    mine.jobs.delete(job.id)
     assert mine.usage().stored_bytes == 914
     add_session(jobs, mine, 86)
 
@@ -62,18 +60,18 @@ def test_bytes(jobs: Bench) -> None:
 def test_unfinished_jobs(jobs: Bench) -> None:
     mine = jobs.store.of("mine", Quotas(unfinished_jobs=2), Actor())
     session_id = add_session(jobs, mine)
-    first = mine.create_job(session_id, JobSpec(), stages(1))
-    second = mine.create_job(session_id, JobSpec(), stages(1))
+    first = mine.jobs.add(session_id, JobSpec(), stages(1))
+    second = mine.jobs.add(session_id, JobSpec(), stages(1))
     claim = jobs.claim()
     with pytest.raises(QuotaExceeded, match="At most 2 unfinished jobs"):
-        mine.create_job(session_id, JobSpec(), stages(1))
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
-    third = mine.create_job(session_id, JobSpec(), stages(1))
+        mine.jobs.add(session_id, JobSpec(), stages(1))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    third = mine.jobs.add(session_id, JobSpec(), stages(1))
     with pytest.raises(QuotaExceeded):
-        mine.retry(first.id, stages(1))
-    mine.cancel(second.id)
-    mine.retry(first.id, stages(1))
-    assert {one.id for one in mine.jobs() if one.finished_at is None} == {first.id, third.id}
+        mine.jobs.retry(first.id, stages(1))
+    mine.jobs.cancel(second.id)
+    mine.jobs.retry(first.id, stages(1))
+    assert {one.id for one in mine.jobs.page() if one.finished_at is None} == {first.id, third.id}
 
 
 def test_a_quota_of_nothing(jobs: Bench) -> None:
@@ -87,7 +85,7 @@ def test_two_at_once_don_t_take_the_last_place_twice(jobs: Bench, new_store: Cal
 
     def try_it(store: JobStore) -> bool:
         try:
-            store.of("mine", quotas, Actor()).create_job(session_id, JobSpec(), stages(1))
+            store.of("mine", quotas, Actor()).jobs.add(session_id, JobSpec(), stages(1))
         except QuotaExceeded:
             return False
         return True

@@ -16,7 +16,7 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
     time.sleep(0.2)
     jobs.finish(claim)
     second = jobs.claim()
-    jobs.store.finish(second.chunk_id, second.lease_token, "5" * 64, 7, reused=True)
+    jobs.store.leases.finish(second.chunk_id, second.lease_token, "5" * 64, 7, reused=True)
     half = jobs.store.figures()
     assert half.longest_queued_s == 0.0
     assert 0.15 < half.totals["chunk_seconds", "detect"] < 60.0
@@ -30,7 +30,7 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
     done = jobs.store.figures()
     assert done.totals["jobs_ended", "succeeded"] == done.totals["chunks_done", "export"] == 1.0
     assert (done.jobs, done.chunks) == ({"succeeded": 1}, {})
-    jobs.store.delete_job(job.id)
+    jobs.store.jobs.delete(job.id)
     after = jobs.store.figures()
     assert (after.totals, after.jobs) == (done.totals, {})
 
@@ -38,13 +38,13 @@ def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: Bench) -> None:
 def test_lost_leases_and_other_tries(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     jobs.claim(EXPIRED_S)
-    jobs.store.reap(LEASE_S)
+    jobs.store.leases.reap(LEASE_S)
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("away", "It is away.", retryable=True))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("away", "It is away.", retryable=True))
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
     # A report that nobody wants any more counts nothing.
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
     assert jobs.store.figures().totals == {
         ("leases_lost", "detect"): 1.0,
         ("chunks_retried", "detect"): 2.0,

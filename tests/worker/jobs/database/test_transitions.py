@@ -25,38 +25,38 @@ FINAL = Problem("input_error", "It is broken.")
 
 def bring_to(jobs: Bench, state: JobState) -> tuple[str, Claim | None]:
     """A job of one chunk in a state, and the claim of its chunk if a worker holds, or held, one."""
-    job_id = jobs.store.create_job(jobs.session_id, JobSpec(), stages(1)[:1]).id
+    job_id = jobs.store.jobs.add(jobs.session_id, JobSpec(), stages(1)[:1]).id
     if state == Q:
         return job_id, None
     if state == C:
-        jobs.store.cancel(job_id)
+        jobs.store.jobs.cancel(job_id)
         return job_id, None
     claim = jobs.claim(EXPIRED_S)
     if state == CG:
-        jobs.store.cancel(job_id)
+        jobs.store.jobs.cancel(job_id)
     elif state == F:
-        jobs.store.fail(claim.chunk_id, claim.lease_token, FINAL)
+        jobs.store.leases.fail(claim.chunk_id, claim.lease_token, FINAL)
     elif state in {S, E}:
         jobs.finish(claim)
     if state == E:
         jobs.execute(sa.update(tables.jobs).values(state=E))
-    assert jobs.store.job(job_id).state == state
+    assert jobs.store.jobs.get(job_id).state == state
     return job_id, claim
 
 
 Action = Callable[[JobStore, str, int, str], object]
 
 ACTIONS: dict[str, Action] = {
-    "cancel": lambda store, job_id, *_: store.cancel(job_id),
-    "retry": lambda store, job_id, *_: store.retry(job_id, stages(1)),
-    "claim": lambda store, *_: store.claim("worker", LEASE_S),
-    "reap": lambda store, *_: store.reap(LEASE_S),
-    "heartbeat": lambda store, _, chunk_id, token: store.heartbeat(chunk_id, token, 1, LEASE_S),
-    "finish": lambda store, _, chunk_id, token: store.finish(chunk_id, token, "0" * 64, 1),
-    "release": lambda store, _, chunk_id, token: store.release(chunk_id, token),
-    "compute again": lambda store, _, chunk_id, token: store.compute_again(chunk_id, token, "none", {0}),
-    "fail, retryable": lambda store, _, chunk_id, token: store.fail(chunk_id, token, RETRYABLE),
-    "fail": lambda store, _, chunk_id, token: store.fail(chunk_id, token, FINAL),
+    "cancel": lambda store, job_id, *_: store.jobs.cancel(job_id),
+    "retry": lambda store, job_id, *_: store.jobs.retry(job_id, stages(1)),
+    "claim": lambda store, *_: store.leases.claim("worker", LEASE_S),
+    "reap": lambda store, *_: store.leases.reap(LEASE_S),
+    "heartbeat": lambda store, _, chunk_id, token: store.leases.heartbeat(chunk_id, token, 1, LEASE_S),
+    "finish": lambda store, _, chunk_id, token: store.leases.finish(chunk_id, token, "0" * 64, 1),
+    "release": lambda store, _, chunk_id, token: store.leases.release(chunk_id, token),
+    "compute again": lambda store, _, chunk_id, token: store.leases.compute_again(chunk_id, token, "none", {0}),
+    "fail, retryable": lambda store, _, chunk_id, token: store.leases.fail(chunk_id, token, RETRYABLE),
+    "fail": lambda store, _, chunk_id, token: store.leases.fail(chunk_id, token, FINAL),
 }
 
 # All that is not named here leaves the job as it is.
@@ -83,14 +83,14 @@ CONFLICTS = {(state, "cancel") for state in FINISHED} | {(state, "retry") for st
 def test_what_an_action_does_in_a_state(jobs: Bench, state: JobState, action: str) -> None:
     job_id, claim = bring_to(jobs, state)
     chunk_id, token = (claim.chunk_id, claim.lease_token) if claim else (1, "")
-    before = jobs.store.job(job_id)
+    before = jobs.store.jobs.get(job_id)
     if (state, action) in CONFLICTS:
         with pytest.raises(Conflict):
             ACTIONS[action](jobs.store, job_id, chunk_id, token)
-        assert jobs.store.job(job_id) == before
+        assert jobs.store.jobs.get(job_id) == before
         return
     ACTIONS[action](jobs.store, job_id, chunk_id, token)
-    after = jobs.store.job(job_id)
+    after = jobs.store.jobs.get(job_id)
     assert after.state == MOVES.get((state, action), state)
     assert (after.finished_at is not None) == (after.state in FINISHED)
     assert (after.queue_position is not None) == (after.state == Q)
@@ -100,14 +100,14 @@ def test_what_an_action_does_in_a_state(jobs: Bench, state: JobState, action: st
 def test_only_finished_jobs_can_be_deleted(jobs: Bench, state: JobState) -> None:
     job_id, _ = bring_to(jobs, state)
     if state in FINISHED:
-        jobs.store.delete_job(job_id)
-        jobs.store.delete_session(jobs.session_id)
+        jobs.store.jobs.delete(job_id)
+        jobs.store.sessions.delete(jobs.session_id)
         return
     with pytest.raises(Conflict):
-        jobs.store.delete_job(job_id)
+        jobs.store.jobs.delete(job_id)
     with pytest.raises(Conflict):
-        jobs.store.delete_session(jobs.session_id)
-    assert jobs.store.job(job_id).state == state
+        jobs.store.sessions.delete(jobs.session_id)
+    assert jobs.store.jobs.get(job_id).state == state
 
 
 def test_a_job_moves_where_the_table_says_and_nowhere_else(jobs: Bench) -> None:

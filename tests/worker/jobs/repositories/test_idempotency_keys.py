@@ -8,40 +8,43 @@ import pytest
 
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
-from worker.jobs.database.tables import receipts
+from worker.jobs.database.tables import idempotency_keys
 from worker.jobs.errors import Conflict, KeyBusy, KeyReused
 from worker.jobs.model import Actor, Job
-from worker.jobs.repositories.idempotency_keys import Answer, Claim
-from worker.jobs.repositories.records import Records
+from worker.jobs.repositories.idempotency_keys import KeyClaim
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
+from worker.jobs.tenant_records import TenantRecords
 
 
-def of(jobs: Bench, tenant: str = "default") -> Records:
+def of(jobs: Bench, tenant: str = "default") -> TenantRecords:
     return jobs.store.of(tenant, Quotas(), Actor())
 
 
-def render(job: Job) -> Answer:
-    return Answer(202, {"Location": f"/v1/jobs/{job.id}"}, f'{{"id": "{job.id}"}}')
+def answer_of(job: Job) -> dict[str, Any]:
+    return {"status": 202, "headers": {"Location": f"/v1/jobs/{job.id}"}, "body": f'{{"id": "{job.id}"}}'}
 
 
-def claim(records: Records, key: str = "key", fingerprint: str = "f" * 64, lease_s: float = 60.0) -> Claim:
-    token = records.claim_key(key, fingerprint, lease_s)
-    assert isinstance(token, str)
-    return Claim(key, token, render)
+def claim(records: TenantRecords, key: str = "key", fingerprint: str = "f" * 64, lease_s: float = 60.0) -> KeyClaim:
+    claimed = records.idempotency_keys.claim(key, fingerprint, lease_s)
+    assert isinstance(claimed, KeyClaim)
+    return claimed
 
 
-def make(jobs: Bench, records: Records, claimed: Claim) -> Job:
-    return records.answering(claimed).create_job(jobs.session_id, JobSpec(), stages(1))
+def make(jobs: Bench, records: TenantRecords, claimed: KeyClaim) -> Job:
+    with records.transaction() as work:
+        job = work.jobs.add(jobs.session_id, JobSpec(), stages(1))
+        work.idempotency_keys.answer(claimed, answer_of(job))
+    return job
 
 
 def test_the_first_answer_comes_again(jobs: Bench) -> None:
     records = of(jobs)
-    assert not records.has_receipt("key")
+    assert not records.idempotency_keys.is_answered("key")
     job = make(jobs, records, claim(records))
-    assert records.claim_key("key", "f" * 64, 60.0) == render(job)
-    assert records.has_receipt("key")
-    assert len(records.jobs()) == 1
+    assert records.idempotency_keys.claim("key", "f" * 64, 60.0) == answer_of(job)
+    assert records.idempotency_keys.is_answered("key")
+    assert len(records.jobs.page()) == 1
 
 
 def test_another_request_under_the_key_is_refused(jobs: Bench) -> None:
@@ -49,8 +52,8 @@ def test_another_request_under_the_key_is_refused(jobs: Bench) -> None:
     claimed = claim(records)
     for _ in ("while it runs", "and when it was answered"):
         with pytest.raises(KeyReused):
-            records.claim_key("key", "e" * 64, 60.0)
-        if not records.has_receipt("key"):
+            records.idempotency_keys.claim("key", "e" * 64, 60.0)
+        if not records.idempotency_keys.is_answered("key"):
             make(jobs, records, claimed)
 
 
@@ -59,7 +62,7 @@ def test_while_it_is_answered_nobody_else_answers(jobs: Bench, new_store: Callab
 
     def try_it(store: JobStore) -> object:
         try:
-            return store.of("default", Quotas(), Actor()).claim_key("key", "f" * 64, 60.0)
+            return store.of("default").idempotency_keys.claim("key", "f" * 64, 60.0)
         except KeyBusy:
             return None
 
@@ -71,73 +74,84 @@ def test_while_it_is_answered_nobody_else_answers(jobs: Bench, new_store: Callab
 def test_what_came_to_nothing_may_be_tried_again(jobs: Bench) -> None:
     records = of(jobs)
     claimed = claim(records)
-    records.release_claim("key", claimed.token)
+    records.idempotency_keys.release(claimed)
     make(jobs, records, claim(records, fingerprint="e" * 64))
-    records.release_claim("key", claimed.token)  # of another try: nothing happens
-    assert records.has_receipt("key")
+    records.idempotency_keys.release(claimed)  # of another try: nothing happens
+    assert records.idempotency_keys.is_answered("key")
 
 
 def test_who_was_thought_dead_does_nothing(jobs: Bench) -> None:
     records = of(jobs)
     slow = claim(records, lease_s=-1.0)
     quick = claim(records)
-    records.renew_claim("key", slow.token, 60.0)
+    records.idempotency_keys.renew(slow, 60.0)
     with pytest.raises(Conflict):
         make(jobs, records, slow)
     job = make(jobs, records, quick)
-    assert [one.id for one in records.jobs()] == [job.id]
+    assert [one.id for one in records.jobs.page()] == [job.id]
 
 
 def test_a_claim_that_is_renewed_stays(jobs: Bench) -> None:
     records = of(jobs)
     claimed = claim(records, lease_s=-1.0)
-    records.renew_claim("key", claimed.token, 60.0)
+    records.idempotency_keys.renew(claimed, 60.0)
     with pytest.raises(KeyBusy):
-        records.claim_key("key", "f" * 64, 60.0)
+        records.idempotency_keys.claim("key", "f" * 64, 60.0)
 
 
 def test_tenants_have_keys_of_their_own(jobs: Bench) -> None:
     mine, theirs = of(jobs, "mine"), of(jobs, "theirs")
-    assert isinstance(mine.claim_key("key", "f" * 64, 60.0), str)
-    assert isinstance(theirs.claim_key("key", "e" * 64, 60.0), str)
+    assert isinstance(mine.idempotency_keys.claim("key", "f" * 64, 60.0), KeyClaim)
+    assert isinstance(theirs.idempotency_keys.claim("key", "e" * 64, 60.0), KeyClaim)
 
 
 def test_after_a_day_it_is_forgotten(jobs: Bench) -> None:
     records = of(jobs)
     make(jobs, records, claim(records))
-    jobs.execute(receipts.update().values(expires_at=0.0))
+    jobs.execute(idempotency_keys.update().values(expires_at=0.0))
     make(jobs, records, claim(records, fingerprint="e" * 64))
-    assert len(records.jobs()) == 2
+    assert len(records.jobs.page()) == 2
 
 
-Act = Callable[[Bench, Records], Any]
+def add_both(jobs: Bench, work: TenantRecords) -> None:
+    session = work.sessions.add("take", [], PREFLIGHT, work.sessions.reserve_id())
+    work.jobs.add(session.id, JobSpec(), stages(1))
+
+
+Act = Callable[[Bench, TenantRecords], Any]
 ACTS: dict[str, Act] = {
-    "cancel": lambda jobs, records: records.cancel(jobs.queue().id),
-    "session": lambda jobs, records: records.create_session("take", [], {}, jobs.store.announce_session()),
-    "upload": lambda jobs, records: records.create_upload("0190", "cam.mp4", 5, "", 60.0),
-    "both": lambda jobs, records: records.create_session_and_job(
-        "take", [], PREFLIGHT, jobs.store.announce_session(), [], JobSpec(), stages(1)
-    ),
+    "cancel": lambda jobs, work: work.jobs.cancel(work.jobs.page()[0].id),
+    "session": lambda jobs, work: work.sessions.add("take", [], PREFLIGHT, work.sessions.reserve_id()),
+    "upload": lambda jobs, work: work.uploads.add("0190", "cam.mp4", 5, "", 60.0),
+    "both": add_both,
 }
 
 
 @pytest.mark.parametrize("act", ACTS)
 def test_answer_and_deed_come_together_or_not_at_all(jobs: Bench, act: str) -> None:
     records = of(jobs)
-    token = claim(records).token
+    jobs.queue()
+    claimed = claim(records)
 
-    def fail(made: object) -> Answer:
-        raise ZeroDivisionError
+    def everything() -> object:
+        return records.usage(), [job.state for job in records.jobs.page()], jobs.store.audit.events()
 
-    before = records.usage(), [job.state for job in records.jobs()]
+    def act_and_fail() -> None:
+        with records.transaction() as work:
+            ACTS[act](jobs, work)
+            work.idempotency_keys.answer(claimed, {})
+            raise ZeroDivisionError
+
+    before = everything()
     with pytest.raises(ZeroDivisionError):
-        ACTS[act](jobs, records.answering(Claim("key", token, fail)))
-    after = records.usage(), [job.state for job in records.jobs()]
-    assert after == before or act == "cancel"
-    assert "canceled" not in after[1]
-    assert not records.has_receipt("key")
-    ACTS[act](jobs, records.answering(Claim("key", token, lambda made: Answer(201, {}, made.id))))
-    assert records.has_receipt("key")
+        act_and_fail()
+    assert everything() == before
+    assert not records.idempotency_keys.is_answered("key")
+    with records.transaction() as work:
+        ACTS[act](jobs, work)
+        work.idempotency_keys.answer(claimed, {"status": 201})
+    assert everything() != before
+    assert records.idempotency_keys.is_answered("key")
 
 
 def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: Bench) -> None:
@@ -147,4 +161,4 @@ def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: Bench) -> None:
     job = make(jobs, records, claim(records, fingerprint="e" * 64))
     with pytest.raises(Conflict):
         make(jobs, records, lost)
-    assert records.claim_key("key", "e" * 64, 60.0) == render(job)
+    assert records.idempotency_keys.claim("key", "e" * 64, 60.0) == answer_of(job)

@@ -12,18 +12,18 @@ READ = frozenset({Scope.READ})
 
 
 def test_a_key_is_found_by_its_secret(jobs: Bench) -> None:
-    key, secret = jobs.store.create_key("studio", "portal", {Scope.WRITE, Scope.READ})
+    key, secret = jobs.store.keys.add("studio", "portal", {Scope.WRITE, Scope.READ})
     assert secret.startswith("mc_")
     assert (key.tenant, key.name, key.scopes) == ("studio", "portal", frozenset({Scope.READ, Scope.WRITE}))
     assert (key.expires_at, key.revoked_at) == (None, None)
-    assert jobs.store.find_key(secret) == key
+    assert jobs.store.keys.find(secret) == key
     for wrong in ("", "mc_", secret[:-1], secret + "x", secret.upper(), "\udce4"):
-        assert jobs.store.find_key(wrong) is None
+        assert jobs.store.keys.find(wrong) is None
 
 
 def test_secrets_are_not_kept(jobs: Bench) -> None:
-    key, secret = jobs.store.create_key("studio", "portal", READ)
-    cookie = jobs.store.open_browser_session(key, 60.0)
+    key, secret = jobs.store.keys.add("studio", "portal", READ)
+    cookie = jobs.store.browser_sessions.open(key, 60.0)
     engine = sa.create_engine(jobs.url)
     with engine.connect() as connection:
         rows = [*connection.execute(sa.select(keys)), *connection.execute(sa.select(browser_sessions))]
@@ -33,44 +33,44 @@ def test_secrets_are_not_kept(jobs: Bench) -> None:
 
 
 def test_a_key_ends_with_its_time(jobs: Bench) -> None:
-    _, secret = jobs.store.create_key("studio", "guest", READ, lifetime_s=0.2)
-    assert jobs.store.find_key(secret) is not None
+    _, secret = jobs.store.keys.add("studio", "guest", READ, lifetime_s=0.2)
+    assert jobs.store.keys.find(secret) is not None
     time.sleep(0.3)
-    assert jobs.store.find_key(secret) is None
+    assert jobs.store.keys.find(secret) is None
 
 
 def test_a_revoked_key_ends_at_once_with_its_browsers(jobs: Bench) -> None:
-    key, secret = jobs.store.create_key("studio", "portal", READ)
-    other, other_secret = jobs.store.create_key("studio", "script", READ)
-    cookie = jobs.store.open_browser_session(key, 60.0)
-    assert jobs.store.find_browser_session(cookie) == key
-    revoked = jobs.store.revoke_key(key.id)
+    key, secret = jobs.store.keys.add("studio", "portal", READ)
+    other, other_secret = jobs.store.keys.add("studio", "script", READ)
+    cookie = jobs.store.browser_sessions.open(key, 60.0)
+    assert jobs.store.browser_sessions.find(cookie) == key
+    revoked = jobs.store.keys.revoke(key.id)
     assert revoked.revoked_at is not None
-    assert jobs.store.revoke_key(key.id) == revoked
-    assert jobs.store.find_key(secret) is None
-    assert jobs.store.find_browser_session(cookie) is None
-    assert jobs.store.find_key(other_secret) == other
-    assert jobs.store.list_keys() == [revoked, other]
+    assert jobs.store.keys.revoke(key.id) == revoked
+    assert jobs.store.keys.find(secret) is None
+    assert jobs.store.browser_sessions.find(cookie) is None
+    assert jobs.store.keys.find(other_secret) == other
+    assert jobs.store.keys.all() == [revoked, other]
     with pytest.raises(NotFound):
-        jobs.store.revoke_key("nobody")
+        jobs.store.keys.revoke("nobody")
 
 
 def test_there_are_keys_from_the_first_one_on(jobs: Bench) -> None:
-    assert not jobs.store.has_keys()
-    key, _ = jobs.store.create_key("studio", "portal", READ)
-    assert jobs.store.has_keys()
-    jobs.store.revoke_key(key.id)
-    assert jobs.store.has_keys()
+    assert not jobs.store.keys.exist()
+    key, _ = jobs.store.keys.add("studio", "portal", READ)
+    assert jobs.store.keys.exist()
+    jobs.store.keys.revoke(key.id)
+    assert jobs.store.keys.exist()
 
 
 def test_a_browser_stays_for_its_time_and_as_long_as_its_key(jobs: Bench) -> None:
-    key, _ = jobs.store.create_key("studio", "portal", READ, lifetime_s=0.6)
-    short, long = jobs.store.open_browser_session(key, 0.2), jobs.store.open_browser_session(key, 60.0)
-    closed = jobs.store.open_browser_session(key, 60.0)
-    jobs.store.close_browser_session(closed)
-    assert jobs.store.find_browser_session(closed) is None
+    key, _ = jobs.store.keys.add("studio", "portal", READ, lifetime_s=0.6)
+    short, long = jobs.store.browser_sessions.open(key, 0.2), jobs.store.browser_sessions.open(key, 60.0)
+    closed = jobs.store.browser_sessions.open(key, 60.0)
+    jobs.store.browser_sessions.close(closed)
+    assert jobs.store.browser_sessions.find(closed) is None
     time.sleep(0.3)
-    assert jobs.store.find_browser_session(short) is None
-    assert jobs.store.find_browser_session(long) == key
+    assert jobs.store.browser_sessions.find(short) is None
+    assert jobs.store.browser_sessions.find(long) == key
     time.sleep(0.4)
-    assert jobs.store.find_browser_session(long) is None
+    assert jobs.store.browser_sessions.find(long) is None

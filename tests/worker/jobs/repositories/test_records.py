@@ -18,7 +18,7 @@ BROKEN = Problem("video_truncated", "The video ends early.", stage="detect", cam
 
 
 def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
-    session = jobs.store.session(jobs.session_id)
+    session = jobs.store.sessions.get(jobs.session_id)
     assert session.name == "take"
     assert session.files[0] == InputFile(
         "cam one.mp4", "video", f"sessions/{session.id}/inputs/0-cam_one.mp4", 3_000_000_000, "1" * 64
@@ -30,7 +30,7 @@ def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
 def test_lists_are_paged_from_the_newest(jobs: Bench) -> None:
     session_ids = [jobs.session_id, *(new_session(jobs.store) for _ in range(4))][::-1]
     job_ids = [jobs.queue(1).id for _ in range(5)][::-1]
-    for ids, page in ((session_ids, jobs.store.sessions), (job_ids, jobs.store.jobs)):
+    for ids, page in ((session_ids, jobs.store.sessions.page), (job_ids, jobs.store.jobs.page)):
         first = [item.id for item in page(limit=2)]
         second = [item.id for item in page(limit=2, after=first[-1])]
         third = [item.id for item in page(limit=2, after=second[-1])]
@@ -40,25 +40,25 @@ def test_lists_are_paged_from_the_newest(jobs: Bench) -> None:
 
 def test_a_page_goes_on_after_its_last_item_was_deleted(jobs: Bench) -> None:
     oldest, middle, _ = (jobs.queue(1).id for _ in range(3))
-    jobs.store.cancel(middle)
-    jobs.store.delete_job(middle)
-    assert [job.id for job in jobs.store.jobs(after=middle)] == [oldest]
+    jobs.store.jobs.cancel(middle)
+    jobs.store.jobs.delete(middle)
+    assert [job.id for job in jobs.store.jobs.page(after=middle)] == [oldest]
 
 
 def test_jobs_by_state(jobs: Bench) -> None:
     canceled, queued = jobs.queue(), jobs.queue()
-    jobs.store.cancel(canceled.id)
-    assert [job.id for job in jobs.store.jobs(JobState.CANCELED)] == [canceled.id]
-    assert [job.id for job in jobs.store.jobs(JobState.QUEUED)] == [queued.id]
-    assert jobs.store.jobs(JobState.RUNNING) == []
+    jobs.store.jobs.cancel(canceled.id)
+    assert [job.id for job in jobs.store.jobs.page(JobState.CANCELED)] == [canceled.id]
+    assert [job.id for job in jobs.store.jobs.page(JobState.QUEUED)] == [queued.id]
+    assert jobs.store.jobs.page(JobState.RUNNING) == []
 
 
 def test_jobs_by_session(jobs: Bench) -> None:
     other = new_session(jobs.store)
     first, second = jobs.queue(), jobs.queue()
-    jobs.store.create_job(other, JobSpec(), stages())
-    assert [job.id for job in jobs.store.jobs(session_id=jobs.session_id)] == [second.id, first.id]
-    assert [job.id for job in jobs.store.jobs(session_id=jobs.session_id, after=second.id)] == [first.id]
+    jobs.store.jobs.add(other, JobSpec(), stages())
+    assert [job.id for job in jobs.store.jobs.page(session_id=jobs.session_id)] == [second.id, first.id]
+    assert [job.id for job in jobs.store.jobs.page(session_id=jobs.session_id, after=second.id)] == [first.id]
     assert (first.session_name, first.num_frames, first.duration_s) == ("take", 60, 2.4)
 
 
@@ -74,8 +74,8 @@ def test_jobs_of_a_session_are_found_without_a_look_at_the_tenant_s_others(tmp_p
             said.extend(str(row[3]) for row in rows)
 
     try:
-        store.jobs(session_id=str(uuid_utils.uuid7()))
-        store.jobs(session_id=str(uuid_utils.uuid7()), after=str(uuid_utils.uuid7()))
+        store.jobs.page(session_id=str(uuid_utils.uuid7()))
+        store.jobs.page(session_id=str(uuid_utils.uuid7()), after=str(uuid_utils.uuid7()))
     finally:
         sa.event.remove(sa.Engine, "before_cursor_execute", explain)
         store.close()
@@ -93,51 +93,51 @@ def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: Bench) -> None:
     ]
     assert job.warnings == ("The clocks drift.",)
     assert (job.started_at, job.finished_at, job.problem) == (None, None, None)
-    assert jobs.store.job(job.id) == job == jobs.store.jobs()[0]
+    assert jobs.store.jobs.get(job.id) == job == jobs.store.jobs.page()[0]
 
 
 @pytest.mark.parametrize("plan", [(), (stages(0))])
 def test_a_job_without_work_is_refused(jobs: Bench, plan: Any) -> None:
     with pytest.raises(ValueError, match="chunk"):
-        jobs.store.create_job(jobs.session_id, JobSpec(), plan)
-    assert jobs.store.jobs() == []
+        jobs.store.jobs.add(jobs.session_id, JobSpec(), plan)
+    assert jobs.store.jobs.page() == []
 
 
 def test_thousands_of_chunks(jobs: Bench) -> None:
     job = jobs.queue(2500)
-    detect, export = jobs.store.job(job.id).stages
+    detect, export = jobs.store.jobs.get(job.id).stages
     assert (detect.total, export.total) == (2500 * UNITS, UNITS)
-    assert [one.key for one in jobs.store.outputs(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
+    assert [one.key for one in jobs.store.outputs.of_stage(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
 
 
 def test_places_in_the_queue(jobs: Bench) -> None:
     first, second, third = jobs.queue(), jobs.queue(), jobs.queue()
-    assert [jobs.store.job(job.id).queue_position for job in (first, second, third)] == [1, 2, 3]
+    assert [jobs.store.jobs.get(job.id).queue_position for job in (first, second, third)] == [1, 2, 3]
     jobs.claim()
-    assert [jobs.store.job(job.id).queue_position for job in (first, second, third)] == [None, 1, 2]
-    jobs.store.cancel(second.id)
-    assert [job.queue_position for job in jobs.store.jobs()] == [1, None, None]
-    jobs.store.retry(second.id, stages())
-    assert [job.queue_position for job in jobs.store.jobs()] == [1, 2, None]
+    assert [jobs.store.jobs.get(job.id).queue_position for job in (first, second, third)] == [None, 1, 2]
+    jobs.store.jobs.cancel(second.id)
+    assert [job.queue_position for job in jobs.store.jobs.page()] == [1, None, None]
+    jobs.store.jobs.retry(second.id, stages())
+    assert [job.queue_position for job in jobs.store.jobs.page()] == [1, 2, None]
 
 
 def test_a_job_as_it_goes_on(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     first, second = jobs.claim(), jobs.claim()
-    jobs.store.heartbeat(first.chunk_id, first.lease_token, 5, 60)
-    job = jobs.store.job(job_id)
+    jobs.store.leases.heartbeat(first.chunk_id, first.lease_token, 5, 60)
+    job = jobs.store.jobs.get(job_id)
     assert (job.state, job.progress) == (JobState.RUNNING, 5 / 30)
     assert job.started_at is not None
     assert (job.stages[0].state, job.stages[0].done) == (ChunkState.RUNNING, 5)
     jobs.finish(second)
-    job = jobs.store.job(job_id)
+    job = jobs.store.jobs.get(job_id)
     assert (job.progress, job.stages[0].finished_at) == (15 / 30, None)
     jobs.finish(first)
-    job = jobs.store.job(job_id)
+    job = jobs.store.jobs.get(job_id)
     assert [stage.state for stage in job.stages] == [ChunkState.DONE, ChunkState.READY]
     assert job.stages[0].finished_at is not None
     jobs.finish(jobs.claim())
-    job = jobs.store.job(job_id)
+    job = jobs.store.jobs.get(job_id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert job.created_at <= job.started_at <= job.finished_at  # type: ignore[operator]
 
@@ -145,37 +145,37 @@ def test_a_job_as_it_goes_on(jobs: Bench) -> None:
 def test_a_stage_between_two_workers_is_running(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
-    assert jobs.store.job(job_id).stages[0].state == ChunkState.RUNNING
+    assert jobs.store.jobs.get(job_id).stages[0].state == ChunkState.RUNNING
 
 
 def test_a_stage_is_reused_if_all_of_it_was(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     for reused in (False, True, True):
         claim = jobs.claim()
-        jobs.store.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, reused=reused)
-    assert [stage.reused for stage in jobs.store.job(job_id).stages] == [False, True]
+        jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, reused=reused)
+    assert [stage.reused for stage in jobs.store.jobs.get(job_id).stages] == [False, True]
 
 
 def test_cancel_of_a_queued_job_is_immediate(jobs: Bench) -> None:
-    job = jobs.store.cancel(jobs.queue().id)
+    job = jobs.store.jobs.cancel(jobs.queue().id)
     assert job.state == JobState.CANCELED
     assert job.finished_at is not None
     assert {stage.state for stage in job.stages} == {ChunkState.CANCELED}
-    assert jobs.store.claim("worker", 60) is None
+    assert jobs.store.leases.claim("worker", 60) is None
 
 
 def test_cancel_of_a_running_job_waits_for_its_workers(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=3).id
     first, second = jobs.claim(), jobs.claim()
-    assert jobs.store.cancel(job_id).state == JobState.CANCELING
-    assert jobs.store.cancel(job_id).state == JobState.CANCELING
-    assert jobs.store.claim("worker", 60) is None
-    assert not jobs.store.heartbeat(first.chunk_id, first.lease_token, 1, 60)
-    assert not jobs.store.release(first.chunk_id, first.lease_token)
-    assert jobs.store.job(job_id).state == JobState.CANCELING
+    assert jobs.store.jobs.cancel(job_id).state == JobState.CANCELING
+    assert jobs.store.jobs.cancel(job_id).state == JobState.CANCELING
+    assert jobs.store.leases.claim("worker", 60) is None
+    assert not jobs.store.leases.heartbeat(first.chunk_id, first.lease_token, 1, 60)
+    assert not jobs.store.leases.release(first.chunk_id, first.lease_token)
+    assert jobs.store.jobs.get(job_id).state == JobState.CANCELING
     assert not jobs.finish(second)
-    assert jobs.store.job(job_id).state == JobState.CANCELED
-    assert jobs.store.artifact(jobs.session_id, second.output_key) is not None
+    assert jobs.store.jobs.get(job_id).state == JobState.CANCELED
+    assert jobs.store.outputs.find(jobs.session_id, second.output_key) is not None
 
 
 def test_retry_starts_over_and_keeps_finished_outputs(jobs: Bench) -> None:
@@ -183,30 +183,30 @@ def test_retry_starts_over_and_keeps_finished_outputs(jobs: Bench) -> None:
     done = jobs.claim()
     jobs.finish(done)
     broken = jobs.claim()
-    jobs.store.fail(broken.chunk_id, broken.lease_token, BROKEN)
-    failed = jobs.store.job(job_id)
+    jobs.store.leases.fail(broken.chunk_id, broken.lease_token, BROKEN)
+    failed = jobs.store.jobs.get(job_id)
     assert (failed.state, failed.problem) == (JobState.FAILED, BROKEN)
 
-    again = jobs.store.retry(job_id, stages(2))
+    again = jobs.store.jobs.retry(job_id, stages(2))
     assert (again.state, again.attempt, again.progress, again.problem) == (JobState.QUEUED, 2, 0.0, None)
     assert (again.started_at, again.finished_at) == (None, None)
     claim = jobs.claim()
     assert (claim.index, claim.attempt) == (0, 1)
     assert claim.chunk_id > broken.chunk_id
-    assert jobs.store.artifact(jobs.session_id, claim.output_key) == (done.output_key.ljust(64, "0"), 7)
-    assert jobs.store.artifact(jobs.session_id, broken.output_key) is None
+    assert jobs.store.outputs.find(jobs.session_id, claim.output_key) == (done.output_key.ljust(64, "0"), 7)
+    assert jobs.store.outputs.find(jobs.session_id, broken.output_key) is None
     assert not jobs.finish(broken)
 
 
 def test_attempts_say_what_became_of_each(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, BROKEN)
-    jobs.store.retry(job_id, stages(1))
-    jobs.store.cancel(job_id)
-    jobs.store.retry(job_id, stages(1))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, BROKEN)
+    jobs.store.jobs.retry(job_id, stages(1))
+    jobs.store.jobs.cancel(job_id)
+    jobs.store.jobs.retry(job_id, stages(1))
     jobs.finish_all()
-    first, second, third = jobs.store.attempts(job_id)
+    first, second, third = jobs.store.jobs.attempts(job_id)
     assert (first.attempt, first.state, first.problem) == (1, JobState.FAILED, BROKEN)
     assert [(one.chunk_try, one.problem) for one in first.failures] == [(1, BROKEN)]
     assert (second.attempt, second.state, second.problem, second.failures) == (2, JobState.CANCELED, None, ())
@@ -218,56 +218,56 @@ def test_attempts_say_what_became_of_each(jobs: Bench) -> None:
 
 def test_retry_goes_to_the_end_of_the_queue(jobs: Bench) -> None:
     first, second = jobs.queue(1), jobs.queue(1)
-    jobs.store.cancel(first.id)
-    jobs.store.retry(first.id, stages(1))
+    jobs.store.jobs.cancel(first.id)
+    jobs.store.jobs.retry(first.id, stages(1))
     assert [jobs.claim().job_id for _ in range(2)] == [second.id, first.id]
 
 
 def test_outputs_are_in_the_order_of_the_chunks(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=12).id
-    assert [one.key for one in jobs.store.outputs(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
-    assert [one.key for one in jobs.store.outputs(job_id, "export")] == ["export"]
+    assert [one.key for one in jobs.store.outputs.of_stage(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
+    assert [one.key for one in jobs.store.outputs.of_stage(job_id, "export")] == ["export"]
 
 
 def test_results(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
-    for act in (lambda: jobs.store.results(job_id), lambda: jobs.store.result(job_id, "person-1.bvh")):
+    for act in (lambda: jobs.store.results.of_job(job_id), lambda: jobs.store.results.get(job_id, "person-1.bvh")):
         with pytest.raises(NotFinished):
             act()
     jobs.finish(jobs.claim())
     claim = jobs.claim()
     files = [result(job_id, name) for name in ("skeletons.json", "metrics.json", "person-1.bvh")]
-    jobs.store.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, results=files)
-    assert jobs.store.results(job_id) == sorted(files, key=lambda file: file.name)
-    assert jobs.store.result(job_id, "metrics.json") == files[1]
+    jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, results=files)
+    assert jobs.store.results.of_job(job_id) == sorted(files, key=lambda file: file.name)
+    assert jobs.store.results.get(job_id, "metrics.json") == files[1]
     with pytest.raises(NotFound):
-        jobs.store.result(job_id, "person-2.bvh")
+        jobs.store.results.get(job_id, "person-2.bvh")
 
 
 def test_a_failed_job_has_no_results(jobs: Bench) -> None:
     job_id = jobs.queue().id
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, BROKEN)
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, BROKEN)
     with pytest.raises(NoResults, match="The job is failed and has no results") as raised:
-        jobs.store.results(job_id)
+        jobs.store.results.of_job(job_id)
     assert raised.value.reason == f"{BROKEN.code}: {BROKEN.detail}"
 
 
 def due(jobs: Bench) -> list[str]:
-    return [removal.prefix for removal in jobs.store.removals()]
+    return [removal.prefix for removal in jobs.store.removals.due()]
 
 
 def test_delete_job_leaves_the_session(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     with pytest.raises(Conflict):
-        jobs.store.delete_job(job_id)
+        jobs.store.jobs.delete(job_id)
     jobs.finish_all()
     assert due(jobs) == []
-    jobs.store.delete_job(job_id)
+    jobs.store.jobs.delete(job_id)
     assert due(jobs) == [f"jobs/{job_id}/"]
-    assert jobs.store.artifact(jobs.session_id, "detect-0") is not None
+    assert jobs.store.outputs.find(jobs.session_id, "detect-0") is not None
     with pytest.raises(NotFound):
-        jobs.store.job(job_id)
+        jobs.store.jobs.get(job_id)
 
 
 def test_delete_session_takes_its_jobs_along(jobs: Bench) -> None:
@@ -275,26 +275,33 @@ def test_delete_session_takes_its_jobs_along(jobs: Bench) -> None:
     jobs.finish_all()
     canceled = jobs.queue(num_chunks=2)
     with pytest.raises(Conflict):
-        jobs.store.delete_session(jobs.session_id)
-    jobs.store.cancel(canceled.id)
-    jobs.store.delete_session(jobs.session_id)
+        jobs.store.sessions.delete(jobs.session_id)
+    jobs.store.jobs.cancel(canceled.id)
+    jobs.store.sessions.delete(jobs.session_id)
     assert sorted(due(jobs)) == sorted([f"jobs/{done.id}/", f"jobs/{canceled.id}/", f"sessions/{jobs.session_id}/"])
-    assert jobs.store.sessions() == []
-    assert jobs.store.jobs() == []
-    assert jobs.store.artifact(jobs.session_id, "detect-0") is None
+    assert jobs.store.sessions.page() == []
+    assert jobs.store.jobs.page() == []
+    assert jobs.store.outputs.find(jobs.session_id, "detect-0") is None
 
 
 def test_what_is_not_there_is_not_found(jobs: Bench) -> None:
     store = jobs.store
-    for act in (store.session, store.delete_session, store.job, store.delete_job, store.cancel, store.results):
+    for act in (
+        store.sessions.get,
+        store.sessions.delete,
+        store.jobs.get,
+        store.jobs.delete,
+        store.jobs.cancel,
+        store.results.of_job,
+    ):
         with pytest.raises(NotFound):
             act(NOBODY)
     with pytest.raises(NotFound):
-        store.retry(NOBODY, stages())
+        store.jobs.retry(NOBODY, stages())
     with pytest.raises(NotFound):
-        store.create_job(NOBODY, JobSpec(), stages())
+        store.jobs.add(NOBODY, JobSpec(), stages())
     with pytest.raises(NotFound):
-        store.result(NOBODY, "person-1.bvh")
+        store.results.get(NOBODY, "person-1.bvh")
 
 
 def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
@@ -302,8 +309,10 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
     jobs.finish(jobs.claim())
     claim = jobs.claim()
     warning = ResultWarning("few_views", "person-1 was seen by two cameras.")
-    jobs.store.finish(claim.chunk_id, claim.lease_token, "5" * 64, 7, results=[result(job_id)], warnings=[warning])
-    job = jobs.store.job(job_id)
+    jobs.store.leases.finish(
+        claim.chunk_id, claim.lease_token, "5" * 64, 7, results=[result(job_id)], warnings=[warning]
+    )
+    job = jobs.store.jobs.get(job_id)
     assert (job.state, job.result_warnings) == (JobState.SUCCEEDED, (warning,))
     assert job.warnings == ("The clocks drift.", warning.message)
 
@@ -311,7 +320,7 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
 def test_a_retry_forgets_what_the_result_before_warned_of(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     claim = jobs.claim()
-    jobs.store.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
     jobs.execute(sa.update(tables.jobs).values(warnings=[{"code": "few_views", "message": "Few."}]))
-    assert jobs.store.job(job_id).result_warnings
-    assert jobs.store.retry(job_id, stages(1)).result_warnings == ()
+    assert jobs.store.jobs.get(job_id).result_warnings
+    assert jobs.store.jobs.retry(job_id, stages(1)).result_warnings == ()

@@ -3,24 +3,23 @@
 import pytest
 from uuid_utils import uuid7
 
-from tests.worker.jobs.conftest import Bench, stages
+from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.database.tables import uploads
 from worker.jobs.errors import Conflict, NotFound, QuotaExceeded
 from worker.jobs.model import Actor, Session
-from worker.jobs.repositories.records import Records
 from worker.jobs.spec import JobSpec
+from worker.jobs.tenant_records import TenantRecords
 
 HOUR_S = 3600.0
-PREFLIGHT = {"cameras": [{"name": "cam"}], "timebase": {"num_frames": 60, "frame_rate_hz": 25.0}, "warnings": []}
 
 
-def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> Records:
+def of(jobs: Bench, tenant: str = "mine", quotas: Quotas | None = None) -> TenantRecords:
     return jobs.store.of(tenant, quotas or Quotas(), Actor("key", "request"))
 
 
-def begin(records: Records, num_bytes: int = 100) -> str:
-    return records.create_upload(str(uuid7()), "cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S).id
+def begin(records: TenantRecords, num_bytes: int = 100) -> str:
+    return records.uploads.add(str(uuid7()), "cam_0.mp4", num_bytes, "filename Y2FtXzAubXA0", HOUR_S).id
 
 
 def expire(jobs: Bench, upload_id: str) -> None:
@@ -29,31 +28,31 @@ def expire(jobs: Bench, upload_id: str) -> None:
 
 def test_what_was_said_comes_back(jobs: Bench) -> None:
     mine = of(jobs)
-    upload = mine.create_upload(str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S)
-    assert mine.upload(upload.id) == upload
+    upload = mine.uploads.add(str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S)
+    assert mine.uploads.get(upload.id) == upload
     assert (upload.name, upload.num_bytes, upload.metadata) == ("cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0")
-    assert mine.renew_upload(upload.id, 2 * HOUR_S).expires_at > upload.expires_at
+    assert mine.uploads.renew(upload.id, 2 * HOUR_S).expires_at > upload.expires_at
 
 
-@pytest.mark.parametrize("act", ["upload", "delete_upload", "renew_upload"])
+@pytest.mark.parametrize("act", ["get", "delete", "renew"])
 def test_another_tenant_s_is_not_there(jobs: Bench, act: str) -> None:
     upload_id = begin(of(jobs, "theirs"))
-    arguments = [HOUR_S] if act == "renew_upload" else []
+    arguments = [HOUR_S] if act == "renew" else []
     for records in (of(jobs, "mine"), of(jobs, "nobody")):
         with pytest.raises(NotFound):
-            getattr(records, act)(upload_id, *arguments)
-    assert of(jobs, "mine").known_uploads([upload_id]) == set()
-    assert of(jobs, "theirs").upload(upload_id).id == upload_id
+            getattr(records.uploads, act)(upload_id, *arguments)
+    assert of(jobs, "mine").uploads.known([upload_id]) == set()
+    assert of(jobs, "theirs").uploads.get(upload_id).id == upload_id
 
 
 def test_one_that_was_deleted_is_gone(jobs: Bench) -> None:
     mine = of(jobs)
     upload_id = begin(mine)
-    mine.delete_upload(upload_id)
-    for act in (mine.upload, mine.delete_upload):
+    mine.uploads.delete(upload_id)
+    for act in (mine.uploads.get, mine.uploads.delete):
         with pytest.raises(NotFound):
             act(upload_id)
-    assert [deed.act for deed in jobs.store.deeds("mine")] == ["upload-deleted", "upload-created"]
+    assert [event.act for event in jobs.store.audit.events("mine")] == ["upload-deleted", "upload-created"]
 
 
 def test_one_whose_time_is_over_is_gone(jobs: Bench) -> None:
@@ -61,13 +60,13 @@ def test_one_whose_time_is_over_is_gone(jobs: Bench) -> None:
     old, new = begin(mine), begin(mine)
     expire(jobs, old)
     with pytest.raises(NotFound):
-        mine.upload(old)
+        mine.uploads.get(old)
     with pytest.raises(NotFound):
-        mine.renew_upload(old, HOUR_S)
-    assert jobs.store.expired_uploads() == [old]
+        mine.uploads.renew(old, HOUR_S)
+    assert jobs.store.uploads.expired() == [old]
     for upload_id in (old, new):
-        jobs.store.forget_expired_upload(upload_id)
-    assert jobs.store.known_uploads([old, new]) == {new}
+        jobs.store.uploads.delete_expired(upload_id)
+    assert jobs.store.uploads.known([old, new]) == {new}
 
 
 def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: Bench) -> None:
@@ -75,18 +74,21 @@ def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: Bench) -> None:
     first, second, other = begin(mine), begin(mine), begin(theirs)
 
     def make(*upload_ids: str) -> Session:
-        return mine.create_session("take", [], PREFLIGHT, jobs.store.announce_session(), upload_ids)
+        session_id = jobs.store.sessions.reserve_id()
+        with mine.transaction() as work:
+            work.uploads.use(upload_ids)
+            return work.sessions.add("take", [], PREFLIGHT, session_id)
 
     with pytest.raises(Conflict):
         make(first, other)
-    assert mine.sessions() == []
-    assert mine.upload(first).id == first
+    assert mine.sessions.page() == []
+    assert mine.uploads.get(first).id == first
     make(first, second)
     assert mine.usage().uploads == 0
     with pytest.raises(Conflict):
         make(first)
-    assert len(mine.sessions()) == 1
-    assert theirs.upload(other).id == other
+    assert len(mine.sessions.page()) == 1
+    assert theirs.uploads.get(other).id == other
 
 
 def test_session_and_job_come_together_or_not_at_all(jobs: Bench) -> None:
@@ -94,16 +96,19 @@ def test_session_and_job_come_together_or_not_at_all(jobs: Bench) -> None:
     upload_id = begin(mine)
 
     def make(*upload_ids: str) -> str:
-        session_id = jobs.store.announce_session()
-        return mine.create_session_and_job("take", [], PREFLIGHT, session_id, upload_ids, JobSpec(), stages(2)).id
+        session_id = jobs.store.sessions.reserve_id()
+        with mine.transaction() as work:
+            work.uploads.use(upload_ids)
+            work.sessions.add("take", [], PREFLIGHT, session_id)
+            return work.jobs.add(session_id, JobSpec(), stages(2)).id
 
     job_id = make()
-    assert mine.job(job_id).stages[0].total == 20
+    assert mine.jobs.get(job_id).stages[0].total == 20
     with pytest.raises(QuotaExceeded):
         make(upload_id)
-    assert len(mine.sessions()) == 1
-    assert mine.upload(upload_id).id == upload_id
-    mine.cancel(job_id)
+    assert len(mine.sessions.page()) == 1
+    assert mine.uploads.get(upload_id).id == upload_id
+    mine.jobs.cancel(job_id)
     make(upload_id)
 
 
@@ -116,7 +121,7 @@ def test_quotas(jobs: Bench) -> None:
     with pytest.raises(QuotaExceeded, match="At most 2 uploads"):
         begin(mine, 0)
     begin(of(jobs, "theirs", Quotas(uploads=2, stored_bytes=1000)), 1000)
-    mine.delete_upload(first)
+    mine.uploads.delete(first)
     begin(mine, 100)
     assert (mine.usage().uploads, mine.usage().stored_bytes) == (2, 1000)
 
@@ -124,6 +129,9 @@ def test_quotas(jobs: Bench) -> None:
 def test_no_byte_counts_twice_when_an_upload_becomes_a_session_s(jobs: Bench) -> None:
     mine = of(jobs, quotas=Quotas(uploads=1, stored_bytes=100))
     upload_id = begin(mine, 100)
-    session = mine.create_session("take", [], PREFLIGHT, jobs.store.announce_session(), [upload_id])
-    assert mine.session(session.id) == session
+    session_id = jobs.store.sessions.reserve_id()
+    with mine.transaction() as work:
+        work.uploads.use([upload_id])
+        session = work.sessions.add("take", [], PREFLIGHT, session_id)
+    assert mine.sessions.get(session.id) == session
     begin(mine, 100)

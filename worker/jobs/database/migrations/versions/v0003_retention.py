@@ -1,4 +1,4 @@
-"""How long a job's results are kept."""
+"""Time that the results of a job are kept."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Sums for monitoring."""
+"""Totals for monitoring."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Attempts and failures with their reasons; what has to go from the artifact store."""
+"""Attempts and failures with their problems; removals of files."""
 
 import sqlalchemy as sa
 from alembic import op

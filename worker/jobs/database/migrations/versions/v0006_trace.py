@@ -1,4 +1,4 @@
-"""The trace that a job is a part of."""
+"""Trace of the request for a job."""
 
 import sqlalchemy as sa
 from alembic import op

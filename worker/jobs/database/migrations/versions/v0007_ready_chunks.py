@@ -1,4 +1,4 @@
-"""An index that finds the ready chunks of a job."""
+"""Index that finds the ready chunks of a job."""
 
 from alembic import op
 

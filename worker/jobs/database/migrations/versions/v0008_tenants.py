@@ -1,4 +1,4 @@
-"""Tenants, their keys, and the browsers that have shown one."""
+"""Tenants, keys, and browser sessions."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Bytes of a session's files, to be added up."""
+"""Size of the files of a session."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Who did what."""
+"""Audit events."""
 
 import sqlalchemy as sa
 from alembic import op

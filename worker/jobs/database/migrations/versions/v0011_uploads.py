@@ -1,4 +1,4 @@
-"""Files that come in pieces."""
+"""Uploads: files that arrive in pieces."""
 
 import sqlalchemy as sa
 from alembic import op

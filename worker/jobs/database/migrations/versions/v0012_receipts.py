@@ -1,4 +1,4 @@
-"""What was answered to requests that may be sent again."""
+"""Answers to requests that may be sent again."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -26,5 +26,5 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Forget them: who sends a request again has it done again."""
+    """Drop the table: a request that is sent again is done again."""
     op.drop_table("receipts")

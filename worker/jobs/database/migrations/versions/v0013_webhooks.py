@@ -1,4 +1,4 @@
-"""What has to be told of jobs that have ended, and what signs it."""
+"""Webhook messages of jobs' ends, and secrets that sign them."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""What clients note with a session for themselves."""
+"""Metadata of clients with a session."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""An index that lists the jobs of a session in their order."""
+"""Index of the jobs of a session in order."""
 
 from alembic import op
 

@@ -1,4 +1,4 @@
-"""An index that finds the tenants whose jobs wait or run, and each one's oldest."""
+"""Index of tenants with waiting or running jobs, and of their oldest jobs."""
 
 from alembic import op
 

@@ -7,19 +7,10 @@ import pytest
 
 from tests.worker.jobs.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, Bench, result, stages
 from worker.jobs.database.quotas import NO_QUOTAS
-from worker.jobs.model import (
-    Actor,
-    ChunkOutput,
-    ChunkState,
-    Claim,
-    JobState,
-    Problem,
-    Scope,
-    WorkerState,
-    WorkerStatus,
-)
+from worker.jobs.model import Actor, ChunkOutput, ChunkState, Claim, JobState, Problem, Scope
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import MAX_ATTEMPTS, JobStore
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 PROBLEM = Problem("internal_error", "The stage detect failed inside the service.", stage="detect", retryable=True)
 FINAL = replace(PROBLEM, code="input_error", retryable=False)
@@ -49,14 +40,14 @@ def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: Bench) -> 
     claims = [jobs.claim() for _ in range(4)]
     assert [(claim.job_id, claim.index) for claim in claims] == [(old, 0), (old, 1), (new, 0), (new, 1)]
     assert len({claim.lease_token for claim in claims}) == 4
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
 def queue_of_other(jobs: Bench, num_chunks: int) -> str:
     """Queue a job of another tenant; returns its id."""
     other = jobs.store.of("other", NO_QUOTAS, Actor())
-    session_id = other.create_session("take", [], PREFLIGHT, jobs.store.announce_session()).id
-    return other.create_job(session_id, JobSpec(), stages(num_chunks)).id
+    session_id = other.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
+    return other.jobs.add(session_id, JobSpec(), stages(num_chunks)).id
 
 
 def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: Bench) -> None:
@@ -69,7 +60,7 @@ def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: Bench) -> None:
     assert [claim.job_id for claim in claims] == [late, late]
     shares = Counter(jobs.claim().job_id == late for _ in range(6))
     assert shares == {True: 3, False: 3}
-    assert sum(1 for _ in iter(lambda: jobs.store.claim("worker", LEASE_S), None)) == 12 + 6 - 10
+    assert sum(1 for _ in iter(lambda: jobs.store.leases.claim("worker", LEASE_S), None)) == 12 + 6 - 10
 
 
 def test_tenants_take_turns_on_one_worker(jobs: Bench) -> None:
@@ -87,17 +78,17 @@ def test_tenants_take_turns_on_one_worker(jobs: Bench) -> None:
 
 def list_workers(jobs: Bench, num_workers: int) -> None:
     for number in range(num_workers):
-        jobs.store.report_worker(WorkerStatus(f"host:{number}", WorkerState.READY, "works"))
+        jobs.store.workers.report(WorkerStatus(f"host:{number}", WorkerState.READY, "works"))
 
 
 def test_one_worker_stays_free_for_the_other_tenants(jobs: Bench) -> None:
     """However long a tenant's chunks take, and although the others have nothing to do when they begin."""
     for tenant in ("default", "other"):
-        jobs.store.create_key(tenant, "portal", {Scope.READ, Scope.WRITE})
+        jobs.store.keys.add(tenant, "portal", {Scope.READ, Scope.WRITE})
     list_workers(jobs, 3)
     jobs.queue(4)
     held = [jobs.claim() for _ in range(2)]
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
     late = queue_of_other(jobs, 1)
     assert jobs.claim().job_id == late
     jobs.finish(held[0])
@@ -116,7 +107,7 @@ def test_all_workers_are_one_tenants_where_no_other_could_use_them(
     jobs: Bench, keys: Mapping[str, Scope], num_workers: int
 ) -> None:
     for tenant, scope in keys.items():
-        jobs.store.create_key(tenant, "key", {scope})
+        jobs.store.keys.add(tenant, "key", {scope})
     list_workers(jobs, num_workers)
     jobs.queue(4)
     for _ in range(2):
@@ -124,58 +115,58 @@ def test_all_workers_are_one_tenants_where_no_other_could_use_them(
 
 
 def test_a_revoked_key_reserves_no_worker(jobs: Bench) -> None:
-    jobs.store.create_key("default", "portal", {Scope.WRITE})
-    revoked, _ = jobs.store.create_key("other", "portal", {Scope.WRITE})
-    jobs.store.create_key("expired", "portal", {Scope.WRITE}, lifetime_s=-1.0)
+    jobs.store.keys.add("default", "portal", {Scope.WRITE})
+    revoked, _ = jobs.store.keys.add("other", "portal", {Scope.WRITE})
+    jobs.store.keys.add("expired", "portal", {Scope.WRITE}, lifetime_s=-1.0)
     list_workers(jobs, 2)
     jobs.queue(4)
     jobs.claim()
-    assert jobs.store.claim("worker", LEASE_S) is None
-    jobs.store.revoke_key(revoked.id)
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
+    jobs.store.keys.revoke(revoked.id)
     jobs.claim()
 
 
 def test_the_only_worker_serves_everybody(jobs: Bench) -> None:
     for tenant in ("default", "other"):
-        jobs.store.create_key(tenant, "portal", {Scope.WRITE})
+        jobs.store.keys.add(tenant, "portal", {Scope.WRITE})
     list_workers(jobs, 1)
     jobs.queue(1)
     jobs.finish_all()
 
 
 def test_without_jobs_there_is_nothing_to_claim(jobs: Bench) -> None:
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
 def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: Bench) -> None:
     jobs.queue(num_chunks=3)
     claims = [jobs.claim() for _ in range(3)]
     assert [jobs.finish(claim) for claim in (claims[2], claims[0])] == [False, False]
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
     assert jobs.finish(claims[1])
     assert jobs.claim().stage == "export"
 
 
 def test_each_stage_follows_the_one_before(jobs: Bench) -> None:
     detect, export = stages(2)
-    job = jobs.store.create_job(jobs.session_id, JobSpec(), (detect, replace(export, name="fit"), export))
+    job = jobs.store.jobs.add(jobs.session_id, JobSpec(), (detect, replace(export, name="fit"), export))
     order = []
-    while claim := jobs.store.claim("worker", LEASE_S):
+    while claim := jobs.store.leases.claim("worker", LEASE_S):
         order.append((claim.stage, jobs.finish(claim)))
     assert order == [("detect", False), ("detect", True), ("fit", True), ("export", False)]
-    assert jobs.store.job(job.id).state == JobState.SUCCEEDED
+    assert jobs.store.jobs.get(job.id).state == JobState.SUCCEEDED
 
 
 Report = Callable[[JobStore, int, str], bool]
 
 REPORTS: dict[str, Report] = {
-    "heartbeat": lambda store, chunk_id, token: store.heartbeat(chunk_id, token, UNITS, LEASE_S),
-    "finish": lambda store, chunk_id, token: store.finish(
+    "heartbeat": lambda store, chunk_id, token: store.leases.heartbeat(chunk_id, token, UNITS, LEASE_S),
+    "finish": lambda store, chunk_id, token: store.leases.finish(
         chunk_id, token, "f" * 64, 1, results=[result("0", "of-nobody.bvh")]
     ),
-    "fail": lambda store, chunk_id, token: store.fail(chunk_id, token, FINAL),
-    "release": lambda store, chunk_id, token: store.release(chunk_id, token),
-    "compute again": lambda store, chunk_id, token: store.compute_again(chunk_id, token, "detect", {0}),
+    "fail": lambda store, chunk_id, token: store.leases.fail(chunk_id, token, FINAL),
+    "release": lambda store, chunk_id, token: store.leases.release(chunk_id, token),
+    "compute again": lambda store, chunk_id, token: store.leases.compute_again(chunk_id, token, "detect", {0}),
 }
 
 
@@ -183,48 +174,48 @@ REPORTS: dict[str, Report] = {
 def test_only_the_holder_is_heard(jobs: Bench, report: Report) -> None:
     job_id = jobs.queue(num_chunks=1).id
     lost = jobs.claim(EXPIRED_S)
-    jobs.store.reap(LEASE_S)
+    jobs.store.leases.reap(LEASE_S)
     holder = jobs.claim()
     assert holder.chunk_id == lost.chunk_id
-    before = jobs.store.job(job_id)
+    before = jobs.store.jobs.get(job_id)
     for token in (lost.lease_token, "", "no token"):
         assert not report(jobs.store, holder.chunk_id, token)
     assert not report(jobs.store, holder.chunk_id + 1000, holder.lease_token)
-    assert jobs.store.job(job_id) == before
-    assert jobs.store.artifact(jobs.session_id, holder.output_key) is None
+    assert jobs.store.jobs.get(job_id) == before
+    assert jobs.store.outputs.find(jobs.session_id, holder.output_key) is None
     assert jobs.finish(holder)
     for token in (lost.lease_token, holder.lease_token):
         assert not report(jobs.store, holder.chunk_id, token)
     jobs.finish_all()
-    assert [file.name for file in jobs.store.results(job_id)] == ["person-1.bvh"]
+    assert [file.name for file in jobs.store.results.of_job(job_id)] == ["person-1.bvh"]
 
 
 def test_a_heartbeat_keeps_the_lease(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(EXPIRED_S)
-    assert jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
-    assert not jobs.store.reap(LEASE_S)
+    assert jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+    assert not jobs.store.leases.reap(LEASE_S)
     assert jobs.finish(claim)
 
 
 def test_a_lease_ends_by_the_clock(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(lease_s=0.3)
-    assert not jobs.store.reap(LEASE_S)
+    assert not jobs.store.leases.reap(LEASE_S)
     time.sleep(0.4)
-    assert jobs.store.reap(LEASE_S)
-    assert not jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+    assert jobs.store.leases.reap(LEASE_S)
+    assert not jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
 
 
 def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: Bench) -> None:
     jobs.queue(num_chunks=2)
     lost, held = jobs.claim(lease_s=3600.0), jobs.claim(lease_s=3600.0)  # as if it had been an hour later
-    assert not jobs.store.reap(0.2)
-    assert jobs.store.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
+    assert not jobs.store.leases.reap(0.2)
+    assert jobs.store.leases.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
     time.sleep(0.3)
-    assert jobs.store.reap(LEASE_S)
-    assert not jobs.store.heartbeat(lost.chunk_id, lost.lease_token, 1, LEASE_S)
-    assert jobs.store.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
+    assert jobs.store.leases.reap(LEASE_S)
+    assert not jobs.store.leases.heartbeat(lost.chunk_id, lost.lease_token, 1, LEASE_S)
+    assert jobs.store.leases.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
 
 
 def test_a_late_finish_counts_while_nobody_has_taken_the_chunk_back(jobs: Bench) -> None:
@@ -238,13 +229,13 @@ def test_progress_never_goes_back(jobs: Bench) -> None:
     claim = jobs.claim()
     seen = []
     for done_units in (4, 2, 7, 10_000):
-        jobs.store.heartbeat(claim.chunk_id, claim.lease_token, done_units, EXPIRED_S)
-        seen.append(jobs.store.job(job_id).progress)
+        jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, done_units, EXPIRED_S)
+        seen.append(jobs.store.jobs.get(job_id).progress)
     assert seen == [4 / total, 4 / total, 7 / total, 10 / total]
-    jobs.store.reap(LEASE_S)
+    jobs.store.leases.reap(LEASE_S)
     claim = jobs.claim()
-    jobs.store.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
-    assert jobs.store.job(job_id).progress == 10 / total
+    jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
+    assert jobs.store.jobs.get(job_id).progress == 10 / total
 
 
 def test_a_failure_worth_another_try_gets_it(jobs: Bench) -> None:
@@ -252,13 +243,13 @@ def test_a_failure_worth_another_try_gets_it(jobs: Bench) -> None:
     for attempt in range(1, MAX_ATTEMPTS):
         claim = jobs.claim()
         assert claim.attempt == attempt
-        assert jobs.store.fail(claim.chunk_id, claim.lease_token, PROBLEM)
+        assert jobs.store.leases.fail(claim.chunk_id, claim.lease_token, PROBLEM)
     claim = jobs.claim()
-    assert not jobs.store.fail(claim.chunk_id, claim.lease_token, PROBLEM)
-    job = jobs.store.job(job_id)
+    assert not jobs.store.leases.fail(claim.chunk_id, claim.lease_token, PROBLEM)
+    job = jobs.store.jobs.get(job_id)
     last = replace(PROBLEM, detail=f"{PROBLEM.detail} It was the last of {MAX_ATTEMPTS} tries.")
     assert (job.state, job.problem) == (JobState.FAILED, last)
-    (whole,) = jobs.store.attempts(job_id)
+    (whole,) = jobs.store.jobs.attempts(job_id)
     assert (whole.attempt, whole.state, whole.problem) == (1, JobState.FAILED, last)
     assert [(one.stage, one.chunk_index, one.chunk_try) for one in whole.failures] == [
         ("detect", 0, number) for number in range(1, MAX_ATTEMPTS + 1)
@@ -270,15 +261,15 @@ def test_another_failure_ends_the_job_and_stops_its_workers(jobs: Bench) -> None
     job_id = jobs.queue(num_chunks=4).id
     done, broken, other = jobs.claim(), jobs.claim(), jobs.claim()
     jobs.finish(done)
-    assert not jobs.store.fail(broken.chunk_id, broken.lease_token, FINAL)
-    job = jobs.store.job(job_id)
+    assert not jobs.store.leases.fail(broken.chunk_id, broken.lease_token, FINAL)
+    job = jobs.store.jobs.get(job_id)
     assert (job.state, job.problem, job.progress) == (JobState.FAILED, FINAL, UNITS / (5 * UNITS))
     assert [stage.state for stage in job.stages] == [ChunkState.FAILED, ChunkState.CANCELED]
     assert job.finished_at is not None
-    assert not jobs.store.heartbeat(other.chunk_id, other.lease_token, 1, LEASE_S)
+    assert not jobs.store.leases.heartbeat(other.chunk_id, other.lease_token, 1, LEASE_S)
     assert not jobs.finish(other)
-    assert jobs.store.claim("worker", LEASE_S) is None
-    assert not jobs.store.reap(LEASE_S)
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
+    assert not jobs.store.leases.reap(LEASE_S)
 
 
 def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
@@ -286,53 +277,53 @@ def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: Bench) -> None:
     for _ in range(2 * MAX_ATTEMPTS):
         claim = jobs.claim()
         assert claim.attempt == 1
-        assert jobs.store.release(claim.chunk_id, claim.lease_token)
-    assert jobs.store.job(job_id).state == JobState.RUNNING
+        assert jobs.store.leases.release(claim.chunk_id, claim.lease_token)
+    assert jobs.store.jobs.get(job_id).state == JobState.RUNNING
 
 
 def test_reap_says_whether_anything_is_ready(jobs: Bench) -> None:
-    assert not jobs.store.reap(LEASE_S)
+    assert not jobs.store.leases.reap(LEASE_S)
     jobs.queue(num_chunks=1)
     canceled = jobs.queue(num_chunks=2)
-    assert jobs.store.reap(LEASE_S)
+    assert jobs.store.leases.reap(LEASE_S)
     jobs.claim()
-    assert jobs.store.reap(LEASE_S)  # of the other job
-    jobs.store.cancel(canceled.id)
-    assert not jobs.store.reap(LEASE_S)
+    assert jobs.store.leases.reap(LEASE_S)  # of the other job
+    jobs.store.jobs.cancel(canceled.id)
+    assert not jobs.store.leases.reap(LEASE_S)
     jobs.queue(num_chunks=1)
     jobs.claim(EXPIRED_S)
-    assert jobs.store.reap(LEASE_S)
+    assert jobs.store.leases.reap(LEASE_S)
 
 
 def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     for attempt in range(1, MAX_ATTEMPTS + 1):
-        assert jobs.store.job(job_id).state in {JobState.QUEUED, JobState.RUNNING}
+        assert jobs.store.jobs.get(job_id).state in {JobState.QUEUED, JobState.RUNNING}
         assert jobs.claim(EXPIRED_S).attempt == attempt
-        jobs.store.reap(LEASE_S)
-    job = jobs.store.job(job_id)
+        jobs.store.leases.reap(LEASE_S)
+    job = jobs.store.jobs.get(job_id)
     assert job.state == JobState.FAILED
     assert job.problem is not None
     assert (job.problem.code, job.problem.stage) == ("worker_lost", "detect")
-    assert not jobs.store.reap(LEASE_S)
+    assert not jobs.store.leases.reap(LEASE_S)
 
 
 def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.claim(EXPIRED_S)
     jobs.claim(EXPIRED_S)
-    assert jobs.store.cancel(job_id).state == JobState.CANCELING
-    assert not jobs.store.reap(LEASE_S)
-    assert jobs.store.job(job_id).state == JobState.CANCELED
+    assert jobs.store.jobs.cancel(job_id).state == JobState.CANCELING
+    assert not jobs.store.leases.reap(LEASE_S)
+    assert jobs.store.jobs.get(job_id).state == JobState.CANCELED
 
 
 def test_outputs_are_recorded_by_session(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim()
-    assert jobs.store.artifact(jobs.session_id, claim.output_key) is None
-    jobs.store.finish(claim.chunk_id, claim.lease_token, "a" * 64, 3_000_000_000)
-    assert jobs.store.artifact(jobs.session_id, claim.output_key) == ("a" * 64, 3_000_000_000)
-    assert jobs.store.artifact("another", claim.output_key) is None
+    assert jobs.store.outputs.find(jobs.session_id, claim.output_key) is None
+    jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "a" * 64, 3_000_000_000)
+    assert jobs.store.outputs.find(jobs.session_id, claim.output_key) == ("a" * 64, 3_000_000_000)
+    assert jobs.store.outputs.find("another", claim.output_key) is None
 
 
 def test_the_last_record_of_an_output_counts(jobs: Bench) -> None:
@@ -340,8 +331,8 @@ def test_the_last_record_of_an_output_counts(jobs: Bench) -> None:
     jobs.queue(num_chunks=1)
     for sha256 in ("a" * 64, "b" * 64):
         claim = next(claim for claim in iter(jobs.claim, None) if claim.stage == "detect")
-        jobs.store.finish(claim.chunk_id, claim.lease_token, sha256, 1)
-    assert jobs.store.artifact(jobs.session_id, "detect-0") == ("b" * 64, 1)
+        jobs.store.leases.finish(claim.chunk_id, claim.lease_token, sha256, 1)
+    assert jobs.store.outputs.find(jobs.session_id, "detect-0") == ("b" * 64, 1)
 
 
 def start_reduce(jobs: Bench, num_chunks: int = 3) -> tuple[str, Claim]:
@@ -356,20 +347,20 @@ def start_reduce(jobs: Bench, num_chunks: int = 3) -> tuple[str, Claim]:
 
 def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(jobs: Bench) -> None:
     job_id, reduce = start_reduce(jobs)
-    before = jobs.store.job(job_id)
-    assert jobs.store.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 2})
-    job = jobs.store.job(job_id)
+    before = jobs.store.jobs.get(job_id)
+    assert jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 2})
+    job = jobs.store.jobs.get(job_id)
     assert [stage.state for stage in job.stages] == [ChunkState.RUNNING, ChunkState.WAITING]
     assert job.progress == before.progress
     again = [jobs.claim(), jobs.claim()]
     assert [(claim.stage, claim.index, claim.attempt) for claim in again] == [("detect", 0, 2), ("detect", 2, 2)]
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
     assert [jobs.finish(claim) for claim in again] == [False, True]
     last = jobs.claim()
     assert (last.chunk_id, last.attempt) == (reduce.chunk_id, 1)
     jobs.finish(last)
-    assert jobs.store.job(job_id).state == JobState.SUCCEEDED
-    (attempt,) = jobs.store.attempts(job_id)
+    assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
+    (attempt,) = jobs.store.jobs.attempts(job_id)
     assert [(one.chunk_index, one.problem.code) for one in attempt.failures] == [
         (0, "output_damaged"),
         (2, "output_damaged"),
@@ -380,39 +371,39 @@ def test_a_second_finder_waits_for_the_first_one(jobs: Bench) -> None:
     detect, export = stages(2)
     (chunk,) = export.chunks
     chunks = tuple(replace(chunk, index=index, output_key=f"export-{index}") for index in range(3))
-    job_id = jobs.store.create_job(jobs.session_id, JobSpec(), (detect, replace(export, chunks=chunks))).id
+    job_id = jobs.store.jobs.add(jobs.session_id, JobSpec(), (detect, replace(export, chunks=chunks))).id
     for _ in range(2):
         jobs.finish(jobs.claim())
     first, second = jobs.claim(), jobs.claim()
-    assert jobs.store.compute_again(first.chunk_id, first.lease_token, "detect", {1})
-    assert not jobs.store.compute_again(second.chunk_id, second.lease_token, "detect", {1})
+    assert jobs.store.leases.compute_again(first.chunk_id, first.lease_token, "detect", {1})
+    assert not jobs.store.leases.compute_again(second.chunk_id, second.lease_token, "detect", {1})
     again, third = jobs.claim(), jobs.claim()
     assert [(claim.stage, claim.index) for claim in (again, third)] == [("detect", 1), ("export", 2)]
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
     assert not jobs.finish(third)
     assert jobs.finish(again)
     assert [(claim.stage, claim.index) for claim in (jobs.claim(), jobs.claim())] == [("export", 0), ("export", 1)]
-    assert jobs.store.job(job_id).state == JobState.RUNNING
+    assert jobs.store.jobs.get(job_id).state == JobState.RUNNING
 
 
 def test_outputs_that_stay_damaged_end_the_job(jobs: Bench) -> None:
     job_id, reduce = start_reduce(jobs)
     for _ in range(MAX_ATTEMPTS - 1):
-        assert jobs.store.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {1})
+        assert jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {1})
         jobs.finish(jobs.claim())
         reduce = jobs.claim()
-    assert not jobs.store.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 1, 2})
-    job = jobs.store.job(job_id)
+    assert not jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 1, 2})
+    job = jobs.store.jobs.get(job_id)
     assert job.state == JobState.FAILED
     assert job.problem is not None
     assert (job.problem.code, job.problem.retryable) == ("output_damaged", True)
     assert "chunk 1 of the stage detect" in job.problem.detail
     assert f"the last of {MAX_ATTEMPTS} tries" in job.problem.detail
-    assert jobs.store.claim("worker", LEASE_S) is None
+    assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
 def test_outputs_bear_the_digests_that_they_were_finished_with(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
-    outputs = jobs.store.outputs(job_id, "detect")
+    outputs = jobs.store.outputs.of_stage(job_id, "detect")
     assert outputs == [ChunkOutput(0, "detect-0", "detect-0".ljust(64, "0")), ChunkOutput(1, "detect-1", None)]

@@ -1,6 +1,6 @@
-"""Worker processes: which there are, and whether they could start a chunk now.
+"""Worker processes: whether they are alive, and whether they could start a chunk now.
 
-Each process keeps a row of its own fresh. A row that nobody has renewed for a while is of a process that is gone.
+Each process renews its own row. A row that was not renewed for a while belongs to a process that has ended.
 """
 
 from collections.abc import Collection, Iterable
@@ -8,9 +8,10 @@ from dataclasses import asdict
 
 from sqlalchemy import ColumnElement, Connection, delete, func, or_, select
 
-from worker.jobs.database.connection import Database, now, upsert
+from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.tables import workers
-from worker.jobs.model import WorkerState, WorkerStatus
+from worker.jobs.database.transactions import Transactions
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 # Renewed every four seconds: two in a row were missed.
 SILENT_AFTER_S = 10.0
@@ -18,30 +19,26 @@ _FORGOTTEN_AFTER_S = 60.0
 
 
 class Workers:
-    """The store's list of worker processes."""
+    """Worker processes of the whole service."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
-    def report_worker(self, status: WorkerStatus) -> None:
-        """Say what a worker process does now; it is believed for ``SILENT_AFTER_S``."""
-        with self._database.writing() as connection:
+    def report(self, status: WorkerStatus) -> None:
+        """Record what a worker process does now; the row is valid for ``SILENT_AFTER_S``."""
+        with self._transactions.writing() as connection:
             lists = {"detectors": list(status.detectors), "codes": list(status.codes)}
             upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
             _forget_silent(connection)
 
-    def remove_worker(self, worker_id: str) -> None:
-        """Forget a worker process that ends."""
-        self.remove_workers([worker_id])
-
-    def remove_workers(self, worker_ids: Collection[str]) -> None:
-        """Forget worker processes that are gone."""
-        with self._database.writing() as connection:
+    def remove(self, worker_ids: Collection[str]) -> None:
+        """Delete worker processes that have ended."""
+        with self._transactions.writing() as connection:
             connection.execute(delete(workers).where(workers.c.id.in_(worker_ids)))
 
-    def workers(self) -> list[WorkerStatus]:
-        """All worker processes that are there."""
-        with self._database.reading() as connection:
+    def all(self) -> list[WorkerStatus]:
+        """Worker processes that are alive."""
+        with self._transactions.reading() as connection:
             rows = connection.execute(select(workers).where(_is_alive()).order_by(workers.c.id))
             return [
                 WorkerStatus(
@@ -76,7 +73,7 @@ def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
 
 
 def _is_alive() -> ColumnElement[bool]:
-    # Also not from the future: where the clock was put back, those would be there for ever.
+    # Not from the future either: where the clock was put back, such rows would never end.
     return workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
 
 

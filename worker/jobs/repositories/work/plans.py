@@ -1,4 +1,4 @@
-"""Plans of jobs as rows: inserted with a job, and replaced when no worker runs the code that they were made for."""
+"""Plans of jobs: rows of chunks, added with a job, and replaced if no worker runs the code that they were made for."""
 
 from collections.abc import Iterable, Sequence
 from itertools import islice
@@ -6,24 +6,24 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert, or_, select
 
-from worker.jobs.database.connection import Database
 from worker.jobs.database.tables import chunks, jobs
+from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job
 from worker.jobs.model import AT_WORK, ChunkPlan, ChunkState, StagePlan
-from worker.jobs.repositories.workers import codes_at_work
+from worker.jobs.repositories.work.workers import codes_at_work
 
 _ROWS_AT_ONCE = 1000
 
 
 class Plans:
-    """The store's view of plans that were made by another version of the code."""
+    """Plans of unfinished jobs that were made by another version of the code."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
     def unclaimable(self) -> list[str]:
-        """Unfinished jobs without running chunks whose next chunks no ready worker can run."""
-        with self._database.reading() as connection:
+        """Ids of unfinished jobs without running chunks whose ready chunks no worker can run."""
+        with self._transactions.reading() as connection:
             foreign = or_(chunks.c.code.is_(None), chunks.c.code.not_in(codes_at_work(connection)))
             of_job = chunks.c.job_id == jobs.c.id
             is_waiting = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.READY, foreign).exists()
@@ -32,18 +32,18 @@ class Plans:
             return list(connection.scalars(query.order_by(jobs.c.queued_at, jobs.c.id)))
 
     def is_run(self, codes: Iterable[str]) -> bool:
-        """Return whether ready workers run all of some code, so that they could run a plan for it."""
-        with self._database.reading() as connection:
+        """Return whether ready workers run all of some code, so that they could run a plan that is made for it."""
+        with self._transactions.reading() as connection:
             return codes_at_work(connection).issuperset(codes)
 
-    def plan_again(self, job_id: str, stages: Sequence[StagePlan]) -> bool:
+    def replace(self, job_id: str, stages: Sequence[StagePlan]) -> bool:
         """Replace the plan of an unfinished job without running chunks; outputs of equal keys are used again.
 
         Returns
         -------
             Whether it was replaced.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             job = lock_job(connection, job_id)
             running = select(chunks.c.id).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.RUNNING)
             if job is None or job.state not in AT_WORK or connection.execute(running.limit(1)).first() is not None:
@@ -54,7 +54,7 @@ class Plans:
 
 
 def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
-    """Insert the chunks of all stages, some at a time: a long session's rows never stand in memory at once."""
+    """Insert the chunks of all stages, some at a time: a long session has too many for the memory."""
     if not stages or any(next(iter(stage.chunks), None) is None for stage in stages):
         raise ValueError("a job needs a stage, and every stage a chunk")
     rows = (

@@ -4,8 +4,8 @@ import sqlalchemy as sa
 from tests.worker.jobs.conftest import Bench
 from worker.jobs.database.tables import workers
 from worker.jobs.errors import NewerDatabase
-from worker.jobs.model import WorkerState, WorkerStatus
-from worker.jobs.repositories.workers import installed_detectors
+from worker.jobs.repositories.work.workers import installed_detectors
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
 READY = WorkerStatus("host:2", WorkerState.READY, "A worker works", detectors=("movenet-multipose", "other"))
@@ -16,23 +16,23 @@ def seen_ago(jobs: Bench, seconds: float) -> None:
 
 
 def test_workers_are_listed_as_they_last_reported(jobs: Bench) -> None:
-    jobs.store.report_worker(READY)
-    jobs.store.report_worker(STARTING)
-    assert jobs.store.workers() == [STARTING, READY]
+    jobs.store.workers.report(READY)
+    jobs.store.workers.report(STARTING)
+    assert jobs.store.workers.all() == [STARTING, READY]
     further = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 4, 75)
-    jobs.store.report_worker(further)
-    assert jobs.store.workers() == [further, READY]
-    jobs.store.remove_worker("host:1")
-    assert jobs.store.workers() == [READY]
+    jobs.store.workers.report(further)
+    assert jobs.store.workers.all() == [further, READY]
+    jobs.store.workers.remove(["host:1"])
+    assert jobs.store.workers.all() == [READY]
 
 
 @pytest.mark.parametrize("seconds", [11.0, -11.0])
 def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: Bench, seconds: float) -> None:
-    jobs.store.report_worker(READY)
+    jobs.store.workers.report(READY)
     seen_ago(jobs, seconds)
-    assert jobs.store.workers() == []
+    assert jobs.store.workers.all() == []
     seen_ago(jobs, 6 * seconds)
-    jobs.store.report_worker(STARTING)
+    jobs.store.workers.report(STARTING)
     engine = sa.create_engine(jobs.url)
     with engine.connect() as connection:
         assert connection.execute(sa.select(workers.c.id)).scalars().all() == ["host:1"]

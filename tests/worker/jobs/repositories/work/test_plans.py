@@ -5,13 +5,14 @@ import time
 import pytest
 
 from tests.worker.jobs.conftest import CODE, LEASE_S, Bench, stages
-from worker.jobs.model import ChunkState, JobState, StagePlan, WorkerState, WorkerStatus
+from worker.jobs.model import ChunkState, JobState, StagePlan
+from worker.jobs.worker_status import WorkerState, WorkerStatus
 
 OTHER = "d" * 64
 
 
 def list_worker(jobs: Bench, *codes: str, state: WorkerState = WorkerState.READY) -> None:
-    jobs.store.report_worker(WorkerStatus("host:1", state, "works", codes=codes))
+    jobs.store.workers.report(WorkerStatus("host:1", state, "works", codes=codes))
 
 
 def of_other_code(num_chunks: int) -> tuple[StagePlan, ...]:
@@ -20,50 +21,50 @@ def of_other_code(num_chunks: int) -> tuple[StagePlan, ...]:
 
 def test_a_worker_takes_chunks_of_its_own_code_only(jobs: Bench) -> None:
     jobs.queue(2)
-    assert jobs.store.claim("worker", LEASE_S, {OTHER}) is None
-    claim = jobs.store.claim("worker", LEASE_S, {OTHER, CODE})
+    assert jobs.store.leases.claim("worker", LEASE_S, {OTHER}) is None
+    claim = jobs.store.leases.claim("worker", LEASE_S, {OTHER, CODE})
     assert claim is not None
 
 
 def test_two_versions_work_side_by_side(jobs: Bench) -> None:
     old = jobs.queue(1).id
-    new = jobs.store.create_job(jobs.session_id, jobs.store.job(old).spec, of_other_code(1)).id
+    new = jobs.store.jobs.add(jobs.session_id, jobs.store.jobs.get(old).spec, of_other_code(1)).id
     for code, job_id in ((OTHER, new), (CODE, old)):
         for _ in range(2):
-            claim = jobs.store.claim("worker", LEASE_S, {code})
+            claim = jobs.store.leases.claim("worker", LEASE_S, {code})
             assert claim is not None
             assert claim.job_id == job_id
             jobs.finish(claim)
-        assert jobs.store.job(job_id).state == JobState.SUCCEEDED
+        assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
 def test_a_job_that_no_worker_can_run_is_found(jobs: Bench) -> None:
     job_id = jobs.queue(2).id
-    assert jobs.store.unclaimable() == [job_id]
-    assert not jobs.store.is_run([OTHER])
+    assert jobs.store.plans.unclaimable() == [job_id]
+    assert not jobs.store.plans.is_run([OTHER])
     list_worker(jobs, CODE)
-    assert jobs.store.unclaimable() == []
+    assert jobs.store.plans.unclaimable() == []
     list_worker(jobs, OTHER)
-    assert jobs.store.unclaimable() == [job_id]
-    assert jobs.store.is_run([OTHER])
-    assert not jobs.store.is_run([OTHER, CODE])
+    assert jobs.store.plans.unclaimable() == [job_id]
+    assert jobs.store.plans.is_run([OTHER])
+    assert not jobs.store.plans.is_run([OTHER, CODE])
     list_worker(jobs, OTHER, state=WorkerState.STARTING)
-    assert not jobs.store.is_run([OTHER])
+    assert not jobs.store.plans.is_run([OTHER])
 
 
 def test_a_job_waits_for_its_running_chunks_before_it_is_planned_again(jobs: Bench) -> None:
     job_id = jobs.queue(2).id
     list_worker(jobs, OTHER)
     held = jobs.claim()
-    assert jobs.store.unclaimable() == []
-    assert not jobs.store.plan_again(job_id, of_other_code(2))
+    assert jobs.store.plans.unclaimable() == []
+    assert not jobs.store.plans.replace(job_id, of_other_code(2))
     jobs.finish(held)
-    assert jobs.store.unclaimable() == [job_id]
-    assert jobs.store.plan_again(job_id, of_other_code(2))
-    assert jobs.store.unclaimable() == []
-    assert jobs.store.job(job_id).attempt == 1
+    assert jobs.store.plans.unclaimable() == [job_id]
+    assert jobs.store.plans.replace(job_id, of_other_code(2))
+    assert jobs.store.plans.unclaimable() == []
+    assert jobs.store.jobs.get(job_id).attempt == 1
     jobs.finish_all()
-    assert jobs.store.job(job_id).state == JobState.SUCCEEDED
+    assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
 @pytest.mark.parametrize("end", ["succeeded", "canceled"])
@@ -72,20 +73,20 @@ def test_a_job_that_has_ended_is_not_planned_again(jobs: Bench, end: str) -> Non
     if end == "succeeded":
         jobs.finish_all()
     else:
-        jobs.store.cancel(job_id)
-    assert jobs.store.unclaimable() == []
-    assert not jobs.store.plan_again(job_id, of_other_code(1))
-    assert jobs.store.job(job_id).state == end
+        jobs.store.jobs.cancel(job_id)
+    assert jobs.store.plans.unclaimable() == []
+    assert not jobs.store.plans.replace(job_id, of_other_code(1))
+    assert jobs.store.jobs.get(job_id).state == end
 
 
 def test_a_canceled_job_ends_although_no_worker_runs_its_code(jobs: Bench) -> None:
     job_id = jobs.queue(1).id
     list_worker(jobs, OTHER)
     jobs.claim(lease_s=-1.0)
-    jobs.store.cancel(job_id)
-    assert not jobs.store.plan_again(job_id, of_other_code(1))
+    jobs.store.jobs.cancel(job_id)
+    assert not jobs.store.plans.replace(job_id, of_other_code(1))
     time.sleep(0.01)
-    jobs.store.reap(LEASE_S)
-    job = jobs.store.job(job_id)
+    jobs.store.leases.reap(LEASE_S)
+    job = jobs.store.jobs.get(job_id)
     assert job.state == JobState.CANCELED
     assert all(stage.state == ChunkState.CANCELED for stage in job.stages)

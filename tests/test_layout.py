@@ -1,19 +1,23 @@
-"""Stages are named in ``pipeline/stages`` alone."""
+"""Laws of the layout: small folders, stages named in one place, a web API without science."""
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 from pipeline.stages.plan import EXPORT, FIT, STAGES
 
 ROOT = Path(__file__).parents[1]
+PACKAGES = ("api", "multicap", "pipeline", "worker")
+MAX_MODULES = 12
 # These two words have other meanings too: a smoothing, and result files.
 NAMES = {stage.name for stage in STAGES} - {FIT, EXPORT}
 
 
 def test_no_stage_is_spelled_elsewhere() -> None:
     spelled = []
-    for package in ("api", "multicap", "pipeline", "worker"):
+    for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
             if path.parent != ROOT / "pipeline" / "stages":
                 tree = ast.parse(path.read_bytes())
@@ -29,3 +33,21 @@ def test_no_stage_is_spelled_in_the_page() -> None:
         assert not {label for label in labels if label in text}
         assert not set(re.findall(r"[\"'](\w+)[\"']|\b(\w+):", text)) & {(name, "") for name in NAMES}
         assert not {key for _, key in re.findall(r"[\"'](\w+)[\"']|\b(\w+):", text)} & NAMES
+
+
+def test_folders_are_small() -> None:
+    folders = {path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
+    sizes = {
+        folder.relative_to(ROOT).as_posix(): sum(path.name != "__init__.py" for path in folder.glob("*.py"))
+        for folder in folders
+        if folder.name != "versions"  # of the schema, one for each change
+    }
+    assert {folder: size for folder, size in sizes.items() if size > MAX_MODULES} == {}
+
+
+def test_the_web_api_loads_no_science() -> None:
+    program = "import sys; from api.app import create_app; from api.__main__ import main; print(*sys.modules)"
+    ended = subprocess.run([sys.executable, "-P", "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = {name.partition(".")[0] for name in ended.stdout.split()}
+    assert "fastapi" in loaded
+    assert not loaded & {"numpy", "scipy", "numba", "cv2", "av", "onnxruntime"}

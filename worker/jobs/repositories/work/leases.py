@@ -7,42 +7,43 @@ from typing import Any
 from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
-from worker.jobs.database.connection import Database, now, upsert
+from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.tables import artifacts, chunks, jobs, results
 from worker.jobs.database.totals import Total, count
+from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
-from worker.jobs.model import AT_WORK, ChunkOutput, ChunkState, Claim, JobState, Problem, Result, ResultWarning
+from worker.jobs.model import AT_WORK, ChunkState, Claim, JobState, Problem, Result, ResultWarning
 from worker.jobs.repositories.attempts import note_failure
-from worker.jobs.repositories.turns import has_share, next_job, of_code
+from worker.jobs.repositories.work.turns import has_share, next_job, of_code
 from worker.jobs.spec import JobSpec
 
-# Tries that a chunk has: lost leases, failures worth another try and damaged outputs count alike.
+# Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
 
 
 class Leases:
-    """The workers' side of the store.
+    """Leases of chunks, of all tenants.
 
-    A claim carries a token; reports with another token, or after the lease was taken back, change nothing and are
-    answered by ``False``. Times come from the database's clock.
+    A claim has a token. A report with another token, or after the lease was taken back, changes nothing and returns
+    ``False``. Times come from the clock of the database.
     """
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
     def claim(self, worker: str, lease_s: float, codes: Collection[str] | None = None) -> Claim | None:
         """Take the next ready chunk; ``None`` if no job has one.
 
-        Tenants have equal shares of the workers, and one worker stays free where there are several, see
-        ``worker.jobs.repositories.turns``; a tenant's jobs are worked on in the order of their creation.
+        Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
+        ``worker.jobs.repositories.work.turns``. The jobs of a tenant are worked on in the order of their creation.
 
         Parameters
         ----------
         codes
-            Digests of the worker's code: it takes chunks that were planned for it. ``None``: any.
+            Digests of the worker's code: only chunks that were planned for it are taken. ``None``: any chunk.
         """
         while True:
-            with self._database.reading() as connection:
+            with self._transactions.reading() as connection:
                 job_id = next_job(connection, codes)
             if job_id is None:
                 return None
@@ -50,7 +51,7 @@ class Leases:
                 return claim
 
     def _claim_of(self, job_id: str, worker: str, lease_s: float, codes: Collection[str] | None) -> Claim | None:
-        """Take a job's next ready chunk, unless others took its last one or its tenant's share in the meantime."""
+        """Take the next ready chunk of a job, unless another worker took the last one or the tenant's share."""
         first = (
             select(chunks.c.id)
             .where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, of_code(codes))
@@ -69,7 +70,7 @@ class Leases:
             )
             .returning(chunks)
         )
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             job = lock_job(connection, job_id)
             if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
                 return None
@@ -93,9 +94,9 @@ class Leases:
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
-        """Renew a lease and say how far its chunk is. ``False``: the work is no longer wanted, stop now.
+        """Renew a lease and record the progress of its chunk. ``False``: the work is no longer wanted, stop now.
 
-        A chunk's progress stays between what any try of it got to and ``unit_count``.
+        The progress is the maximum over all tries of the chunk, and at most ``unit_count``.
         """
         at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
         further = case(
@@ -103,7 +104,7 @@ class Leases:
             (chunks.c.done_units < done_units, done_units),
             else_=chunks.c.done_units,
         )
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             renewed = connection.execute(
                 update(chunks)
                 .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
@@ -121,13 +122,13 @@ class Leases:
         results: Sequence[Result] = (),
         warnings: Sequence[ResultWarning] = (),
     ) -> bool:
-        """Record a chunk's output, and its job's result files and their warnings if it left any.
+        """Record the output of a chunk, and the result files of its job with their warnings if there are any.
 
         Returns
         -------
             Whether the next stage became ready.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
                 return False
@@ -151,14 +152,14 @@ class Leases:
             return advance(connection, job.id, chunk.stage_index)
 
     def fail(self, chunk_id: int, lease_token: str, problem: Problem) -> bool:
-        """Give a chunk back after a problem: for another try, or as the end of its job. Whether it became ready."""
-        with self._database.writing() as connection:
+        """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             return held is not None and _try_again(connection, *held, problem)
 
     def release(self, chunk_id: int, lease_token: str) -> bool:
-        """Give a chunk back unfinished, because its job is canceled or its worker stops. Whether it became ready."""
-        with self._database.writing() as connection:
+        """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
                 return False
@@ -169,42 +170,21 @@ class Leases:
             move_chunk(connection, chunk.id, ChunkState.READY)
             return True
 
-    def artifact(self, session_id: str, output_key: str) -> tuple[str, int] | None:
-        """SHA-256 and bytes of a chunk's output if any job of the session has finished it."""
-        query = select(artifacts.c.sha256, artifacts.c.num_bytes).where(
-            artifacts.c.session_id == session_id, artifacts.c.output_key == output_key
-        )
-        with self._database.reading() as connection:
-            row = connection.execute(query).one_or_none()
-        return None if row is None else (row.sha256, row.num_bytes)
-
-    def outputs(self, job_id: str, stage: str) -> list[ChunkOutput]:
-        """Outputs of a job's stage, in the order of its chunks."""
-        stored = (artifacts.c.session_id == jobs.c.session_id) & (artifacts.c.output_key == chunks.c.output_key)
-        query = (
-            select(chunks.c.chunk_index, chunks.c.output_key, artifacts.c.sha256)
-            .select_from(chunks.join(jobs).outerjoin(artifacts, stored))
-            .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
-            .order_by(chunks.c.chunk_index)
-        )
-        with self._database.reading() as connection:
-            return [ChunkOutput(*row) for row in connection.execute(query)]
-
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
-        """Give a chunk back until chunks of an earlier stage have run again, because it found their outputs damaged.
+        """Give a chunk back until chunks of an earlier stage, whose outputs are damaged, have run again.
 
-        A chunk of that stage that has had ``MAX_ATTEMPTS`` tries ends the job.
+        A chunk of the earlier stage that has had ``MAX_ATTEMPTS`` tries ends the job.
 
         Parameters
         ----------
         stage, damaged
-            The earlier stage, and indices of its chunks.
+            Name of the earlier stage, and indices of its chunks.
 
         Returns
         -------
             Whether a chunk became ready.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:
                 return False
@@ -213,30 +193,29 @@ class Leases:
                 _cancel(connection, job, waiting)
                 return False
             move_chunk(connection, waiting.id, ChunkState.WAITING)
-            # Others may have found the same: what is not done is being computed already.
+            # Other chunks may have reported the same: a chunk that is not done is being computed already.
             done = select(chunks).where(
                 chunks.c.job_id == job.id, chunks.c.stage == stage, chunks.c.state == ChunkState.DONE
             )
             again = [chunk for chunk in connection.execute(done).all() if chunk.chunk_index in damaged]
-            # The first one without another try ends the job.
+            # The first chunk without another try ends the job.
             return bool(again) and all(
                 _try_again(connection, job, chunk, _output_damaged(chunk), started_at=None, finished_at=None)
                 for chunk in again
             )
 
     def reap(self, lease_s: float) -> bool:
-        """Take back chunks whose workers have fallen silent; whether a chunk is ready for a worker now.
+        """Take chunks back whose leases have ended; return whether any chunk is ready now.
 
-        Such a chunk is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled
-        ends when its last running chunk is taken back.
+        A chunk that is taken back is ready for another try; after ``MAX_ATTEMPTS`` tries its job fails. A job that is
+        being canceled ends when its last running chunk is taken back.
 
         Parameters
         ----------
         lease_s
-            For how long workers hold chunks. Where the clock was put back, a lease would last for as much longer; it
-            is shortened.
+            Time of a lease. Longer leases are shortened: they were made before the clock was put back.
         """
-        with self._database.writing() as connection:
+        with self._transactions.writing() as connection:
             connection.execute(
                 update(chunks)
                 .where(chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until > now() + lease_s)
@@ -245,15 +224,15 @@ class Leases:
         expired = select(chunks.c.id, chunks.c.lease_token).where(
             chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
         )
-        with self._database.reading() as connection:
+        with self._transactions.reading() as connection:
             found = connection.execute(expired).all()
         for chunk_id, lease_token in found:
-            with self._database.writing() as connection:
+            with self._transactions.writing() as connection:
                 held = _lock_held(connection, chunk_id, lease_token, expired=True)
                 if held is not None:
                     count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
-        with self._database.reading() as connection:
+        with self._transactions.reading() as connection:
             return next_job(connection) is not None
 
 
@@ -264,7 +243,7 @@ def _is_held(lease_token: str) -> Any:
 def _lock_held(
     connection: Connection, chunk_id: int, lease_token: str, expired: bool = False
 ) -> tuple[Row[Any], Row[Any]] | None:
-    """Lock the job of a chunk that is held by a token; job and chunk, or ``None`` if it is not (or not expired)."""
+    """Lock the job of a chunk that a token holds, and return both; ``None`` if it is not held (or not expired)."""
     held = select(chunks).where(chunks.c.id == chunk_id, _is_held(lease_token))
     if expired:
         held = held.where(chunks.c.lease_until < now())
@@ -272,13 +251,13 @@ def _lock_held(
     if seen is None:
         return None
     job = lock_job(connection, seen.job_id)
-    # Again: it may have been taken back while we waited for the lock; and a heartbeat has to wait now.
+    # Again: the chunk may have been taken back before the job was locked. From here on a heartbeat waits.
     chunk = connection.execute(held.with_for_update()).one_or_none()
     return None if job is None or chunk is None else (job, chunk)
 
 
 def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: Problem, **values: Any) -> bool:
-    """Make a chunk ready for its next try, or end its job; whether it became ready. ``values`` are of its columns."""
+    """Make a chunk ready for its next try, or end its job; return whether it became ready. ``values`` are columns."""
     if job.state == JobState.CANCELING:
         _cancel(connection, job, chunk)
         return False

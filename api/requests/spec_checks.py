@@ -1,0 +1,71 @@
+"""Checks of a spec against a session, the workers and the limits of the service."""
+
+from urllib.parse import urlsplit
+
+from api.dependencies import Services
+from api.errors import ErrorItem, pointer_to
+from pipeline.capture.preflight_record import Preflight
+from pipeline.config import install_command
+from worker.jobs.repositories.work.workers import installed_detectors
+from worker.jobs.spec import JobSpec
+from worker.jobs.tenant_records import TenantRecords
+from worker.webhooks.addresses import may_be_public, url_fault
+
+
+def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorItem]:
+    """Choices that conflict with a session; ``field`` leads to the spec in the request."""
+    problems = spec.problems(preflight.timebase.num_frames, preflight.timebase.frame_rate_hz)
+    return [
+        ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
+        for name, (code, message) in problems.items()
+    ]
+
+
+def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:
+    """Properties of a session that exceed the limits of the operator."""
+    settings, duration_s = services.settings, preflight.duration_s
+    found = []
+    if settings.max_duration_s is not None and duration_s > settings.max_duration_s:
+        message = f"The session lasts {duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
+        found.append(ErrorItem(code="session_too_long", message=message, hint="Cut it into several sessions."))
+    if settings.max_pixels is not None:
+        for camera in preflight.cameras:
+            width, height = camera.size_px
+            if width * height > settings.max_pixels:
+                message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
+                item = ErrorItem(code="frames_too_large", message=message, file=camera.file, camera=camera.name)
+                found.append(item)
+    return found
+
+
+def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *field: str) -> list[ErrorItem]:
+    """Reasons why webhooks can't be sent to the address of a spec; ``field`` as of ``spec_errors``."""
+    if spec.callback_url is None:
+        return []
+    found: list[tuple[str, str, str | None]] = []
+    if fault := url_fault(spec.callback_url):
+        found.append(("callback_invalid", fault, None))
+    elif not services.settings.webhook_private:
+        address = urlsplit(spec.callback_url)
+        if address.scheme != "https":
+            found.append(("callback_not_https", "Webhooks go to https addresses only.", None))
+        if not may_be_public(address.hostname or ""):
+            found.append(("callback_not_public", "Webhooks go to public addresses only.", None))
+    if not records.has_webhook_secret():
+        hint = "Have the operator make one with `multicap webhooks rotate`."
+        found.append(("webhook_secret_missing", "There is no secret to sign webhooks with.", hint))
+    pointer = pointer_to(*field, "callback_url")
+    return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
+
+
+def detector_errors(spec: JobSpec, services: Services, pointer: str | None) -> list[ErrorItem]:
+    """Refuse a detector that is not installed on every worker; without workers, the job waits for one.
+
+    For sessions of videos. ``pointer`` leads to the detector in the request, if the request names it.
+    """
+    installed = installed_detectors(services.store.workers.all())
+    if installed is None or spec.detector in installed:
+        return []
+    message = f"The detector {spec.detector} is not installed."
+    hint = install_command(spec.detector)
+    return [ErrorItem(code="detector_not_installed", message=message, pointer=pointer, hint=hint)]

@@ -1,0 +1,118 @@
+"""Preflight record: what the check of a session's files found, as it is stored and sent.
+
+``python -m pipeline.capture.preflight`` prints it, the job store keeps it with the session, and the web API and the
+workers read it. So this module needs nothing but the standard library.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class PreflightCamera:
+    """A camera with its video, or with its archive of keypoints.
+
+    Parameters
+    ----------
+    file
+        Name of the file that the client sent.
+    size_px
+        Width and height.
+    frame_rate_hz
+        Mean rate.
+    num_frames
+        Number of its own frames, as against the output frames of the session.
+    start_time_s
+        Time of its first frame on the session's clock.
+    """
+
+    name: str
+    file: str
+    size_px: tuple[int, int]
+    frame_rate_hz: float
+    num_frames: int
+    start_time_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PreflightTimebase:
+    """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
+
+    start_time_s: float
+    frame_rate_hz: float
+    num_frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class PreflightRecording:
+    """Facts about a camera's video that the client stated; fields as of ``pipeline.capture.session.Recording``."""
+
+    camera: str
+    file: str | None = None
+    offset_s: float = 0.0
+    frame_rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """Cameras and clock of a session, and warnings about its files.
+
+    Parameters
+    ----------
+    stretches
+        Output frames that have to be worked on, ascending; pauses lie between them.
+    warnings
+        Sentences for the client.
+    recordings
+        Facts about videos that the client stated.
+    units
+        Unit of lengths in the calibration: "m", "cm" or "mm".
+    """
+
+    cameras: tuple[PreflightCamera, ...]
+    timebase: PreflightTimebase
+    stretches: tuple[range, ...]
+    warnings: tuple[str, ...] = ()
+    recordings: tuple[PreflightRecording, ...] = ()
+    units: str = "m"
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of all output frames."""
+        return self.timebase.num_frames / self.timebase.frame_rate_hz
+
+    @classmethod
+    def from_json(cls, document: Any) -> "Preflight":
+        """Read a parsed JSON object; keys that older versions did not write get their defaults.
+
+        Raises
+        ------
+        ValueError
+            The object is no preflight record.
+        """
+        try:
+            timebase = PreflightTimebase(**document["timebase"])
+            return cls(
+                cameras=tuple(
+                    PreflightCamera(**{**camera, "size_px": tuple(camera["size_px"])}) for camera in document["cameras"]
+                ),
+                timebase=timebase,
+                # Older versions worked on all frames.
+                stretches=tuple(range(*one) for one in document.get("stretches", [[0, timebase.num_frames]])),
+                warnings=tuple(document.get("warnings", ())),
+                recordings=tuple(PreflightRecording(**one) for one in document.get("recordings", ())),
+                units=document.get("units", "m"),
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError("the document is no preflight record") from error
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON object, whose keys are always in the same order."""
+        return {
+            "cameras": [{**asdict(camera), "size_px": list(camera.size_px)} for camera in self.cameras],
+            "timebase": asdict(self.timebase),
+            "stretches": [[one.start, one.stop] for one in self.stretches],
+            "warnings": list(self.warnings),
+            "recordings": [asdict(one) for one in self.recordings],
+            "units": self.units,
+        }

@@ -1,0 +1,50 @@
+"""The stored JSON of a preflight is the same after it was read, and older JSON can be read."""
+
+import json
+
+import pytest
+
+from pipeline.capture.preflight_record import Preflight
+
+# As a version before this record printed it.
+PRINTED = (
+    '{"cameras": [{"name": "cam_0", "file": "GX01.mp4", "size_px": [1280, 720], "frame_rate_hz": 25.0, '
+    '"num_frames": 300, "start_time_s": -0.48}, {"name": "cam \\u00e4", "file": "b.zip", "size_px": [640, 480], '
+    '"frame_rate_hz": 29.97002997002997, "num_frames": 1, "start_time_s": 0.0}], '
+    '"timebase": {"start_time_s": 0.04, "frame_rate_hz": 29.97002997002997, "num_frames": 300}, '
+    '"stretches": [[0, 100], [200, 300]], "warnings": ["The clocks drift."], '
+    '"recordings": [{"camera": "cam_0", "file": null, "offset_s": 0.48, "frame_rate_hz": null}], "units": "mm"}'
+)
+
+
+def test_json_is_the_same_after_reading() -> None:
+    assert json.dumps(Preflight.from_json(json.loads(PRINTED)).to_json()) == PRINTED
+
+
+def test_fields_are_those_of_the_json() -> None:
+    preflight = Preflight.from_json(json.loads(PRINTED))
+    assert [(one.name, one.file, one.size_px) for one in preflight.cameras] == [
+        ("cam_0", "GX01.mp4", (1280, 720)),
+        ("cam ä", "b.zip", (640, 480)),
+    ]
+    assert (preflight.timebase.num_frames, preflight.timebase.start_time_s) == (300, 0.04)
+    assert preflight.duration_s == 300 / 29.97002997002997
+    assert preflight.stretches == (range(100), range(200, 300))
+    assert (preflight.recordings[0].camera, preflight.recordings[0].offset_s, preflight.units) == ("cam_0", 0.48, "mm")
+
+
+def test_rows_of_the_first_versions_can_be_read() -> None:
+    document = json.loads(PRINTED)
+    for key in ("stretches", "recordings", "units"):
+        del document[key]
+    for camera in document["cameras"]:
+        del camera["start_time_s"]
+    preflight = Preflight.from_json(document)
+    assert preflight.stretches == (range(300),)
+    assert (preflight.recordings, preflight.units, preflight.cameras[0].start_time_s) == ((), "m", 0.0)
+
+
+@pytest.mark.parametrize("document", [{}, {"problems": []}, {"cameras": 1, "timebase": {}}, [], "text", None])
+def test_other_json_is_refused(document: object) -> None:
+    with pytest.raises(ValueError, match="preflight record"):
+        Preflight.from_json(document)

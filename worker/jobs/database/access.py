@@ -1,0 +1,63 @@
+"""Access of a repository to the database: transactions, the tenant, its quotas, and the actor for the audit."""
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, Connection, Table, true
+
+from worker.jobs.database.connection import lock
+from worker.jobs.database.quotas import NO_QUOTAS, Quotas, read_usage, require_room
+from worker.jobs.database.tables import DEFAULT_TENANT
+from worker.jobs.database.transactions import Transactions
+from worker.jobs.model import Actor
+
+_COMMAND_LINE = Actor()
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Access to the rows of one tenant, or of all tenants.
+
+    Parameters
+    ----------
+    transactions
+        Database, or one open transaction that all repositories share.
+    tenant
+        Tenant whose rows can be reached; ``None``: all tenants.
+    quotas
+        Limits of the tenant.
+    actor
+        Key and request that are written to the audit.
+    """
+
+    transactions: Transactions
+    tenant: str | None = None
+    quotas: Quotas = NO_QUOTAS
+    actor: Actor = _COMMAND_LINE
+
+    @property
+    def owner(self) -> str:
+        """Tenant that owns new rows."""
+        return self.tenant or DEFAULT_TENANT
+
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Transaction that reads."""
+        return self.transactions.reading()
+
+    def writing(self) -> AbstractContextManager[Connection]:
+        """Transaction that writes."""
+        return self.transactions.writing()
+
+    def may_reach(self, table: Table) -> ColumnElement[bool]:
+        """Condition that a row of a table belongs to the tenant."""
+        return true() if self.tenant is None else table.c.tenant == self.tenant
+
+    def require_room(self, connection: Connection, **more: int) -> None:
+        """Raise ``QuotaExceeded`` if the owner may not have so much more; the answer holds until the transaction ends.
+
+        ``more`` are amounts by the names of ``Quotas``.
+        """
+        if self.quotas == NO_QUOTAS:
+            return
+        lock(connection, f"quotas of {self.owner}")  # two requests at once must not both take the last place
+        require_room(self.quotas, read_usage(connection, self.owner), **more)

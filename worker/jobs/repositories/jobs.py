@@ -1,0 +1,196 @@
+"""Jobs: added, read, canceled, retried, deleted."""
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, func, insert, select
+from uuid_utils import uuid7
+
+from worker.jobs.database.access import Access
+from worker.jobs.database.connection import now
+from worker.jobs.database.rows import jobs_of, select_jobs
+from worker.jobs.database.tables import chunks, events, jobs, results
+from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
+from worker.jobs.errors import Conflict, NotFound
+from worker.jobs.files.artifacts import job_prefix
+from worker.jobs.model import FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
+from worker.jobs.repositories.attempts import attempts_of, keep_attempt
+from worker.jobs.repositories.audit import AuditAction, record_event
+from worker.jobs.repositories.removals import remove_later
+from worker.jobs.repositories.sessions import lock_session
+from worker.jobs.repositories.work.plans import insert_chunks
+from worker.jobs.spec import JobSpec
+
+
+class Jobs:
+    """Jobs of a tenant, or of all tenants."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def add(
+        self,
+        session_id: str,
+        spec: JobSpec,
+        stages: Sequence[StagePlan],
+        retention_s: float | None = None,
+        trace: str | None = None,
+    ) -> Job:
+        """Queue a job; its first stage is ready. The caller publishes that there is work.
+
+        Parameters
+        ----------
+        retention_s
+            Time that results are kept after the job's end; ``None``: until somebody deletes them.
+        trace
+            W3C traceparent of the request, for the workers.
+
+        Raises
+        ------
+        NotFound
+            There is no such session.
+        QuotaExceeded
+        ValueError
+            There is no stage, or one without chunks: such a job would never end.
+        """
+        access, job_id = self._access, str(uuid7())
+        with access.writing() as connection:
+            access.require_room(connection, unfinished_jobs=1)
+            tenant = lock_session(connection, access, session_id)
+            connection.execute(
+                insert(jobs).values(
+                    id=job_id,
+                    session_id=session_id,
+                    tenant=tenant,
+                    state=JobState.QUEUED,
+                    spec=spec.model_dump(mode="json"),
+                    attempt=1,
+                    created_at=now(),
+                    queued_at=now(),
+                    retention_s=retention_s,
+                    trace=trace,
+                )
+            )
+            insert_chunks(connection, job_id, stages)
+            note(connection, job_id, "state", JobState.QUEUED)
+            record_event(connection, access.actor, tenant, AuditAction.JOB_CREATED, job_id)
+            return self._read(connection, job_id)
+
+    def get(self, job_id: str) -> Job:
+        """Job with an id; ``NotFound`` if there is none."""
+        with self._access.reading() as connection:
+            return self._read(connection, job_id)
+
+    def page(
+        self,
+        state: JobState | None = None,
+        limit: int = 50,
+        after: str | None = None,
+        session_id: str | None = None,
+    ) -> list[Job]:
+        """Jobs, the newest first: all of them, or those in a state or of a session.
+
+        ``after`` is the last id of the page before.
+        """
+        query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
+        if state is not None:
+            query = query.where(jobs.c.state == state)
+        if session_id is not None:
+            query = query.where(jobs.c.session_id == session_id)
+        if after is not None:
+            query = query.where(jobs.c.id < after)
+        with self._access.reading() as connection:
+            return jobs_of(connection, connection.execute(query).all())
+
+    def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
+        """Progress of jobs by id, for callers that look for changes; unknown ids are left out."""
+        last_event = select(func.max(events.c.id)).where(events.c.job_id == jobs.c.id)
+        done_units = select(func.sum(chunks.c.done_units)).where(chunks.c.job_id == jobs.c.id)
+        query = select(
+            jobs.c.id, last_event.scalar_subquery().label("event"), done_units.scalar_subquery().label("done")
+        ).where(jobs.c.id.in_(job_ids), self._access.may_reach(jobs))
+        with self._access.reading() as connection:
+            return {row.id: Change(row.event, row.done) for row in connection.execute(query)}
+
+    def attempts(self, job_id: str) -> list[Attempt]:
+        """Attempts of a job with their failures, the first attempt first; ``NotFound`` without a job."""
+        with self._access.reading() as connection:
+            return attempts_of(connection, job_row(connection, self._access, job_id))
+
+    def cancel(self, job_id: str) -> Job:
+        """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The job is finished.
+        """
+        with self._access.writing() as connection:
+            job = job_row(connection, self._access, job_id, lock=True)
+            if job.state in FINISHED:
+                raise Conflict(f"The job is {job.state} already.")
+            if move_job(connection, job_id, JobState.CANCELING):
+                record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_CANCELED, job_id)
+            cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY))
+            settle_canceling(connection, job_id)
+            return self._read(connection, job_id)
+
+    def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> Job:
+        """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
+
+        Workers reuse outputs that are stored already. ``trace`` as in ``add``.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The job has neither failed nor been canceled.
+        QuotaExceeded
+        """
+        with self._access.writing() as connection:
+            self._access.require_room(connection, unfinished_jobs=1)
+            job = job_row(connection, self._access, job_id, lock=True)
+            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
+            unended = {"started_at": None, "finished_at": None, "expires_at": None}
+            if not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
+                raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
+            record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_RETRIED, job_id)
+            keep_attempt(connection, job)
+            connection.execute(delete(results).where(results.c.job_id == job_id))
+            connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
+            insert_chunks(connection, job_id, stages)
+            return self._read(connection, job_id)
+
+    def delete(self, job_id: str) -> None:
+        """Delete a job, and note its results for removal; outputs of its stages stay with the session.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The job is unfinished.
+        """
+        with self._access.writing() as connection:
+            job = job_row(connection, self._access, job_id, lock=True)
+            if job.state not in FINISHED:
+                raise Conflict("The job is unfinished; cancel it first.")
+            remove_later(connection, job_prefix(job_id))
+            record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_DELETED, job_id)
+            connection.execute(delete(jobs).where(jobs.c.id == job_id))
+
+    def _read(self, connection: Connection, job_id: str) -> Job:
+        query = select_jobs().where(jobs.c.id == job_id, self._access.may_reach(jobs))
+        found = jobs_of(connection, connection.execute(query).all())
+        if not found:
+            raise NotFound("There is no such job.")
+        return found[0]
+
+
+def job_row(connection: Connection, access: Access, job_id: str, lock: bool = False) -> Row[Any]:
+    """Row of a job, locked until the transaction ends if asked for; ``NotFound`` if there is none."""
+    query = select(jobs).where(jobs.c.id == job_id, access.may_reach(jobs))
+    row = connection.execute(query.with_for_update() if lock else query).one_or_none()
+    if row is None:
+        raise NotFound("There is no such job.")
+    return row

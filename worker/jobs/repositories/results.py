@@ -1,0 +1,46 @@
+"""Result files of jobs."""
+
+from sqlalchemy import select
+
+from worker.jobs.database.access import Access
+from worker.jobs.database.rows import result_of
+from worker.jobs.database.tables import results
+from worker.jobs.errors import NoResults, NotFinished, NotFound
+from worker.jobs.model import FINISHED, JobState, Problem, Result, is_worth_a_retry
+from worker.jobs.repositories.jobs import job_row
+
+
+class Results:
+    """Results of the jobs of a tenant, or of all tenants."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def of_job(self, job_id: str) -> list[Result]:
+        """Results of a job, by name.
+
+        Raises
+        ------
+        NotFound
+        NotFinished
+        NoResults
+            The job failed or was canceled.
+        """
+        query = select(results).where(results.c.job_id == job_id).order_by(results.c.name)
+        with self._access.reading() as connection:
+            job = job_row(connection, self._access, job_id)
+            if job.state not in FINISHED:
+                raise NotFinished("The job is unfinished; its results come with its end.")
+            found = [result_of(row) for row in connection.execute(query)]
+        if not found and job.state != JobState.SUCCEEDED:
+            problem = Problem(**job.problem) if job.problem else None
+            reason = f"{problem.code}: {problem.detail}" if problem else None
+            raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
+        return found
+
+    def get(self, job_id: str, name: str) -> Result:
+        """Result of a job by name; errors as of ``of_job``, and ``NotFound`` if there is none of this name."""
+        for result in self.of_job(job_id):
+            if result.name == name:
+                return result
+        raise NotFound("The job has no result of this name.")
