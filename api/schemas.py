@@ -30,6 +30,7 @@ from worker.jobs.spec import JobSpec
 
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]
+NextCursor = Annotated[str | None, Field(description="Cursor of the next page; null on the last page.")]
 
 
 def _printable(text: str) -> str:
@@ -214,7 +215,7 @@ class SessionPage(_Response):
     """Page of sessions, the newest session first."""
 
     sessions: tuple[SessionOut, ...]
-    next_cursor: str | None = Field(description="Cursor of the next page; null on the last page.")
+    next_cursor: NextCursor
 
 
 class StageOut(_Response):
@@ -383,7 +384,7 @@ class JobPage(_Response):
     """Page of jobs, the newest job first."""
 
     jobs: tuple[JobOut, ...]
-    next_cursor: str | None = Field(description="Cursor of the next page; null on the last page.")
+    next_cursor: NextCursor
 
 
 class EndedJob(_Response):

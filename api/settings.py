@@ -4,11 +4,10 @@ import ipaddress
 from pathlib import Path
 
 from pydantic import Field, IPvAnyNetwork
-from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from pipeline.runtime.child_processes import module_command
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES
-from worker.jobs.files.stores import ARTIFACTS_URL, default_data_dir
+from worker.settings import StorageSettings
 from worker.telemetry.logs import LogLevel
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
@@ -24,22 +23,9 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class Settings(BaseSettings):
+class Settings(StorageSettings):
     """Addresses, storage and limits of the web API."""
 
-    model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
-
-    data_dir: Path = Field(
-        default_factory=default_data_dir,
-        description="Data folder: artifacts, unfinished uploads, and the database unless database_url names another.",
-    )
-    database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
-    artifacts_url: str = Field(
-        default="",
-        pattern=ARTIFACTS_URL,
-        examples=["s3://bucket/prefix"],
-        description="s3://bucket/prefix; empty for a folder in data_dir.",
-    )
     signed_downloads_s: float | None = Field(
         default=None,
         gt=0,
@@ -214,11 +200,6 @@ class Settings(BaseSettings):
     def is_exposed(self) -> bool:
         """Whether other machines may reach the service."""
         return not (self.trust_network or is_loopback(self.host))
-
-    @property
-    def resolved_database_url(self) -> str:
-        """``database_url``, or SQLite in the data folder."""
-        return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
 
     @property
     def retention_s(self) -> float | None:

@@ -85,14 +85,14 @@ def require_usable_database(store: JobStore) -> None:
         return
 
 
-class WorkerSettings(BaseSettings):
-    """Storage, leases and limits of workers and reaper."""
+class StorageSettings(BaseSettings):
+    """Settings of the storage that the web API and the workers share."""
 
     model_config = SettingsConfigDict(env_prefix="MULTICAP_", frozen=True)
 
     data_dir: Path = Field(
         default_factory=default_data_dir,
-        description="Data folder: artifacts, and the database unless database_url names another.",
+        description="Data folder: artifacts, unfinished uploads, and the database unless database_url names another.",
     )
     database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
     artifacts_url: str = Field(
@@ -101,6 +101,16 @@ class WorkerSettings(BaseSettings):
         examples=["s3://bucket/prefix"],
         description="s3://bucket/prefix; empty for a folder in data_dir.",
     )
+
+    @property
+    def resolved_database_url(self) -> str:
+        """``database_url``, or SQLite in the data folder."""
+        return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
+
+
+class WorkerSettings(StorageSettings):
+    """Storage, leases and limits of workers and reaper."""
+
     cache_bytes: int = Field(
         default=DEFAULT_CACHE_BYTES,
         gt=0,
@@ -147,11 +157,6 @@ class WorkerSettings(BaseSettings):
     claim_for_s: float = Field(
         default=300.0, gt=0, description="Time for which a worker claims chunks after one message."
     )
-
-    @property
-    def resolved_database_url(self) -> str:
-        """``database_url``, or SQLite in the data folder."""
-        return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
 
     def open_artifacts(self) -> ArtifactStore:
         """Open the artifact store."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 from rich.cells import cell_len
@@ -36,6 +36,8 @@ from pipeline.stages.plan import STAGE_BY_NAME
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
+
+Item = TypeVar("Item")
 
 console = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
@@ -66,6 +68,39 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: st
     for number, line in enumerate(lines):
         text = "  ".join(cell + " " * (width - cell_len(cell)) for cell, width in zip(line, widths, strict=True))
         typer.echo(typer.style(text.rstrip(), bold=True) if number == 0 else text.rstrip())
+
+
+def show_list(
+    name: str,
+    items: Sequence[Item],
+    document: Callable[[Item], Mapping[str, Any]],
+    cells: Mapping[str, Callable[[Item], str]],
+    as_json: bool,
+) -> None:
+    """Print items as a table, or as one JSON object.
+
+    Parameters
+    ----------
+    name
+        Field of the JSON object.
+    document
+        Makes the JSON object of an item.
+    cells
+        Makes the cell of an item, by the heading of its column.
+    """
+    if as_json:
+        emit({name: [document(item) for item in items]})
+        return
+    print_table(list(cells), ([cell(item) for cell in cells.values()] for item in items))
+
+
+def show_secret(secret: str, sentence: str, document: Mapping[str, Any], as_json: bool) -> None:
+    """Print a new secret on stdout, and on stderr a sentence about it; or the JSON object that contains the secret."""
+    if as_json:
+        emit(document)
+        return
+    console.print(sentence)
+    typer.echo(secret)
 
 
 def _visible(text: str) -> str:

@@ -1,10 +1,10 @@
 """``python -m api.contract.options_page``: write ``docs/options.md``, or compare it with the code (``--check``)."""
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from api.contract.documentation import write_or_check
 from pipeline.config import CHOICES, Choice, ReconstructionConfig, choices_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "options.md"
@@ -79,17 +79,7 @@ def _values(choice: Choice) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Write or compare the page, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m api.contract.options_page", description="Write docs/options.md from the code."
-    )
-    parser.add_argument("--check", action="store_true", help="Compare with the file; exit with 1 if it differs.")
-    if not parser.parse_args(words).check:
-        PAGE.write_text(document(), encoding="utf-8")
-        return 0
-    if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == document():
-        return 0
-    sys.stderr.write("docs/options.md differs from the code. Run: python -m api.contract.options_page\n")
-    return 1
+    return write_or_check(PAGE, document(), "api.contract.options_page", words)
 
 
 if __name__ == "__main__":

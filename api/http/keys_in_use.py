@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 import structlog
 from starlette.concurrency import run_in_threadpool
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
+from api.http.base import HttpMiddleware
 from worker.jobs.store import JobStore
 
 _log = structlog.get_logger(__name__)
@@ -83,20 +84,13 @@ class KeysInUse:
         return valid
 
 
-class RevokedKeyGuard:
+class RevokedKeyGuard(HttpMiddleware):
     """Report the client as disconnected to a request whose key is no longer valid.
 
     The request's body is not read any further, its response breaks off, and the connection is closed.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a request."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         keys_in_use: KeysInUse = scope["app"].state.services.keys_in_use
         ended: asyncio.Event | None = None
         complete = False

@@ -16,6 +16,7 @@ from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, handle, problem_response
+from api.http.base import HttpMiddleware
 from api.metrics import RequestMetrics
 
 _log = structlog.get_logger(__name__)
@@ -38,18 +39,14 @@ SAFE_HEADERS = {
 }
 
 
-class RequestContext:
+class RequestContext(HttpMiddleware):
     """Give each request an id, safe response headers and a log line, and count it in the metrics."""
 
     def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
-        self._app = app
+        super().__init__(app)
         self._metrics = metrics
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a request."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         request_id = str(uuid_utils.uuid7())
         scope.setdefault("state", {})["request_id"] = request_id
         started_s = time.monotonic()
@@ -88,20 +85,13 @@ def _known_method(method: str) -> str:
     return method if method in _METHODS else "other"
 
 
-class FailureResponse:
+class FailureResponse(HttpMiddleware):
     """Answer exceptions that no route handles, such as a full disk.
 
     This is the innermost middleware, so that its responses get the headers that the others add.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a request."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         started = False
 
         async def send_and_record(message: Message) -> None:
@@ -117,7 +107,7 @@ class FailureResponse:
             await handle(Request(scope), error)(scope, receive, send)
 
 
-class SlowClientGuard:
+class SlowClientGuard(HttpMiddleware):
     """End requests of clients that neither send nor receive for too long, or send too slowly on average.
 
     Such a client would occupy a file, memory and a connection without end. Event streams are quiet for long times, but
@@ -132,14 +122,10 @@ class SlowClientGuard:
     """
 
     def __init__(self, app: ASGIApp, idle_s: float, min_bytes_per_s: float) -> None:
-        self._app = app
+        super().__init__(app)
         self._idle_s, self._min_bytes_per_s = idle_s, min_bytes_per_s
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a request."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         started_s = time.monotonic()
         num_bytes = 0
         complete = False
@@ -172,7 +158,7 @@ def _too_slow() -> HTTPException:
     return HTTPException(HTTPStatus.REQUEST_TIMEOUT, headers={"Connection": "close"})
 
 
-class TusProtocol:
+class TusProtocol(HttpMiddleware):
     """Rules of tus for all requests to uploads: overridden methods, and the version in every response.
 
     Parameters
@@ -184,13 +170,12 @@ class TusProtocol:
     """
 
     def __init__(self, app: ASGIApp, prefix: str, version: str) -> None:
-        self._app = app
+        super().__init__(app)
         self._prefix = prefix
         self._version = version
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a request."""
-        if scope["type"] != "http" or not scope["path"].startswith(self._prefix):
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if not scope["path"].startswith(self._prefix):
             await self._app(scope, receive, send)
             return
 
@@ -211,19 +196,15 @@ class TusProtocol:
         scope.update({name: overridden[name] for name in ("route",) if name in overridden})
 
 
-class HeadByGet:
+class HeadByGet(HttpMiddleware):
     """Answer HEAD wherever GET is answered: with the headers of the response to GET, without its body.
 
     The body of a streamed response is never started.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a request."""
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         # A request that was sent as POST gets a body, even if it overrides the method with HEAD.
-        is_head = scope["type"] == "http" and scope["method"] == "HEAD" and "sent_as_post" not in scope["state"]
+        is_head = scope["method"] == "HEAD" and "sent_as_post" not in scope["state"]
         if not is_head or _is_routed(scope):
             await self._app(scope, receive, send)
             return
@@ -249,7 +230,7 @@ def _is_routed(scope: Scope) -> bool:
     return any(route.matches(scope)[0] is Match.FULL for route in scope["app"].routes)
 
 
-class ForeignPageGuard:
+class ForeignPageGuard(HttpMiddleware):
     """Refuse requests that a web page of another origin makes a browser send.
 
     Without keys, any page could use the service through the browser of a person at this machine: directly, which
@@ -264,13 +245,12 @@ class ForeignPageGuard:
     """
 
     def __init__(self, app: ASGIApp, allowed_hosts: Collection[str], allowed_origins: Collection[str]) -> None:
-        self._app = app
+        super().__init__(app)
         self._allowed_hosts = frozenset(host.lower() for host in allowed_hosts)
         self._allowed_origins = frozenset(origin.lower() for origin in allowed_origins)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve or refuse a request."""
-        if scope["type"] == "http" and (error := self._refusal(Headers(scope=scope))):
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if error := self._refusal(Headers(scope=scope)):
             await problem_response(Request(scope), error)(scope, receive, send)
             return
         await self._app(scope, receive, send)

@@ -6,6 +6,7 @@ offset or one damaged timestamp would give billions of output frames.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from pipeline.capture.quantities import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
 from pipeline.config import MAX_OUTPUT_FRAMES
@@ -63,14 +64,8 @@ def _overlap_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> It
     for name, (begin_s, end_s) in spans_s.items():
         others_s = (span_s for other, span_s in spans_s.items() if other != name)
         if not any(begin_s <= other_end_s and other_begin_s <= end_s for other_begin_s, other_end_s in others_s):
-            yield Problem(
-                "no_overlap",
-                f"The camera recorded from {begin_s:.3f} to {end_s:.3f} s; no other camera recorded at that time.",
-                file=source.files[name],
-                camera=name,
-                field=source.start_field,
-                hint=source.start_hint,
-            )
+            message = f"The camera recorded from {begin_s:.3f} to {end_s:.3f} s; no other camera recorded at that time."
+            yield _camera_problem("no_overlap", message, name, source, "start")
 
 
 def _length_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Iterator[Problem]:
@@ -78,14 +73,8 @@ def _length_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Ite
     for name, camera_times in times.items():
         length_s = float(camera_times.time_s[-1] - camera_times.time_s[0])
         if not DURATION_S.holds(length_s):
-            yield Problem(
-                "session_too_long",
-                f"The camera recorded for {length_s:,.2f} s; at most {DURATION_S.high:,} s are allowed.",
-                file=source.files[name],
-                camera=name,
-                field=source.rate_field,
-                hint=source.rate_hint,
-            )
+            message = f"The camera recorded for {length_s:,.2f} s; at most {DURATION_S.high:,} s are allowed."
+            yield _camera_problem("session_too_long", message, name, source, "rate")
 
 
 def _session_problems(
@@ -96,23 +85,26 @@ def _session_problems(
     duration_s = float(times[last].time_s[-1]) - start_s
     num_frames = duration_s * rate_hz + 1
     if not DURATION_S.holds(duration_s):
-        yield Problem(
-            "session_too_long",
+        message = (
             f"The camera's last frame is {duration_s:,.2f} s after the session's first one; at most "
-            f"{DURATION_S.high:,} s are allowed.",
-            file=source.files[last],
-            camera=last,
-            field=source.start_field,
-            hint=source.start_hint,
+            f"{DURATION_S.high:,} s are allowed."
         )
+        yield _camera_problem("session_too_long", message, last, source, "start")
     elif FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE) and num_frames > MAX_OUTPUT_FRAMES + 0.5:
         fastest = max(times, key=lambda name: measured_rate_hz(times[name].time_s))
-        yield Problem(
-            "too_many_frames",
+        message = (
             f"The session lasts {duration_s:,.2f} s, and its fastest camera has {rate_hz:g} frames a second: that "
-            f"is {num_frames:,.0f} output frames; at most {MAX_OUTPUT_FRAMES:,} are allowed.",
-            file=source.files[fastest],
-            camera=fastest,
-            field=source.rate_field,
-            hint=source.rate_hint,
+            f"is {num_frames:,.0f} output frames; at most {MAX_OUTPUT_FRAMES:,} are allowed."
         )
+        yield _camera_problem("too_many_frames", message, fastest, source, "rate")
+
+
+def _camera_problem(
+    code: str, message: str, camera: str, source: TimeSource, quantity: Literal["start", "rate"]
+) -> Problem:
+    """Report a problem of a camera, with the input field and the remedy of its start or of its rate."""
+    field, hint = {
+        "start": (source.start_field, source.start_hint),
+        "rate": (source.rate_field, source.rate_hint),
+    }[quantity]
+    return Problem(code, message, file=source.files[camera], camera=camera, field=field, hint=hint)

@@ -1,6 +1,5 @@
 """Damaged database of a running service and of commands: clear messages, no stack trace, no 500."""
 
-import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +11,8 @@ from api.cli.main import app
 from api.settings import Settings
 from tests.api.conftest import form, problem_of, running
 from tests.api.processes import serving
-from tests.worker.jobs.backups import opened_data
-from tests.worker.jobs.damage import DAMAGES, PAGE_BYTES, copy_of, overwrite
-from worker.jobs.store import JobStore
+from tests.worker.jobs.backups import stopped_service
+from tests.worker.jobs.damage import DAMAGES, copy_of, damage_under
 
 runner = CliRunner()
 
@@ -27,12 +25,7 @@ def _no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("whole") / "data"
-    with opened_data(folder) as data:
-        for _ in range(30):
-            data.add_job(data.add_session(100))
-        data.run_all()
-    return folder
+    return stopped_service(tmp_path_factory.mktemp("whole") / "data")
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
@@ -67,21 +60,11 @@ def test_a_backup_says_it_as_json_too(whole: Path, tmp_path: Path) -> None:
     assert str(database) in problem["message"]
 
 
-def damage_under(settings: Settings) -> None:
-    """Overwrite all pages except the first with zeros, and make every process read them again."""
-    path = settings.data_dir / "multicap.db"
-    with contextlib.closing(JobStore(f"sqlite:///{path}")) as other:
-        other.webhook_secrets.rotate("studio", 0.0)
-        with other._database.reading() as connection:
-            connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
-    overwrite(path, PAGE_BYTES, bytes(path.stat().st_size - PAGE_BYTES))
-
-
 def test_a_running_service_answers_503_with_a_code(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
     with running(settings) as live:
         job_id = live.job_id()
-        damage_under(settings)
+        damage_under(settings.data_dir / "multicap.db")
         answers = [
             live.client.get("/v1/jobs"),
             live.client.get(f"/v1/jobs/{job_id}"),
@@ -105,7 +88,7 @@ def test_the_log_says_what_to_do_and_has_no_trace(make_settings: Callable[..., S
     settings = make_settings()
     with serving(settings) as (client, _):
         assert client.post("/v1/jobs", files=form()).status_code == 202
-        damage_under(settings)
+        damage_under(settings.data_dir / "multicap.db")
         assert {client.get("/v1/jobs").status_code for _ in range(3)} == {503}
     lines = [json.loads(line) for line in (settings.data_dir.parent / "log").read_text().splitlines()]
     said = [line for line in lines if line.get("code") == "database_damaged"]

@@ -4,18 +4,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.calibration.write import encode
-from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
+from tests.pipeline.simulations import write_simulation
 
 
 def keypoint_capture(folder: Path, duration_s: float = 2.0) -> list[str]:
     """Write simulated people in a room; return the options of `multicap reconstruct` for the files."""
-    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=duration_s), 0, 3)):
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+    write_simulation(record(replace(find_scene("room"), duration_s=duration_s), 0, 3), folder)
     timestamps = f"--timestamps={folder / 'timestamps.csv'}"
     return [f"--keypoints={folder / 'keypoints'}", f"--calibration={folder / 'calibration.json'}", timestamps]
 

@@ -13,7 +13,8 @@ from pipeline.data import Reconstruction
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.stages.local import reconstruct
-from tests.e2e.serving import NUM_PROCESSES, Served, is_alive, serving
+from tests.e2e.serving import NUM_PROCESSES, Served, serving
+from tests.waiting import is_alive
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,7 @@ import hashlib
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ import psutil
 
 from api.cli.commands.serve import READY
 from pipeline.runtime.packages.samples import Sample
+from tests.waiting import wait_for
 
 COMMAND = [sys.executable, "-P", "-m", "api.cli.main", "serve", "--workers", "2"]
 # Processes of a service: supervisor, broker, worker with its two children, reaper and API.
@@ -85,20 +85,6 @@ def serving(data_dir: Path, **environment: str) -> Iterator[Served]:
         finally:
             process.send_signal(signal.SIGINT)
             process.wait(60)
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "nothing happened in time"
-        time.sleep(0.1)
-
-
-def is_alive(process: psutil.Process) -> bool:
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 def digests(folder: Path) -> dict[str, str]:

@@ -19,8 +19,9 @@ from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.stages.local import reconstruct
-from tests.e2e.serving import Served, digests, serving, wait_for
+from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import capture, files
+from tests.waiting import wait_for
 
 __all__ = ["capture"]
 

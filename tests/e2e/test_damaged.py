@@ -16,10 +16,11 @@ from api.cli.main import app
 from pipeline.calibration.write import encode
 from pipeline.detect import models
 from pipeline.errors import ModelError
-from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.serving import Served, serving
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import rewrite_packets, write_sizes, write_video
 from tests.pipeline.video.test_damage import lose
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("damaged")
 

@@ -1,6 +1,5 @@
 """Stored files that are damaged while the service runs: no job and no download uses them."""
 
-import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,10 +9,10 @@ import httpx2
 import pytest
 
 from tests.e2e.captures import keypoint_capture, video_capture
-from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
-from tests.worker.jobs.damage import PAGE_BYTES, overwrite
-from worker.jobs.store import JobStore
+from tests.waiting import wait_for
+from tests.worker.jobs.damage import damage_under, overwrite
 
 pytestmark = pytest.mark.xdist_group("faults")
 
@@ -115,11 +114,7 @@ def test_a_database_that_is_damaged_under_a_running_service(tmp_path: Path, keyp
         job = served.client.post("/v1/jobs", files=keypoints).raise_for_status().json()
         assert served.wait_for_end(job["id"])["state"] == "succeeded"
         database = served.data_dir / "multicap.db"
-        with contextlib.closing(JobStore(f"sqlite:///{database}")) as other:
-            other.webhook_secrets.rotate("studio", 0.0)
-            with other._database.reading() as connection:
-                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
-        overwrite(database, PAGE_BYTES, bytes(database.stat().st_size - PAGE_BYTES))
+        damage_under(database)
 
         def codes(answer: httpx2.Response) -> set[str]:
             return {answer.json()["code"], *(item["code"] for item in answer.json()["errors"])}

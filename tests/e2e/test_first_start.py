@@ -19,7 +19,8 @@ from pipeline.detect import models
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import NUM_COMPILED
 from tests.api.tus.test_upload_clients import free_port
-from tests.e2e.serving import COMMAND, wait_for
+from tests.e2e.serving import COMMAND
+from tests.waiting import wait_for
 
 COMPILING = re.compile(r"A worker compiles the numeric kernels: (\d+) of (\d+) steps\. A first start takes .*")
 # Time limit on a busy machine; compiling takes most of a minute.

@@ -13,9 +13,10 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import ReconstructionConfig
 from pipeline.stages.local import reconstruct
 from tests.e2e.captures import keypoint_capture
-from tests.e2e.serving import Served, digests, serving, wait_for
+from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.small_disk import fill, small_disk
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("faults")
 

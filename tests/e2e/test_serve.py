@@ -13,7 +13,8 @@ import pytest
 
 from api.cli.commands.serve import READY
 from pipeline.runtime.packages.samples import Sample
-from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests, is_alive, wait_for
+from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests
+from tests.waiting import is_alive, wait_for
 
 pytestmark = pytest.mark.xdist_group("sample")
 

@@ -1,7 +1,6 @@
 """Accuracy on the Shelf benchmark; skipped without its folder."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,15 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
+from tests.e2e.datasets import evaluated, folder_of, needs
 
-FOLDER = Path(os.environ.get("MULTICAP_SHELF", Path(__file__).parents[3] / "shared" / "data" / "shelf"))
+FOLDER = folder_of("shelf")
+NEEDS_SHELF = needs("shelf")
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="no Shelf benchmark at hand (MULTICAP_SHELF names its folder)")
+@NEEDS_SHELF
 def test_shelf() -> None:
-    result = CliRunner().invoke(app, ["evaluate", "shelf", f"--data={FOLDER}", "--json"])
-    assert result.exit_code == 0, result.output
-    scores = json.loads(result.stdout)
+    scores = evaluated("shelf")
     # The paper has 96.8 from 99.6 / 93.2 / 97.5.
     assert scores["pcp"]["average"] >= 96.9
     assert (np.array(scores["pcp"]["actors"]) >= [99.4, 92.5, 97.5]).all()
@@ -30,7 +29,7 @@ def test_shelf() -> None:
     assert scores["ghost_tracks"] == 0
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="no Shelf benchmark at hand (MULTICAP_SHELF names its folder)")
+@NEEDS_SHELF
 def test_shelf_by_clustering() -> None:
     command = [
         sys.executable,
@@ -51,7 +50,7 @@ def test_shelf_by_clustering() -> None:
     assert 0 < scores["bone_std_cm"] < 4
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="no Shelf benchmark at hand (MULTICAP_SHELF names its folder)")
+@NEEDS_SHELF
 def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
     # In a child process without checks of shapes, which would take four times as long as the work.
     command = [sys.executable, "-m", "api.cli.main", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]

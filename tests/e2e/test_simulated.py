@@ -13,10 +13,10 @@ from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.joints import COCO_17, COCO_18
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.simulation.scenes import Simulation, find_scene, record
 from pipeline.tracking.associate import reconstruct_tracks
 from pipeline.tracking.parameters import derive_parameters
+from tests.pipeline.simulations import write_simulation
 
 
 @pytest.mark.parametrize("name", ["room", "unsynchronised"])
@@ -62,17 +62,20 @@ def test_constraints_are_worth_what_the_paper_says() -> None:
     assert rows["All"]["bone_std_cm"] <= 0.5 * rows["RE"]["bone_std_cm"]
 
 
+def command_for(simulation: Simulation, folder: Path, *options: str) -> list[str]:
+    """Write a simulation's files; return the command that reconstructs them to the folder ``out``."""
+    write_simulation(simulation, folder)
+    return [
+        *(sys.executable, "-m", "api.cli.main", "reconstruct", "--json"),
+        *("--keypoints", str(folder / "keypoints"), "--timestamps", str(folder / "timestamps.csv")),
+        *("--calibration", str(folder / "calibration.json"), "--out", str(folder / "out")),
+        *options,
+    ]
+
+
 def test_clustering_from_keypoint_files(tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=2.0), seed=5)
-    for name, content in simulation_files(simulation):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    command = [
-        *(sys.executable, "-m", "api.cli.main", "reconstruct", "--json", "--method", "clustering"),
-        *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
-        *("--calibration", str(tmp_path / "calibration.json"), "--out", str(tmp_path / "out")),
-    ]
+    command = command_for(simulation, tmp_path, "--method", "clustering")
     said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
     assert len(said["tracks"]) == len(simulation.truth_m)
     assert any("part affinity fields" in warning for warning in said["warnings"])
@@ -84,17 +87,7 @@ def test_clustering_from_keypoint_files(tmp_path: Path) -> None:
 
 def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=2.0), seed=5)
-    for name, content in simulation_files(simulation):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    out = tmp_path / "out"
-    command = [
-        *(sys.executable, "-m", "api.cli.main", "reconstruct", "--json"),
-        *("--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")),
-        *("--calibration", str(tmp_path / "calibration.json"), "--out", str(out)),
-        *("--smoothing", "none"),
-    ]
+    command = command_for(simulation, tmp_path, "--smoothing", "none")
     said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
     tracks, _ = reconstruct_tracks(
@@ -104,7 +97,7 @@ def test_keypoint_files_give_what_memory_gives(tmp_path: Path) -> None:
     assert said["tracks"] == [
         {"id": track.track_id, "start_frame": track.start_frame, "num_frames": track.num_frames} for track in tracks
     ]
-    written = json.loads((out / "skeletons.json").read_bytes())["tracks"]
+    written = json.loads((tmp_path / "out" / "skeletons.json").read_bytes())["tracks"]
     for track, one in zip(tracks, written, strict=True):
         positions_m = np.array([[xyz or [np.nan] * 3 for xyz in frame] for frame in one["positions_m"]])
         np.testing.assert_allclose(positions_m, track.xyz_m, atol=1e-4)

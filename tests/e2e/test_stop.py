@@ -11,7 +11,8 @@ import psutil
 import pytest
 
 from api.cli.commands.serve import READY
-from tests.e2e.serving import COMMAND, NUM_PROCESSES, wait_for
+from tests.e2e.serving import COMMAND, NUM_PROCESSES
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("faults")
 

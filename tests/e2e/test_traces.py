@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 
-from tests.e2e.serving import serving, wait_for
+from tests.e2e.serving import serving
 from tests.e2e.test_serve_keypoints import capture, files
+from tests.waiting import wait_for
 
 __all__ = ["capture"]
 

@@ -8,10 +8,10 @@ import pytest
 from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Method, ReconstructionConfig
-from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import digests
+from tests.pipeline.simulations import write_simulation
 
 METHODS: tuple[Method, ...] = ("tracking", "clustering")
 
@@ -19,9 +19,7 @@ METHODS: tuple[Method, ...] = ("tracking", "clustering")
 @pytest.fixture(scope="session")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("capture")
-    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=6.0), 3, 4)):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
+    write_simulation(record(replace(find_scene("room"), duration_s=6.0), 3, 4), folder)
     return folder
 
 

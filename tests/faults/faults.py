@@ -19,9 +19,10 @@ import psutil
 import valkey
 from tusclient.client import TusClient
 
-from tests.e2e.serving import serving, wait_for
+from tests.e2e.serving import serving
 from tests.faults.service import CLOCK, Service
 from tests.small_disk import fill
+from tests.waiting import wait_for
 
 # Longer than a lease.
 HELD_S = 5.0

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from pipeline.config import Method
-from tests.e2e.serving import NUM_PROCESSES, wait_for
+from tests.e2e.serving import NUM_PROCESSES
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.faults import (
@@ -33,6 +33,7 @@ from tests.faults.faults import (
     wait_for_end,
 )
 from tests.faults.service import CLOCK, Service, receiving
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("faults")
 

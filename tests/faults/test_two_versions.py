@@ -16,10 +16,11 @@ import psutil
 import pytest
 
 from pipeline.config import Method
-from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
+from tests.waiting import wait_for
 from worker.process.embedded import DataDirectory
 
 pytestmark = pytest.mark.xdist_group("faults")

@@ -15,7 +15,8 @@ from typing import Any
 import httpx2
 import psutil
 
-from tests.e2e.serving import Served, is_alive
+from tests.e2e.serving import Served
+from tests.waiting import is_alive
 
 MIB = 2**20
 

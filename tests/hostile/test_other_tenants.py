@@ -14,9 +14,10 @@ import pytest
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoints import MAX_PEOPLE
 from pipeline.data import Detections
-from tests.e2e.serving import Served, serving, wait_for
+from tests.e2e.serving import Served, serving
 from tests.hostile.crowds import hostile_crowds
 from tests.hostile.keypoints import archive, keypoint_files, simulate
+from tests.waiting import wait_for
 from worker.jobs.model import Scope
 from worker.jobs.store import JobStore
 

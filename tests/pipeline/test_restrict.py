@@ -11,19 +11,17 @@ from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError
-from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.association import restrict
 from pipeline.stages.local import reconstruct
+from tests.pipeline.simulations import write_simulation
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
     """Session of three people and four unsynchronised cameras over 3 s."""
     folder = tmp_path_factory.mktemp("capture")
-    for name, content in simulation_files(record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4)):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
+    write_simulation(record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4), folder)
     return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
 
 

@@ -5,13 +5,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import pytest
 
+from tests.waiting import is_alive, wait_for
 from tests.worker.conftest import RESULT, Bench, open_bench
 from worker.jobs.model import FINISHED, Job, JobState
 from worker.jobs.queue import WorkQueue
@@ -20,20 +21,6 @@ from worker.process import embedded
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents, and looks into /proc")
 
 ROOT = Path(__file__).parents[2]
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "nothing happened in time"
-        time.sleep(0.05)
-
-
-def is_alive(process: psutil.Process) -> bool:
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 @dataclass

@@ -17,7 +17,7 @@ from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
-from worker.jobs.model import ChunkState, JobState, ResultWarning
+from worker.jobs.model import ChunkState, Job, JobState, ResultWarning
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
@@ -52,6 +52,23 @@ def in_thread(bench: Bench, **choices: Any) -> threading.Thread:
     thread = threading.Thread(target=bench.runner(**choices).work, args=[60.0])
     thread.start()
     return thread
+
+
+def begin_endless_job(bench: Bench, **choices: Any) -> tuple[Job, threading.Thread]:
+    """Create a job whose first stage runs until it is stopped; return the job and its worker's thread."""
+    endless = bench.stages[DETECT] = Endless()
+    job = bench.create_job()
+    thread = in_thread(bench, **choices)
+    assert endless.begun.wait(5)
+    return job, thread
+
+
+def run_side_by_side(bench: Bench, num_workers: int) -> None:
+    """Run all work in threads, and what they have left in this one."""
+    threads = [in_thread(bench) for _ in range(num_workers)]
+    for thread in threads:
+        thread.join()
+    bench.runner().work(60.0)
 
 
 def test_a_job_runs_to_its_results(bench: Bench) -> None:
@@ -96,10 +113,7 @@ def test_after_its_time_a_worker_hands_over(bench: Bench) -> None:
 def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
     job = bench.create_job()
     bench.stages[DETECT] = slow_detect
-    threads = [in_thread(bench) for _ in range(3)]
-    for thread in threads:
-        thread.join()
-    bench.runner().work(60.0)
+    run_side_by_side(bench, 3)
     assert bench.result(job.id) == RESULT
 
 
@@ -250,10 +264,7 @@ def test_workers_side_by_side_compute_a_damaged_output_again(bench: Bench) -> No
 
     bench.stages |= {DETECT: slow_detect, ASSOCIATE: damaging}
     job = bench.create_job()
-    threads = [in_thread(bench) for _ in range(3)]
-    for thread in threads:
-        thread.join()
-    bench.runner().work(60.0)
+    run_side_by_side(bench, 3)
     assert bench.result(job.id) == RESULT
 
 
@@ -354,10 +365,7 @@ def test_one_bad_moment_costs_nothing(bench: Bench) -> None:
 
 
 def test_cancel_stops_the_running_pass(bench: Bench) -> None:
-    endless = bench.stages[DETECT] = Endless()
-    job = bench.create_job()
-    thread = in_thread(bench)
-    assert endless.begun.wait(5)
+    job, thread = begin_endless_job(bench)
     bench.store.jobs.cancel(job.id)
     asked_s = time.monotonic()
     thread.join(5)
@@ -391,10 +399,7 @@ def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
 
 
 def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -> None:
-    endless = bench.stages[DETECT] = Endless()
-    job = bench.create_job()
-    thread = in_thread(bench, lease_s=0.3, heartbeat_s=1.5)
-    assert endless.begun.wait(5)
+    job, thread = begin_endless_job(bench, lease_s=0.3, heartbeat_s=1.5)
     bench.stages[DETECT] = detect
     time.sleep(0.5)
     assert bench.store.leases.reap(20.0)
@@ -406,10 +411,7 @@ def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -
 
 
 def test_shutdown_gives_the_chunk_back(bench: Bench) -> None:
-    endless = bench.stages[DETECT] = Endless()
-    job = bench.create_job()
-    thread = in_thread(bench)
-    assert endless.begun.wait(5)
+    job, thread = begin_endless_job(bench)
     bench.stopping = True
     thread.join(5)
     assert not thread.is_alive()

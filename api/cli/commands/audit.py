@@ -1,12 +1,14 @@
 """`multicap audit`: the audit trail of a service."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import emit, print_table
+from api.cli.console import show_list
 from api.cli.store import store_in
+from worker.jobs.model import AuditEvent
 
 
 def command(
@@ -21,28 +23,26 @@ def command(
     with store_in(data) as store:
         events = store.audit.events(tenant, limit)
         names = {key.id: key.name for key in store.keys.all()}
-    if as_json:
-        listed = [
-            {
-                "done_at": event.done_at.isoformat(),
-                "tenant": event.tenant,
-                "key_id": event.actor.key_id,
-                "request_id": event.actor.request_id,
-                "act": event.act,
-                "subject": event.subject,
-            }
-            for event in events
-        ]
-        emit({"deeds": listed})
-        return
-    rows = (
-        (
-            f"{event.done_at:%Y-%m-%d %H:%M:%S} UTC",
-            event.tenant,
-            names.get(event.actor.key_id, event.actor.key_id) if event.actor.key_id else "",
-            event.act,
-            event.subject,
-        )
-        for event in events
-    )
-    print_table(("when", "tenant", "key", "did", "to"), rows)
+
+    def name_of(event: AuditEvent) -> str:
+        return names.get(event.actor.key_id, event.actor.key_id) if event.actor.key_id else ""
+
+    cells: dict[str, Callable[[AuditEvent], str]] = {
+        "when": lambda event: f"{event.done_at:%Y-%m-%d %H:%M:%S} UTC",
+        "tenant": lambda event: event.tenant,
+        "key": name_of,
+        "did": lambda event: event.act,
+        "to": lambda event: event.subject,
+    }
+    show_list("deeds", events, _document, cells, as_json)
+
+
+def _document(event: AuditEvent) -> dict[str, Any]:
+    return {
+        "done_at": event.done_at.isoformat(),
+        "tenant": event.tenant,
+        "key_id": event.actor.key_id,
+        "request_id": event.actor.request_id,
+        "act": event.act,
+        "subject": event.subject,
+    }

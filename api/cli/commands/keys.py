@@ -1,12 +1,13 @@
 """`multicap keys`: create, list and revoke the API keys of a service."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import console, emit, print_table, refusal, shown_time
+from api.cli.console import console, refusal, show_list, show_secret, shown_time
 from api.cli.store import opened_store, settings_in, store_in
 from worker.jobs.database.tables import DEFAULT_TENANT
 from worker.jobs.errors import NotFound
@@ -56,11 +57,8 @@ def create(
         raise refusal("A key's name has 1 to 200 characters, a tenant's name 1 to 64. Choose other names.")
     with store_in(data) as store:
         key, secret = store.keys.add(tenant, name, set(scope), None if days is None else days * _DAY_S)
-    if as_json:
-        emit({**_document(key), "key": secret})
-        return
-    console.print(f"Key {key.id} of {key.tenant}. Store it; it is not shown again:")
-    typer.echo(secret)
+    sentence = f"Key {key.id} of {key.tenant}. Store it; it is not shown again:"
+    show_secret(secret, sentence, {**_document(key), "key": secret}, as_json)
 
 
 @app.command("list")
@@ -68,12 +66,15 @@ def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
         keys = store.keys.all()
-    if as_json:
-        emit({"keys": [_document(key) for key in keys]})
-        return
     now = datetime.now(UTC)
-    rows = ((key.id, key.tenant, key.name, " ".join(sorted(key.scopes)), _until(key, now)) for key in keys)
-    print_table(("id", "tenant", "name", "scopes", "until"), rows)
+    cells: dict[str, Callable[[Key], str]] = {
+        "id": lambda key: key.id,
+        "tenant": lambda key: key.tenant,
+        "name": lambda key: key.name,
+        "scopes": lambda key: " ".join(sorted(key.scopes)),
+        "until": lambda key: _until(key, now),
+    }
+    show_list("keys", keys, _document, cells, as_json)
 
 
 def _until(key: Key, now: datetime) -> str:

@@ -1,11 +1,12 @@
 """`multicap models`: list, install, add and verify detector networks."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
-from api.cli.console import console, emit, print_table, reporting
+from api.cli.console import console, emit, reporting, show_list
 from pipeline.detect import models
 
 app = typer.Typer(help="Detector networks: list, install, add from a file, verify.", no_args_is_help=True)
@@ -17,11 +18,13 @@ def list_(as_json: AsJson = False) -> None:
     """List the networks that Multicap supports."""
     with reporting(as_json):
         known = models.status()
-    if as_json:
-        emit({"models": [asdict(model) for model in known]})
-        return
-    rows = ((model.name, "yes" if model.installed else "no", model.licence, model.sha256) for model in known)
-    print_table(("name", "installed", "licence", "sha256"), rows)
+    cells: dict[str, Callable[[models.ModelStatus], str]] = {
+        "name": lambda model: model.name,
+        "installed": lambda model: "yes" if model.installed else "no",
+        "licence": lambda model: model.licence,
+        "sha256": lambda model: model.sha256,
+    }
+    show_list("models", known, asdict, cells, as_json)
 
 
 @app.command()

@@ -1,13 +1,15 @@
 """`multicap webhooks`: rotate the signing secret of a tenant, and list undelivered messages."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import console, emit, print_table, refusal, shown_time
+from api.cli.console import refusal, show_list, show_secret, shown_time
 from api.cli.store import store_in
 from worker.jobs.database.tables import DEFAULT_TENANT
+from worker.jobs.model import Delivery
 
 app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
@@ -15,6 +17,26 @@ Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as 
 Tenant = Annotated[str, typer.Option(help="Tenant whose webhooks the secret signs.")]
 
 _HOUR_S = 3600.0
+_CELLS: Mapping[str, Callable[[Delivery], str]] = {
+    "job": lambda delivery: delivery.job_id,
+    "tenant": lambda delivery: delivery.tenant,
+    "to": lambda delivery: delivery.url,
+    "tries": lambda delivery: str(delivery.tries),
+    "next": lambda delivery: shown_time(delivery.due_at),
+    "problem": lambda delivery: delivery.problem or "",
+}
+
+
+def _document(delivery: Delivery) -> dict[str, Any]:
+    return {
+        "message_id": delivery.message_id,
+        "job_id": delivery.job_id,
+        "tenant": delivery.tenant,
+        "url": delivery.url,
+        "due_at": delivery.due_at.isoformat(),
+        "tries": delivery.tries,
+        "problem": delivery.problem,
+    }
 
 
 @app.command()
@@ -31,11 +53,8 @@ def rotate(
         raise refusal("A tenant's name has 1 to 64 characters. Choose another.")
     with store_in(data) as store:
         secret = store.webhook_secrets.rotate(tenant, keep_hours * _HOUR_S)
-    if as_json:
-        emit({"tenant": tenant, "secret": secret})
-        return
-    console.print(f"Secret of {tenant}, with which receivers verify its webhooks:")
-    typer.echo(secret)
+    sentence = f"Secret of {tenant}, with which receivers verify its webhooks:"
+    show_secret(secret, sentence, {"tenant": tenant, "secret": secret}, as_json)
 
 
 @app.command("list")
@@ -43,30 +62,4 @@ def list_(data: Data = None, as_json: AsJson = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
         deliveries = store.webhooks.pending()
-    if as_json:
-        listed = [
-            {
-                "message_id": delivery.message_id,
-                "job_id": delivery.job_id,
-                "tenant": delivery.tenant,
-                "url": delivery.url,
-                "due_at": delivery.due_at.isoformat(),
-                "tries": delivery.tries,
-                "problem": delivery.problem,
-            }
-            for delivery in deliveries
-        ]
-        emit({"deliveries": listed})
-        return
-    rows = (
-        (
-            delivery.job_id,
-            delivery.tenant,
-            delivery.url,
-            str(delivery.tries),
-            shown_time(delivery.due_at),
-            delivery.problem or "",
-        )
-        for delivery in deliveries
-    )
-    print_table(("job", "tenant", "to", "tries", "next", "problem"), rows)
+    show_list("deliveries", deliveries, _document, _CELLS, as_json)

@@ -1,10 +1,10 @@
 """``python -m api.contract.problem_codes.page``: write ``docs/problems.md``, or check it against the code."""
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from api.contract.documentation import write_or_check
 from api.contract.problem_codes import GROUPS, CodeGroup
 
 PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
@@ -39,17 +39,7 @@ def _section(group: CodeGroup) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Write or compare the page, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m api.contract.problem_codes.page", description="Write docs/problems.md from the code."
-    )
-    parser.add_argument("--check", action="store_true", help="Compare with the file; exit with 1 if it differs.")
-    if not parser.parse_args(words).check:
-        PAGE.write_text(document(), encoding="utf-8")
-        return 0
-    if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == document():
-        return 0
-    sys.stderr.write("docs/problems.md differs from the code. Run: python -m api.contract.problem_codes.page\n")
-    return 1
+    return write_or_check(PAGE, document(), "api.contract.problem_codes.page", words)
 
 
 if __name__ == "__main__":

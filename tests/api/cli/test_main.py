@@ -23,10 +23,10 @@ from pipeline.data import Animation, Reconstruction, Timebase
 from pipeline.detect import models
 from pipeline.errors import PipelineError
 from pipeline.joints import COCO_17
-from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
+from tests.pipeline.simulations import write_simulation
 from tests.small_disk import fill, small_disk
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.model import Key, Scope
@@ -117,10 +117,7 @@ def test_offsets_that_make_no_session(tmp_path: Path, offsets: list[str], found:
 
 
 def test_an_output_rate_that_makes_too_many_frames(tmp_path: Path) -> None:
-    files = simulation_files(record(replace(find_scene("unsynchronised"), duration_s=0.5), seed=4, num_views=2))
-    for name, content in files:
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_bytes(content)
+    write_simulation(record(replace(find_scene("unsynchronised"), duration_s=0.5), seed=4, num_views=2), tmp_path)
     for folder in (tmp_path / "keypoints").iterdir():
         (folder / "frame_900000_keypoints.json").write_text('{"people": []}')
     session = [f"--keypoints={tmp_path / 'keypoints'}", f"--calibration={tmp_path / 'calibration.json'}"]
@@ -163,9 +160,7 @@ def test_parameters_of_the_tracker_that_are_no_numbers_are_refused(tmp_path: Pat
 def test_parameters_of_clustering_that_can_not_be_are_refused(
     tmp_path: Path, options: list[str], codes: list[str]
 ) -> None:
-    for name, content in simulation_files(record(replace(find_scene("room"), duration_s=0.2), 0, 2)):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_bytes(content)
+    write_simulation(record(replace(find_scene("room"), duration_s=0.2), 0, 2), tmp_path)
     session = [f"--keypoints={tmp_path / 'keypoints'}", f"--calibration={tmp_path / 'calibration.json'}"]
     arguments = ["reconstruct", *session, f"--out={tmp_path / 'out'}", "--json", *options]
     result = runner.invoke(app, arguments)

@@ -12,8 +12,8 @@ from pipeline.capture.keypoints import MAX_PEOPLE, KeypointSession, open_keypoin
 from pipeline.data import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, COCO_17, COCO_18
-from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import Simulation, find_scene, record
+from tests.pipeline.simulations import write_simulation
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +23,7 @@ def simulation() -> Simulation:
 
 @pytest.fixture
 def scene(simulation: Simulation, tmp_path: Path) -> Path:
-    for name, content in simulation_files(simulation):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+    write_simulation(simulation, tmp_path)
     return tmp_path
 
 

@@ -13,10 +13,10 @@ from pipeline.data import Reconstruction
 from pipeline.errors import InputError
 from pipeline.export.results import write_results
 from pipeline.progress import Progress
-from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
 from pipeline.stages.plan import ASSOCIATE, FIT, LENGTHS, POSES, STAGE_BY_NAME
+from tests.pipeline.simulations import write_simulation
 
 TRACKING = ReconstructionConfig(exports=("bvh", "csv"))
 CLUSTERING = replace(TRACKING, method="clustering", chunk_frames=20, smoothing="butterworth")
@@ -26,10 +26,7 @@ CLUSTERING = replace(TRACKING, method="clustering", chunk_frames=20, smoothing="
 def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
     folder = tmp_path_factory.mktemp("session")
     simulation = record(replace(find_scene("room"), duration_s=3.0), seed=6)
-    for name, content in simulation_files(simulation):
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+    write_simulation(simulation, folder)
     return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
 
 

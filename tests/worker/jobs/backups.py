@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,9 +14,11 @@ from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.restore import restore_backup
 from worker.jobs.files.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import ChunkPlan, InputFile, Job, Result, StagePlan
+from worker.jobs.model import ChunkPlan, InputFile, Job, Result, Scope, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
+
+UPLOAD = "01900000-0000-7000-8000-000000000001"
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,16 @@ class Data:
         return self.store.sessions.page(limit=1000), jobs, self.store.keys.all(), self.store.figures().totals
 
 
+def stopped_service(folder: Path) -> Path:
+    """Data folder of a stopped service with some hundred pages of rows."""
+    with opened_data(folder) as data:
+        for _ in range(30):
+            data.add_job(data.add_session(100))
+        data.run_all()
+        data.store.keys.add("studio", "portal", {Scope.READ})
+    return folder
+
+
 def ignore(done: int, total: int) -> None:
     """Progress that nobody looks at."""
 
@@ -115,3 +128,33 @@ def opened_data(folder: Path, url: str = "") -> Iterator[Data]:
 
 def restored(archive: Path, folder: Path, url: str = "") -> Report:
     return restore_backup(archive, folder, url or f"sqlite:///{folder / 'multicap.db'}", "", ignore)
+
+
+@contextmanager
+def busy_writers(data: Data, num_bytes: int, num_writers: int = 1) -> Iterator[None]:
+    """Add and delete sessions with jobs in threads during the block; each thread keeps the last three sessions."""
+    stopping, errors = threading.Event(), []
+
+    def write() -> None:
+        try:
+            with opened_data(data.folder, data.url) as mine:
+                kept: list[str] = []
+                while not stopping.is_set():
+                    kept.append(mine.add_session(num_bytes))
+                    mine.add_job(kept[-1])
+                    mine.run_all()
+                    if len(kept) > 3:
+                        mine.delete_session(kept.pop(0))
+        except Exception as error:
+            errors.append(error)
+
+    writers = [threading.Thread(target=write) for _ in range(num_writers)]
+    for writer in writers:
+        writer.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        for writer in writers:
+            writer.join()
+    assert errors == []

@@ -1,9 +1,12 @@
 """Damages of a SQLite file, as disks, crashes and copies make them."""
 
+import contextlib
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+
+from worker.jobs.store import JobStore
 
 PAGE_BYTES = 4096
 
@@ -22,6 +25,15 @@ def middle(path: Path) -> int:
 def invert_page(path: Path, offset: int) -> None:
     content = path.read_bytes()[offset : offset + PAGE_BYTES]
     overwrite(path, offset, bytes(byte ^ 255 for byte in content))
+
+
+def damage_under(path: Path) -> None:
+    """Overwrite all pages except the first with zeros, and make all processes that have the file open read it anew."""
+    with contextlib.closing(JobStore(f"sqlite:///{path}")) as other:
+        other.webhook_secrets.rotate("studio", 0.0)
+        with other._database.reading() as connection:
+            connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+    overwrite(path, PAGE_BYTES, bytes(path.stat().st_size - PAGE_BYTES))
 
 
 DAMAGES: dict[str, Callable[[Path], None]] = {

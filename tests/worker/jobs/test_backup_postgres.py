@@ -1,6 +1,5 @@
 """Backups of a service on PostgreSQL, and from one database to the other."""
 
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from tests.worker.jobs.backups import Data, opened_data, restored
+from tests.worker.jobs.backups import Data, busy_writers, opened_data, restored
 from tests.worker.jobs.conftest import postgres_database
 from worker.jobs.backup.create import create_backup
 from worker.jobs.backup.errors import BackupError, BackupUsageError
@@ -117,31 +116,12 @@ def test_a_restore_that_fails_leaves_no_rows(postgres_url_empty: str, tmp_path: 
 
 
 def test_it_is_consistent_while_others_write(postgres_url_empty: str, tmp_path: Path) -> None:
-    stopping, errors = threading.Event(), []
-
-    def write() -> None:
-        try:
-            with opened_data(tmp_path / "data", postgres_url_empty) as mine:
-                kept: list[str] = []
-                while not stopping.is_set():
-                    kept.append(mine.add_session(50_000))
-                    mine.add_job(kept[-1])
-                    mine.run_all()
-                    if len(kept) > 3:
-                        mine.delete_session(kept.pop(0))
-        except Exception as error:
-            errors.append(error)
-
-    with opened_data(tmp_path / "data", postgres_url_empty) as data:
-        writer = threading.Thread(target=write)
-        writer.start()
-        try:
-            for number in range(4):
-                time.sleep(0.3)
-                archive = tmp_path / f"{number}.tar"
-                assert create_backup(data.folder, data.url, "", archive, lambda *_: None).problems == ()
-                assert verify_backup(archive, lambda *_: None).faults == ()
-        finally:
-            stopping.set()
-            writer.join()
-    assert errors == []
+    with (
+        opened_data(tmp_path / "data", postgres_url_empty) as data,
+        busy_writers(data, num_bytes=50_000),
+    ):
+        for number in range(4):
+            time.sleep(0.3)
+            archive = tmp_path / f"{number}.tar"
+            assert create_backup(data.folder, data.url, "", archive, lambda *_: None).problems == ()
+            assert verify_backup(archive, lambda *_: None).faults == ()

@@ -11,12 +11,11 @@ from pathlib import Path
 import pytest
 from sqlalchemy.exc import SQLAlchemyError
 
-from tests.worker.jobs.backups import ignore, opened_data
+from tests.worker.jobs.backups import ignore, stopped_service
 from tests.worker.jobs.damage import DAMAGES, copy_of, middle, overwrite
 from worker.jobs.backup.create import create_backup
 from worker.jobs.database.connection import Database
 from worker.jobs.errors import DamagedDatabase
-from worker.jobs.model import Scope
 from worker.jobs.store import JobStore
 
 EACH_DAMAGE = pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
@@ -24,14 +23,7 @@ EACH_DAMAGE = pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.ke
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Data folder of a stopped service with some hundred pages of rows."""
-    folder = tmp_path_factory.mktemp("whole") / "data"
-    with opened_data(folder) as data:
-        for _ in range(30):
-            data.add_job(data.add_session(100))
-        data.run_all()
-        data.store.keys.add("studio", "portal", {Scope.READ})
-    return folder
+    return stopped_service(tmp_path_factory.mktemp("whole") / "data")
 
 
 @pytest.fixture

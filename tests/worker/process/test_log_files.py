@@ -5,8 +5,8 @@ import os
 import shutil
 from pathlib import Path
 
-from tests.e2e.serving import wait_for
 from tests.small_disk import small_disk
+from tests.waiting import wait_for
 from worker.process.log_files import NUM_OLD_FILES, LogFile
 
 

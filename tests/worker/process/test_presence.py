@@ -1,23 +1,17 @@
 """Row of a worker process in the list of workers."""
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 
 from sqlalchemy.exc import OperationalError
 
+from tests.waiting import wait_for
 from tests.worker.conftest import Bench
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 from worker.process.presence import Presence, process_name, remove_killed
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "nothing happened in time"
-        time.sleep(0.02)
 
 
 def test_a_change_is_told_at_once_and_the_end_too(bench: Bench) -> None:

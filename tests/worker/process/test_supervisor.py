@@ -15,18 +15,12 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.waiting import wait_for
 from worker.process.supervisor import Program, Supervisor
 
 
 def program(name: str, code: str, stop_s: float = 5.0) -> Program:
     return Program(name, [sys.executable, "-c", textwrap.dedent(code)], dict(os.environ), stop_s=stop_s)
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 15.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "nothing happened in time"
-        time.sleep(0.05)
 
 
 def run_until(condition: Callable[[], bool], supervisor: Supervisor, timeout_s: float = 15.0) -> None:
