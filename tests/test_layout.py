@@ -1,6 +1,7 @@
 """Laws of the layout: small folders, stages named in one place, a web API without science."""
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -51,3 +52,19 @@ def test_the_web_api_loads_no_science() -> None:
     loaded = {name.partition(".")[0] for name in ended.stdout.split()}
     assert "fastapi" in loaded
     assert not loaded & {"numpy", "scipy", "numba", "cv2", "av", "onnxruntime"}
+
+
+def test_groups_of_tests_stay_together(tmp_path: Path) -> None:
+    """Tests of a group share fixtures that take minutes; some versions of pytest and pytest-xdist scatter them."""
+    (tmp_path / "test_group.py").write_text(
+        "import os, pathlib, pytest\n"
+        "pytestmark = pytest.mark.xdist_group('one')\n"
+        "@pytest.mark.parametrize('number', range(8))\n"
+        "def test_process(number, tmp_path_factory):\n"
+        f"    pathlib.Path({str(tmp_path)!r}, f'{{os.getpid()}}.process').touch()\n"
+    )
+    options = ["-n2", "--dist=loadgroup", "-q", "-p", "no:cacheprovider", "-c", os.devnull, f"--rootdir={tmp_path}"]
+    command = [sys.executable, "-P", "-m", "pytest", *options, str(tmp_path)]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    subprocess.run(command, env=environment, capture_output=True, check=True)
+    assert len(list(tmp_path.glob("*.process"))) == 1
