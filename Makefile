@@ -80,13 +80,13 @@ test-data: setup
 
 # More processes than processors: many tests wait.
 PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --durations 40 --durations-min 5
-NOT_HERE := not benchmark and not blender and not soak and not hostile
+DESELECTED := not benchmark and not blender and not soak and not hostile
 
 test: test-data browser readers  ## Run the tests, but for the slow ones (ten minutes)
-	$(PYTEST) -m "$(NOT_HERE) and not slow"
+	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)
-	$(PYTEST) -m "$(NOT_HERE) and slow"
+	$(PYTEST) -m "$(DESELECTED) and slow"
 
 soak: setup  ## Run 200 jobs, each disturbed by a fault at a random moment (half an hour)
 	$(BIN)/python -P -m pytest -s -m soak tests/faults

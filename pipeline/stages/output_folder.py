@@ -25,6 +25,15 @@ def default_cache() -> Path:
     return Path(chosen).expanduser() if chosen else platformdirs.user_cache_path("multicap", appauthor=False)
 
 
+def is_usable(folder: Path) -> bool:
+    """Make a folder that only its owner can read, unless it exists; return whether it can be written to."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)
+
+
 class OutputFolder:
     """Outputs by key. A file holds the SHA-256 of an output and the output.
 

@@ -22,7 +22,7 @@ from pipeline.export.results import DEFAULT_EXPORTS, check_exports
 from pipeline.quality.report import all_checks
 from pipeline.stages.association import Session, restrict
 from pipeline.stages.local import reconstruct
-from pipeline.stages.output_folder import default_cache
+from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
 
 
@@ -100,6 +100,15 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
     )
     for check in all_checks(metrics):
         warn(check["message"])
+
+
+def _users_cache() -> Path | None:
+    """Folder of the user's cache; ``None``, with a warning, if it can't be written to."""
+    folder = default_cache()
+    if is_usable(folder):
+        return folder
+    warn(f"Intermediate outputs are not kept for later runs: {folder} can't be written to. Choose a folder by --cache.")
+    return None
 
 
 def _check_sources(
@@ -215,7 +224,7 @@ def command(
         check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)
-        reconstruction = reconstruct(session, config, bars.update, None if no_cache else cache or default_cache())
+        reconstruction = reconstruct(session, config, bars.update, None if no_cache else cache or _users_cache())
         paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.stages.output_folder import OutputFolder, default_cache, output_folder
+from pipeline.stages.output_folder import OutputFolder, default_cache, is_usable, output_folder
 
 KEY, OTHER = "a" * 64, "b" * 64
 
@@ -105,3 +105,10 @@ def test_the_folder_can_be_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.delenv("MULTICAP_CACHE_HOME")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert default_cache() == tmp_path / "multicap"
+
+
+def test_a_folder_that_can_not_be_made_is_not_usable(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert not is_usable(tmp_path / "file" / "cache")
+    assert is_usable(tmp_path / "new" / "cache")
+    assert stat.S_IMODE((tmp_path / "new" / "cache").stat().st_mode) == 0o700
