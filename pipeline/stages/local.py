@@ -23,7 +23,7 @@ from pipeline.stages.association import Session, clustering_parameters, restrict
 from pipeline.stages.code import sources_sha256, stage_codes
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, plan
-from pipeline.stages.run import Context, assemble, load_detector, run_task
+from pipeline.stages.run import Context, assemble, run_task
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DEFAULTS = ReconstructionConfig()
@@ -125,8 +125,6 @@ def _check(session: Session, config: ReconstructionConfig) -> None:
     if foreign:
         problem = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
         raise InputError([Problem("unknown_parameter", problem, hint="Omit them, or use the other method.")])
-    if not isinstance(session, KeypointSession):
-        load_detector(config.detector)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.detector import open_detector
+from pipeline.detect.registry import entry_of
 from pipeline.errors import PipelineError
 from pipeline.export.results import METRICS, write_results
 from pipeline.joints import JointSet
@@ -123,7 +124,7 @@ def run_task(task: Task, context: Context) -> Output:
 def wanted_session(session: Session, config: ReconstructionConfig) -> tuple[Session, JointSet]:
     """Session as if it had the wanted frames alone, numbered from 0, and the joints of its detections."""
     wanted = restrict(session, config.frames)
-    return wanted, wanted.joints if isinstance(wanted, KeypointSession) else load_detector(config.detector).joints
+    return wanted, wanted.joints if isinstance(wanted, KeypointSession) else entry_of(config.detector).joints
 
 
 def detect(task: Task, context: Context) -> Output:
