@@ -45,7 +45,7 @@ class Removals:
 
     def due(self) -> list[Removal]:
         """Removals that are due, the oldest first."""
-        query = select(removals.c.id, removals.c.prefix).where(removals.c.due_at < now()).order_by(removals.c.id)
+        query = select(removals.c.id, removals.c.prefix).where(removals.c.due_at <= now()).order_by(removals.c.id)
         with self._transactions.reading() as connection:
             return [Removal(row.id, row.prefix) for row in connection.execute(query)]
 
