@@ -14,7 +14,7 @@ KIB, MIB, GIB = 2**10, 2**20, 2**30
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a listening address."""
+    """Return whether only this machine can reach a listening address."""
     if host == "localhost":
         return True
     try:
@@ -198,7 +198,7 @@ class Settings(StorageSettings):
 
     @property
     def is_exposed(self) -> bool:
-        """Whether other machines may reach the service."""
+        """Return whether other machines may reach the service."""
         return not (self.trust_network or is_loopback(self.host))
 
     @property

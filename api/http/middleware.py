@@ -154,7 +154,7 @@ class SlowClientGuard(HttpMiddleware):
 
 
 def _too_slow() -> HTTPException:
-    # Where the framework reads a body itself, it passes on no other exception.
+    # The framework passes on no other exception from a body that it reads itself.
     return HTTPException(HTTPStatus.REQUEST_TIMEOUT, headers={"Connection": "close"})
 
 

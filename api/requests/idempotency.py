@@ -72,7 +72,7 @@ class IdempotentRequest:
     _claim: KeyClaim | None = field(default=None, init=False)
 
     def is_answered(self) -> bool:
-        """Whether the key has an answer already, of this request or another one."""
+        """Return whether the key has an answer already, of this request or another one."""
         return self.key is not None and self.records.idempotency_keys.is_answered(self.key)
 
     def begin(self, parts: object) -> Response | None:

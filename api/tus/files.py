@@ -170,7 +170,7 @@ class UploadSpool:
             (self._folder / name).unlink(missing_ok=True)
 
     def has_writer(self, upload_id: str) -> bool:
-        """Whether a request is writing to an upload."""
+        """Return whether a request is writing to an upload."""
         return upload_id in self._writers
 
     async def sweep_forever(self, store: JobStore) -> None:

@@ -25,7 +25,7 @@ class LimbLengths(NamedTuple):
 
     @property
     def is_measured(self) -> Bool[np.ndarray, " joints"]:
-        """Whether the length of the joint's limb is known for any person."""
+        """Return whether the length of the joint's limb is known for any person."""
         return ~np.isnan(self.known_m).all(-1)
 
 

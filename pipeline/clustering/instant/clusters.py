@@ -369,7 +369,7 @@ def _locate(
 
 
 def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:
-    """Whether a draft may share a candidate with its owners: the same cluster, and different parents."""
+    """Return whether a draft may share a candidate with its owners: the same cluster, and different parents."""
     return all(owner.cluster == draft.cluster and owner.parent != draft.parent for owner in owners)
 
 
