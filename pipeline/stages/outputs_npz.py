@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TypeVar, overload
 
 import numpy as np
-from jaxtyping import Int
 
 from pipeline.capture.preflight_npz import DETECTION_ARRAYS
 from pipeline.clustering.bone_lengths import LimbLengths
@@ -112,12 +111,6 @@ def decode_fields(content: bytes) -> PafFields:
         damaged=arrays.get("damaged", no_frames()),
         **{name: arrays[name] for name in _FIELD_ARRAYS},
     )
-
-
-def decode_damaged(content: bytes) -> Int[np.ndarray, " damaged"]:
-    """Read the numbers of damaged frames, and nothing else, from what ``encode_fields`` wrote."""
-    with open_archive(content) as archive:
-        return archive["damaged"] if "damaged" in archive.files else no_frames()
 
 
 def encode_lengths(lengths: LimbLengths, damaged: Sequence[DamagedVideo] = ()) -> bytes:

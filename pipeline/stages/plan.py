@@ -17,7 +17,7 @@ from pipeline.config import JobChoices, ReconstructionConfig
 
 DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
 
-DEFAULT_CHUNK_FRAMES = 100
+DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
 """Largest number of tasks of a stage. Each is a row of the service's database, and a job is read from all its rows."""
 

@@ -21,7 +21,6 @@ from pipeline.data import (
 )
 from pipeline.geometry.rigid import Rigid3
 from pipeline.stages.outputs_npz import (
-    decode_damaged,
     decode_damaged_videos,
     decode_detections,
     decode_fields,
@@ -92,9 +91,9 @@ def test_damage_comes_back_and_costs_no_byte_where_there_is_none(tmp_path: Path)
     assert decode_detections(encode_detections(damaged)).damaged.tolist() == [5, 6]
 
     fields_found = fields_of_two_frames()
-    assert decode_damaged(encode_fields(fields_found)).tolist() == []
+    assert decode_fields(encode_fields(fields_found)).damaged.tolist() == []
     content = encode_fields(replace(fields_found, damaged=np.array([5])))
-    assert decode_damaged(content).tolist() == decode_fields(content).damaged.tolist() == [5]
+    assert decode_fields(content).damaged.tolist() == [5]
 
     lengths = LimbLengths(np.array([[0.3]]), np.array([0.5]))
     videos = (DamagedVideo("left", "a.mp4", 2, 60, 0.5, 1.0), DamagedVideo("right", "b.mp4", 1, 60, 0.1, 0.1))
