@@ -319,8 +319,46 @@ class FootContact:
         return slice(self.start_frame, self.start_frame + self.num_frames)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Leftovers:
+    """2D bodies that association gave to nobody, at the nearest output instants.
+
+    Parameters
+    ----------
+    frame, camera
+        Output frame and position of the camera of each body.
+    points_px
+        Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint.
+    score
+        The detector's confidence, 0 where ``points_px`` is NaN.
+    """
+
+    frame: Int[np.ndarray, " n"]
+    camera: Int[np.ndarray, " n"]
+    points_px: Float[np.ndarray, "n joints 2"]
+    score: Float[np.ndarray, "n joints"]
+
+
+class Doubt(NamedTuple):
+    """Moment at which a person may have been taken for another one.
+
+    Parameters
+    ----------
+    frame
+        Output frame from which on the other choice differs.
+    confidence
+        Probability of the choice against the most likely other one.
+    other
+        Number of the person who would go on as this one, 0 if it is nobody else: the person would end or begin here.
+    """
+
+    frame: int
+    confidence: float
+    other: int
+
+
 class People(NamedTuple):
-    """Result of association.
+    """Result of association, or of the global pass over it.
 
     Parameters
     ----------
@@ -328,11 +366,17 @@ class People(NamedTuple):
         One each a person, in the same order.
     num_approximate_frames
         See ``Reconstruction``.
+    doubts
+        Doubts about the identity of each person, in the same order; empty before the global pass.
+    leftovers
+        Bodies that belong to nobody; ``None`` after the global pass, and where association takes joints one by one.
     """
 
     tracks: Sequence[Track3D]
     observations: Sequence[Observations]
-    num_approximate_frames: int
+    num_approximate_frames: int = 0
+    doubts: Sequence[Sequence[Doubt]] = ()
+    leftovers: Leftovers | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -429,6 +473,8 @@ class Reconstruction:
         Number of output frames that exceeded a limit of the exact methods of association.
     damaged
         Videos with damaged frames, in the cameras' order.
+    doubts
+        Doubts about the identity of each person, in the tracks' order; empty if nobody looked for them.
     """
 
     cameras: tuple[Camera, ...]
@@ -440,6 +486,7 @@ class Reconstruction:
     warnings: tuple[str, ...] = field(default=())
     num_approximate_frames: int = 0
     damaged: tuple[DamagedVideo, ...] = ()
+    doubts: Sequence[Sequence[Doubt]] = ()
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

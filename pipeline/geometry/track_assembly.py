@@ -64,16 +64,6 @@ def record_life(
     return track, Observations(0, read_only(seen_px), read_only(score))
 
 
-def keep_most_seen(
-    tracks: Sequence[Track3D], observations: Sequence[Observations], most: int | None
-) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Keep the ``most`` people with the most observations, and number them from 1; ``None``: keep everybody."""
-    people = list(zip(tracks, observations, strict=True))
-    if most is not None:
-        people = sorted(people, key=lambda pair: int(pair[0].views.sum()), reverse=True)[:most]
-    return number_people(people)
-
-
 def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Sort people by their first frame and number them from 1."""
     ordered = sorted(people, key=lambda pair: pair[0].start_frame)

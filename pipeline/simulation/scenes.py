@@ -11,6 +11,7 @@ from pipeline.errors import InputError, Problem
 from pipeline.joints import COCO_17, JointSet
 from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast, improvise
+from pipeline.simulation.motion.exchange import Exchange, exchange
 from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
@@ -29,7 +30,7 @@ class Scene:
     rig, clock, detector
         Cameras, their frame times and their 2D detector.
     cast
-        People who improvise, or the roles of people with scripts.
+        People who improvise or exchange places, or the roles of people with scripts.
     boxes
         Furniture that hides people and that they walk around.
     duration_s
@@ -37,7 +38,7 @@ class Scene:
     """
 
     rig: Rig
-    cast: Cast | tuple[Role, ...]
+    cast: Cast | Exchange | tuple[Role, ...]
     clock: Clock = field(default_factory=Clock)
     detector: Detector = field(default_factory=Detector)
     boxes: tuple[Box, ...] = ()
@@ -163,6 +164,12 @@ SCENES: Mapping[str, Scene] = {
     ),
     "crowd": _crowd(7),
     **{f"crowd-{num_people}": _crowd(num_people) for num_people in (2, 3, 5)},
+    "exchange": Scene(
+        Rig(Layout.RING, 8, (4.5, 4.0), 2.4, (1920, 1080), 1000.0),
+        Exchange(7, gap_m=0.5),
+        detector=Detector(faults=Faults(miss_joint=0.05, miss_body=0.15, mix=0.2, memory_s=0.2)),
+        duration_s=20.0,
+    ),
     "contact": Scene(
         Rig(Layout.RING, 8, (4.5, 4.0), 2.4, (1920, 1080), 1000.0),
         (
@@ -247,6 +254,16 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None) -> Simula
     return record(find_scene(scene_name), seed, num_views)
 
 
+def _roles(scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:
+    match scene.cast:
+        case Cast():
+            return improvise(scene.cast, scene.boxes, scene.duration_s, rng)
+        case Exchange():
+            return exchange(scene.cast, scene.duration_s, rng)
+        case _:
+            return scene.cast
+
+
 def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
     """Simulate a scene; see ``simulate``."""
     num_cameras = scene.rig.num_cameras
@@ -262,11 +279,7 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
 
     # Separate random streams for the cast, each person, the rig and each camera: none depends on draws of another.
     cast_seed, people_seed, rig_seed, cameras_seed = np.random.SeedSequence(seed).spawn(4)
-    roles = (
-        improvise(scene.cast, scene.boxes, scene.duration_s, np.random.default_rng(cast_seed))
-        if isinstance(scene.cast, Cast)
-        else scene.cast
-    )
+    roles = _roles(scene, np.random.default_rng(cast_seed))
     people = [
         perform(role, scene.duration_s, np.random.default_rng(person_seed))
         for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)

@@ -1,7 +1,8 @@
 """Association: steps of both methods from detections in a session to tracks.
 
 ``tracking`` is one sequential pass. ``clustering`` first measures everybody's bones over the whole session, then finds
-people in each range of frames by itself, and at last links them. Detections are whole bodies (``Detections``) or peaks
+people in each range of frames by itself, and then links them. At last a global pass over either method's tracks finds
+out who is who. Detections are whole bodies (``Detections``) or peaks
 and fields (``PafFields``), at least those of the range.
 """
 
@@ -23,7 +24,7 @@ from pipeline.data import Detections, PafFields, People, Poses3D
 from pipeline.detect.chunk import bodies_in
 from pipeline.detect.registry import entry_of
 from pipeline.errors import InputError, Problem
-from pipeline.geometry.track_assembly import keep_most_seen
+from pipeline.identity.identify import identify
 from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
 from pipeline.progress import OnShare, ignore
@@ -124,7 +125,7 @@ def track(
         on_share,
         lambda time_s: approximate.add(round((time_s - timebase.start_time_s) * timebase.frame_rate_hz)),
     )
-    return People(*keep_most_seen(*people, config.num_people), len(approximate))
+    return people._replace(num_approximate_frames=len(approximate))
 
 
 def measure_bones(
@@ -180,7 +181,13 @@ def link(
     parameters = clustering_parameters(session, config)
     poses = join_poses(chunks)
     people = link_people(session.cameras, poses, session.timebase, joints, parameters, on_share)
-    return People(*keep_most_seen(*people, config.num_people), len(poses.approximate))
+    return People(*people, len(poses.approximate))
+
+
+def tell_apart(session: Session, people: People, joints: JointSet, config: ReconstructionConfig) -> People:
+    """Find out who is who among the tracks of either method; see ``pipeline.identity.identify``."""
+    min_score = 0.0 if config.method == "clustering" else tracking_parameters(session, config.tracking).min_score
+    return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people)
 
 
 def _evidence(

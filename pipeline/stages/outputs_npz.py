@@ -14,8 +14,10 @@ from pipeline.data import (
     Animation,
     DamagedVideo,
     Detections,
+    Doubt,
     Floor,
     FootContact,
+    Leftovers,
     MapGrid,
     Observations,
     PafFields,
@@ -30,6 +32,7 @@ from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, sav
 _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
 _POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score", "approximate")
 _TRACK_ARRAYS = ("xyz_m", "score", "source", "error_px", "views")
+_LEFTOVER_ARRAYS = ("frame", "camera", "points_px", "score")
 _CONTACT = np.dtype(
     [
         ("side", "U5"),
@@ -41,6 +44,7 @@ _CONTACT = np.dtype(
         ("slide_after_m", np.float64),
     ]
 )
+_DOUBT = np.dtype([("frame", np.int64), ("confidence", np.float64), ("other", np.int64)])
 _DAMAGED_VIDEOS = "damaged_videos"
 _Record = TypeVar("_Record")
 
@@ -153,6 +157,10 @@ def write_people(path: Path, people: People, damaged: Sequence[DamagedVideo] = (
     """
     arrays = _track_arrays(people.tracks) | _damaged_videos(damaged)
     arrays["num_approximate_frames"] = np.array(people.num_approximate_frames)
+    arrays["num_doubts"] = np.array([len(of_person) for of_person in people.doubts], np.int64)
+    arrays["doubts"] = np.array([one for of_person in people.doubts for one in of_person], _DOUBT)
+    if people.leftovers is not None:
+        arrays |= {f"left_{name}": getattr(people.leftovers, name) for name in _LEFTOVER_ARRAYS}
     for k, seen in enumerate(people.observations):
         arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
     with path.open("wb") as file:
@@ -172,7 +180,12 @@ def open_people(path: Path) -> People:
 
     with open_archive(path) as archive:
         num_people, num_approximate_frames = len(archive["track_id"]), int(archive["num_approximate_frames"])
-    return People(_Stored(num_people, track), _Stored(num_people, observations), num_approximate_frames)
+        all_doubts = iter(archive["doubts"].tolist())
+        doubts = [[Doubt(*next(all_doubts)) for _ in range(number)] for number in archive["num_doubts"].tolist()]
+        has_leftovers = f"left_{_LEFTOVER_ARRAYS[0]}" in archive.files
+        leftovers = Leftovers(*(archive[f"left_{name}"] for name in _LEFTOVER_ARRAYS)) if has_leftovers else None
+    tracks, seen = _Stored(num_people, track), _Stored(num_people, observations)
+    return People(tracks, seen, num_approximate_frames, doubts, leftovers)
 
 
 def encode_animation(animation: Animation) -> bytes:

@@ -15,7 +15,8 @@ from typing import Any, Literal
 
 from pipeline.config import JobChoices, ReconstructionConfig
 
-DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT = "detect", "lengths", "poses", "associate", "fit", "export"
+DETECT, LENGTHS, POSES, ASSOCIATE = "detect", "lengths", "poses", "associate"
+IDENTIFY, FIT, EXPORT = "identify", "fit", "export"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
@@ -176,14 +177,22 @@ STAGES = (
         "Track people",
         cut="whole",
         follows=(DETECT, LENGTHS, POSES),
-        choices=("method", "frame_range", "people", "tracking", "clustering"),
+        choices=("method", "frame_range", "tracking", "clustering"),
         function="associate_people",
+    ),
+    Stage(
+        IDENTIFY,
+        "Tell people apart",
+        cut="whole",
+        follows=(ASSOCIATE,),
+        choices=("people",),
+        function="identify_people",
     ),
     Stage(
         FIT,
         "Fit skeletons",
         cut="whole",
-        follows=(ASSOCIATE,),
+        follows=(IDENTIFY,),
         choices=("smoothing", "cutoff_hz", "feet"),
         function="fit_skeletons",
     ),
@@ -191,7 +200,7 @@ STAGES = (
         EXPORT,
         "Write files",
         cut="whole",
-        follows=(ASSOCIATE, FIT),
+        follows=(IDENTIFY, FIT),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
         is_reusable=False,

@@ -30,6 +30,7 @@ from pipeline.stages.association import (
     locate_people,
     measure_bones,
     restrict,
+    tell_apart,
     track,
 )
 from pipeline.stages.output import Output, ResultFile
@@ -48,7 +49,18 @@ from pipeline.stages.outputs_npz import (
     open_people,
     write_people,
 )
-from pipeline.stages.plan import ASSOCIATE, DETECT, FIT, LENGTHS, POSES, STAGE_BY_NAME, FrameCut, SessionFacts, Task
+from pipeline.stages.plan import (
+    ASSOCIATE,
+    DETECT,
+    FIT,
+    IDENTIFY,
+    LENGTHS,
+    POSES,
+    STAGE_BY_NAME,
+    FrameCut,
+    SessionFacts,
+    Task,
+)
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 
@@ -186,6 +198,17 @@ def associate_people(task: Task, context: Context) -> Output:
     return Output(archive.read_bytes())
 
 
+def identify_people(task: Task, context: Context) -> Output:
+    """Find out who is who, from the tracks of the whole session."""
+    session, joints = wanted_session(context.outline(), context.config)
+    archive = _archive_of_people(context, ASSOCIATE)
+    people = tell_apart(session, open_people(archive), joints, context.config)
+    write_people(archive, people, decode_damaged_videos(archive))
+    del people
+    _on_share(task, context)(1.0)
+    return Output(archive.read_bytes())
+
+
 def fit_skeletons(task: Task, context: Context) -> Output:
     """Animate one skeleton a person."""
     return Output(encode_animation(_animation(task, context)))
@@ -209,19 +232,20 @@ def assemble(context: Context) -> Reconstruction:
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
     session, joints = wanted_session(context.outline(), context.config)
-    archive = _archive_of_people(context)
+    archive = _archive_of_people(context, IDENTIFY)
     animation = decode_animation(*context.outputs(FIT))
-    located, observations, num_approximate_frames = open_people(archive)
+    people = open_people(archive)
     return Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
-        located=located,
-        observations=observations,
+        located=people.tracks,
+        observations=people.observations,
         animation=animation,
         warnings=session.warnings,
-        num_approximate_frames=num_approximate_frames,
+        num_approximate_frames=people.num_approximate_frames,
         damaged=decode_damaged_videos(archive),
+        doubts=people.doubts,
     )
 
 
@@ -265,17 +289,17 @@ def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
 
 def _animation(task: Task, context: Context) -> Animation:
     session, joints = wanted_session(context.outline(), context.config)
-    located, observations, _ = open_people(_archive_of_people(context))
+    people = open_people(_archive_of_people(context, IDENTIFY))
     # Windows of all observations are asked for again and again, a track but once.
-    in_memory = tuple(observations)
+    in_memory = tuple(people.observations)
     on_share = _on_share(task, context)
-    return animate(located, in_memory, session.cameras, session.timebase, joints, context.config, on_share)
+    return animate(people.tracks, in_memory, session.cameras, session.timebase, joints, context.config, on_share)
 
 
-def _archive_of_people(context: Context) -> Path:
-    """Write the output of association to a file: in memory it would be a fifth of what a stage takes."""
+def _archive_of_people(context: Context, stage: str) -> Path:
+    """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
     archive = context.scratch / _PEOPLE
-    archive.write_bytes(*context.outputs(ASSOCIATE))
+    archive.write_bytes(*context.outputs(stage))
     return archive
 
 
@@ -287,5 +311,5 @@ def _result_file(path: Path) -> ResultFile:
 
 _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
     function.__name__: function
-    for function in (detect, measure_lengths, find_poses, associate_people, fit_skeletons, export)
+    for function in (detect, measure_lengths, find_poses, associate_people, identify_people, fit_skeletons, export)
 }

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Detections, FrameTimes, Observations, Timebase, Track3D
+from pipeline.data import Camera, Detections, FrameTimes, Leftovers, Observations, People, Timebase, Track3D
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.track_assembly import number_people, record_life
 from pipeline.geometry.tracks import triangulate_frames
@@ -13,8 +13,6 @@ from pipeline.progress import OnShare, ignore, part_of
 from pipeline.tracking.observations import Bodies, gather, observations_at, rows_by_person, undistorted
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.tracker import Tracker, make_frames
-
-People = tuple[tuple[Track3D, ...], tuple[Observations, ...]]
 
 
 def associate(
@@ -54,7 +52,8 @@ def locate_people(
 
     Returns
     -------
-        Tracks, numbered from 1 in order of their first frame, and the observations behind each of them.
+        Tracks, numbered from 1 in order of their first frame, the observations behind each of them, and the bodies
+        that are left.
     """
     bodies = gather(cameras, times, detections)
     person_rows = list(rows_by_person(bodies, np.concatenate([identities[camera.name] for camera in cameras])))
@@ -68,18 +67,10 @@ def reconstruct_tracks(
     detections: Mapping[str, Detections],
     timebase: Timebase,
     parameters: TrackingParameters,
-    on_share: OnShare = ignore,
-    on_approximate: Callable[[float], object] = ignore,
-) -> People:
-    """Associate detections, then locate every person; see ``associate`` and ``locate_people``.
-
-    Parameters
-    ----------
-    on_share, on_approximate
-        See ``track_bodies``.
-    """
-    bodies = gather(cameras, times, detections)
-    return track_bodies(cameras, times, bodies, timebase, parameters, on_share, on_approximate)
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Associate detections, then locate every person; see ``associate`` and ``locate_people``."""
+    people = track_bodies(cameras, times, gather(cameras, times, detections), timebase, parameters)
+    return tuple(people.tracks), tuple(people.observations)
 
 
 def track_bodies(
@@ -153,7 +144,7 @@ def _record(
     on_share: OnShare,
 ) -> People:
     """Make each person's track, and the observations behind it in distorted pixels."""
-    recorded = []
+    recorded, is_left = [], np.ones(len(bodies.camera), bool)
     for rows, person_m in zip(_reported(person_rows, on_share), xyz_m, strict=True):
         seen = observations_at(timebase, bodies, bodies.seen_px, rows, len(cameras), parameters)
         person = record_life(
@@ -161,7 +152,16 @@ def _record(
         )
         if person is not None:
             recorded.append(person)
-    return number_people(recorded)
+            is_left[rows] = False
+    return People(*number_people(recorded), leftovers=_leftovers(bodies, np.flatnonzero(is_left), timebase))
+
+
+def _leftovers(bodies: Bodies, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
+    place = (bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz
+    frame = np.round(place).astype(int)
+    inside = (frame >= 0) & (frame < timebase.num_frames)
+    rows, frame = rows[inside], frame[inside]
+    return Leftovers(frame, bodies.camera[rows], bodies.seen_px[rows], bodies.score[rows])
 
 
 def _reported(person_rows: Sequence[Int[np.ndarray, " _"]], on_share: OnShare) -> Iterator[Int[np.ndarray, " rows"]]:

@@ -1,7 +1,7 @@
 """`multicap evaluate`: accuracy of reconstructions against a known truth."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -22,7 +22,7 @@ from pipeline.capture.session import open_session
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import Detector, Method, ReconstructionConfig
-from pipeline.data import Animation
+from pipeline.data import Animation, Camera, People, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
@@ -31,13 +31,15 @@ from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, sc
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.evaluation.simulated_feet import score_feet
+from pipeline.identity.identify import identify
 from pipeline.joints import COCO_17, COCO_18, JointSet
 from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, simulate
 from pipeline.skeleton.animate import animate
 from pipeline.stages.local import reconstruct
-from pipeline.tracking.associate import associate, locate_people, reconstruct_tracks
+from pipeline.tracking.associate import associate, locate_people, track_bodies
+from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
@@ -101,12 +103,15 @@ def shelf(
         identities = None
         if checked_method == "clustering":
             parameters = clustering_parameters(benchmark.cameras)
-            people = reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters)
+            people = People(*reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters))
         else:
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
             identities = associate(*views, limits)
             people = locate_people(*views, identities, benchmark.timebase, limits)
-        tracks = animate(*people, benchmark.cameras, benchmark.timebase, COCO_17, config).tracks
+        people = _told_apart(people, benchmark.cameras, benchmark.timebase, COCO_17, checked_method)
+        tracks = animate(
+            people.tracks, people.observations, benchmark.cameras, benchmark.timebase, COCO_17, config
+        ).tracks
         elapsed_s = time.perf_counter() - started_s
         result = {
             "method": checked_method,
@@ -261,20 +266,35 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
     started_s = time.perf_counter()
     if config.method == "clustering":
         parameters = clustering_parameters(simulation.cameras)
-        people = reconstruct_by_clustering(*views, simulation.joints, parameters)
+        people = People(*reconstruct_by_clustering(*views, simulation.joints, parameters))
     else:
         limits = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
-        people = reconstruct_tracks(*views, limits)
-    animation = animate(*people, simulation.cameras, simulation.timebase, simulation.joints, config)
+        bodies = gather(simulation.cameras, simulation.times, simulation.detections)
+        people = track_bodies(simulation.cameras, simulation.times, bodies, simulation.timebase, limits)
+    people = _told_apart(people, simulation.cameras, simulation.timebase, simulation.joints, config.method)
+    animation = animate(
+        people.tracks, people.observations, simulation.cameras, simulation.timebase, simulation.joints, config
+    )
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
     return _score(animation, simulation, simulation.joints) | {"fps": fps}
+
+
+def _told_apart(
+    people: People, cameras: Sequence[Camera], timebase: Timebase, joints: JointSet, method: Method
+) -> People:
+    """People after the global pass."""
+    min_score = 0.0 if method == "clustering" else derive_parameters(cameras, timebase.frame_rate_hz).min_score
+    return identify(people, cameras, joints, timebase, min_score)
 
 
 def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
-        people = cluster_fields(simulation, files)
-        animation = animate(*people, simulation.cameras, simulation.timebase, COCO_18, config)
+        people = People(*cluster_fields(simulation, files))
+        people = _told_apart(people, simulation.cameras, simulation.timebase, COCO_18, config.method)
+        animation = animate(
+            people.tracks, people.observations, simulation.cameras, simulation.timebase, COCO_18, config
+        )
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = _score(animation, simulation, COCO_18)
         parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}

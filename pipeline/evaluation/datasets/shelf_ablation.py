@@ -65,7 +65,7 @@ def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
         )
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
         identities = associate(*views, parameters)
-        tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
+        tracks = locate_people(*views, identities, benchmark.timebase, parameters).tracks
         rows.append(
             {
                 "weight_2d": weight_2d,
@@ -86,8 +86,8 @@ def _triangulations(benchmark: ShelfBenchmark) -> dict[str, dict[str, float]]:
     for kind in Triangulation:
         tracks, _ = locate_incrementally(*views, identities, benchmark.timebase, parameters, kind)
         by_kind[kind.value] = _parts(score_shelf(tracks, benchmark))
-    tracks, _ = locate_people(*views, identities, benchmark.timebase, parameters)
-    return {**by_kind, "robust": _parts(score_shelf(tracks, benchmark))}
+    robust = locate_people(*views, identities, benchmark.timebase, parameters).tracks
+    return {**by_kind, "robust": _parts(score_shelf(robust, benchmark))}
 
 
 def _parts(scores: dict[str, Any]) -> dict[str, float]:

@@ -1,0 +1,120 @@
+"""The global pass over a finished session: who is who.
+
+Tracks are cut wherever they may have gone over to another person, and the pieces are joined to people by all that the
+session tells: motion on both sides of each gap, and body proportions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pipeline.data import Camera, Doubt, People, Timebase
+from pipeline.geometry.track_assembly import Person, number_people
+from pipeline.identity.doubles import merge_doubles
+from pipeline.identity.ghosts import is_chance, mean_bodies
+from pipeline.identity.joining import Chain, Session, doubts_of, join
+from pipeline.identity.links import first_ends, last_ends, viewed_area_m2
+from pipeline.identity.merging import cut, merge
+from pipeline.identity.proportions import Proportions, changes, limb_lengths_m, measure, spread_of_a_second_m
+from pipeline.identity.second_look import look_again
+from pipeline.identity.tracklets import Moment, Tracklet, cut_at_gaps, cut_at_moments, encounters, path_of
+from pipeline.joints import JointSet
+
+
+def identify(
+    people: People,
+    cameras: Sequence[Camera],
+    joints: JointSet,
+    timebase: Timebase,
+    min_score: float,
+    most: int | None = None,
+) -> People:
+    """Find out who is who over a whole session.
+
+    Parameters
+    ----------
+    people
+        Tracks of association, and the observations behind them.
+    joints
+        Joint set of the tracks.
+    min_score
+        Observations with a lower score are not used.
+    most
+        Number of people to keep, those with the most observations; ``None``: all.
+
+    Returns
+    -------
+        One track a person, numbered from 1 in order of first appearance, with the doubts about its identity. Tracks
+        that may be chance are left out (``ghosts``).
+    """
+    tracks: list[Person] = list(zip(people.tracks, people.observations, strict=True))
+    num_bodies = mean_bodies(people.observations, timebase)
+    whole = cut_at_gaps([path_of(track, joints) for track, _ in tracks], timebase.frame_rate_hz)
+    pieces = [cut(tracks[piece.track], piece.start_frame, piece.stop_frame) for piece in whole]
+    pieces = merge_doubles(pieces, cameras, joints, timebase, min_score)
+    session = _session(pieces, joints, timebase.frame_rate_hz)
+    chains = join(session)
+    merged = [_merge(chain, session.tracklets, pieces, cameras, timebase, min_score) for chain in chains]
+    kept = [
+        (person, number)
+        for number, person in enumerate(merged)
+        if person is not None and not is_chance(person, cameras, timebase, num_bodies)
+    ]
+    if most is not None:
+        kept = sorted(kept, key=lambda entry: int(entry[0][0].views.sum()), reverse=True)[:most]
+    kept.sort(key=lambda entry: entry[0][0].start_frame)
+    found = [person for person, _ in kept]
+    if people.leftovers is not None:
+        found = look_again(found, people.leftovers, cameras, timebase, min_score)
+    numbers = {number: k for k, (_, number) in enumerate(kept, start=1)}
+    of_chains = doubts_of(session, chains)
+    doubts = [
+        [Doubt(one.frame, one.confidence, numbers.get(one.other, 0)) for one in of_chains[number]] for number in numbers
+    ]
+    return People(*number_people(found), people.num_approximate_frames, doubts)
+
+
+def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -> Session:
+    """Cut pieces of tracks at all moments of doubt, and measure what links the tracklets."""
+    paths = [path_of(track, joints) for track, _ in pieces]
+    lengths_m = [limb_lengths_m(track, joints) for track, _ in pieces]
+    spread_m = spread_of_a_second_m(lengths_m, frame_rate_hz)
+    moments = encounters(paths, frame_rate_hz) + [
+        Moment(path.start_frame + row, (number,))
+        for number, (path, of_piece_m) in enumerate(zip(paths, lengths_m, strict=True))
+        for row in changes(of_piece_m, spread_m, frame_rate_hz)
+    ]
+    whole = [Tracklet(number, path.start_frame, path.stop_frame) for number, path in enumerate(paths)]
+    tracklets = cut_at_moments(whole, sorted(moments))
+    measured = [
+        measure(lengths_m[one.track][one.start_frame - start : one.stop_frame - start], frame_rate_hz)
+        for one in tracklets
+        for start in [paths[one.track].start_frame]
+    ]
+    return Session(
+        tracklets,
+        first_ends(tracklets, paths, frame_rate_hz),
+        last_ends(tracklets, paths, frame_rate_hz),
+        Proportions(measured, spread_m),
+        viewed_area_m2(paths) if paths else 0.0,
+    )
+
+
+def _merge(
+    chain: Chain,
+    tracklets: Sequence[Tracklet],
+    pieces: Sequence[Person],
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    min_score: float,
+) -> Person | None:
+    """Make one track of a chain; the track of association itself if it is unchanged."""
+    parts: list[Tracklet] = []
+    for number in chain:
+        following = tracklets[number]
+        if parts and (parts[-1].track, parts[-1].stop_frame) == (following.track, following.start_frame):
+            parts[-1] = replace(parts[-1], stop_frame=following.stop_frame)
+        else:
+            parts.append(following)
+    return merge(
+        [cut(pieces[part.track], part.start_frame, part.stop_frame) for part in parts], cameras, timebase, min_score
+    )

@@ -1,0 +1,288 @@
+"""Join tracklets to people: the partition with the greatest likelihood over the whole session.
+
+A person is a chain of tracklets, one after the other in time. Its log-likelihood is that of its body proportions
+(``proportions``) plus the log-likelihood ratios of its links (``links``). The search starts from the best links by
+pairs of tracklets, an assignment that is solved exactly, and then changes pairs of chains while the likelihood of the
+whole session grows.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from pipeline.data import Doubt
+from pipeline.identity.links import Ends, link_scores
+from pipeline.identity.proportions import Proportions
+from pipeline.identity.tracklets import Tracklet
+
+Chain = tuple[int, ...]
+# A change that gains less is rounding error. And the logarithm of the odds from which on nobody doubts: 0.99.
+_LEAST_GAIN = 1e-6
+_CERTAIN = 4.6
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """Tracklets of a session, and what links them.
+
+    Parameters
+    ----------
+    tracklets
+        All tracklets, sorted by first frame.
+    first, last
+        Their ends.
+    proportions
+        Their body proportions, in the same order.
+    area_m2
+        See ``links.viewed_area_m2``.
+    """
+
+    tracklets: Sequence[Tracklet]
+    first: Ends
+    last: Ends
+    proportions: Proportions
+    area_m2: float
+
+
+def join(session: Session) -> list[Chain]:
+    """Join tracklets to chains, a person each, in order of their first tracklets."""
+    search = _Search(session, _first_chains(session))
+    search.run()
+    return sorted(chain for chain in search.chains if chain)
+
+
+def doubts_of(session: Session, chains: Sequence[Chain]) -> list[list[Doubt]]:
+    """Doubts about each of the joined chains, in order of time; the other person is the number of a chain, or -1."""
+    return _Search(session, chains).doubts()
+
+
+def _first_chains(session: Session) -> list[Chain]:
+    """Chains by the assignment with the greatest sum of scores of pairs; tracks go on at encounters."""
+    count = len(session.tracklets)
+    following = np.full(count, -1)
+    cut_before = {(one.track, one.cut_before): number for number, one in enumerate(session.tracklets)}
+    for number, one in enumerate(session.tracklets):
+        if one.cut_after >= 0:
+            following[number] = cut_before[one.track, one.cut_after]
+    ends = np.flatnonzero(session.last.cut < 0)
+    starts = np.flatnonzero(session.first.cut < 0)
+    gain = _pair_gains(session, ends, starts)
+    rows, columns = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
+    chosen = gain[rows, columns] > _LEAST_GAIN
+    following[ends[rows[chosen]]] = starts[columns[chosen]]
+    return list(_follow(following))
+
+
+def _pair_gains(
+    session: Session, ends: Int[np.ndarray, " ends"], starts: Int[np.ndarray, " starts"]
+) -> Float[np.ndarray, "ends starts"]:
+    """Gain of the likelihood by linking pairs of tracklets."""
+    proportions = session.proportions
+    last, first = session.last.rows(ends[:, None]), session.first.rows(starts[None])
+    alone = proportions.log_likelihood(proportions.information, proportions.pull)
+    gain = link_scores(last, first, session.area_m2)
+    for row, end in enumerate(ends.tolist()):
+        together = proportions.log_likelihood(
+            proportions.information[end] + proportions.information[starts],
+            proportions.pull[end] + proportions.pull[starts],
+        )
+        gain[row] += together - alone[end] - alone[starts]
+    return gain
+
+
+def _follow(following: Int[np.ndarray, " n"]) -> Iterator[Chain]:
+    """Chains of tracklets from each tracklet's follower, -1 for none."""
+    begins = np.ones(len(following), bool)
+    begins[following[following >= 0]] = False
+    for start in np.flatnonzero(begins).tolist():
+        chain = [start]
+        while following[chain[-1]] >= 0:
+            chain.append(int(following[chain[-1]]))
+        yield tuple(chain)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """Sums over the first tracklets of a chain, and the scores of the links up to each; from none to all."""
+
+    information: Float[np.ndarray, "borders limbs"]
+    pull: Float[np.ndarray, "borders limbs"]
+    links: Float[np.ndarray, " borders"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Exchanges:
+    """Exchanges of the ends of two chains: numbers of tracklets that stay, and gains of the likelihood."""
+
+    kept: Int[np.ndarray, "exchanges 2"]
+    gain: Float[np.ndarray, " exchanges"]
+
+
+class _Search:
+    """Search for the most likely chains by exchanges of their ends; an empty chain is the place of new people."""
+
+    def __init__(self, session: Session, chains: Sequence[Chain]) -> None:
+        self._session = session
+        self.chains: list[Chain] = [*chains, ()]
+        self._sums = [self._sum(chain) for chain in self.chains]
+        self._start = np.array([one.start_frame for one in session.tracklets])
+        self._stop = np.array([one.stop_frame for one in session.tracklets])
+
+    def run(self) -> None:
+        """Change pairs of chains, the greatest gain first, until nothing is gained."""
+        best = {pair: self._best(*pair) for pair in self._pairs(range(len(self.chains)))}
+        while best:
+            (one, other), (gain, left, right) = max(best.items(), key=lambda entry: entry[1][0])
+            if gain <= _LEAST_GAIN:
+                return
+            self._set(one, left)
+            self._set(other, right)
+            changed = [one, other]
+            if () not in self.chains:
+                self.chains.append(())
+                self._sums.append(self._sum(()))
+                changed.append(len(self.chains) - 1)
+            best |= {pair: self._best(*pair) for pair in self._pairs(changed)}
+
+    def doubts(self) -> list[list[Doubt]]:
+        """See ``doubts_of``: the best exchange at each border of a chain, if it is nearly as likely."""
+        found: list[dict[int, tuple[float, int]]] = [{} for _ in self.chains]
+        for one in range(len(self.chains)):
+            for other in range(one + 1, len(self.chains)):
+                exchanges = self._exchanges(one, other)
+                for kept, gain in zip(exchanges.kept.tolist(), exchanges.gain.tolist(), strict=True):
+                    for chain, twin, border in ((one, other, kept[0]), (other, one, kept[1])):
+                        if gain > found[chain].get(border, (-np.inf, 0))[0]:
+                            found[chain][border] = gain, twin if self.chains[twin] else -1
+        return [
+            [
+                Doubt(self._frame(chain, border), _probability(-gain), other)
+                for border, (gain, other) in sorted(of_chain.items())
+                if gain > -_CERTAIN
+            ]
+            for chain, of_chain in zip(self.chains, found, strict=True)
+            if chain
+        ]
+
+    def _frame(self, chain: Chain, border: int) -> int:
+        return int(self._start[chain[border]]) if border < len(chain) else int(self._stop[chain[-1]])
+
+    def _pairs(self, changed: Sequence[int] | range) -> set[tuple[int, int]]:
+        every = range(len(self.chains))
+        return {(min(one, other), max(one, other)) for one in changed for other in every if one != other}
+
+    def _set(self, number: int, chain: Chain) -> None:
+        self.chains[number] = chain
+        self._sums[number] = self._sum(chain)
+
+    def _sum(self, chain: Chain) -> _Sums:
+        session, members = self._session, np.array(chain, int)
+        scores = link_scores(session.last.rows(members[:-1]), session.first.rows(members[1:]), session.area_m2)
+        return _Sums(
+            _from_zero(session.proportions.information[members]),
+            _from_zero(session.proportions.pull[members]),
+            np.concatenate([np.zeros(min(2, len(chain) + 1)), np.cumsum(scores)]),
+        )
+
+    def _best(self, one: int, other: int) -> tuple[float, Chain, Chain]:
+        """Gain of the best change of two chains, and the chains after it."""
+        left, right = self.chains[one], self.chains[other]
+        options: list[tuple[float, Chain, Chain]] = [(-np.inf, left, right)]
+        exchanges = self._exchanges(one, other)
+        if len(exchanges.gain):
+            best = int(np.argmax(exchanges.gain))
+            kept = exchanges.kept[best].tolist()
+            gain = float(exchanges.gain[best])
+            options.append((gain, left[: kept[0]] + right[kept[1] :], right[: kept[1]] + left[kept[0] :]))
+        now = self._value(left) + self._value(right)
+        for outer, inner in ((left, right), (right, left)):
+            if whole := self._inserted(outer, inner):
+                options.append((self._value(whole) - now, whole, ()))
+        return max(options, key=lambda option: option[0])
+
+    def _inserted(self, outer: Chain, inner: Chain) -> Chain:
+        """Chain with another one in a gap between two of its tracklets; empty if there is no such gap."""
+        if len(outer) < 2 or not inner:
+            return ()
+        border = int(np.searchsorted(self._start[list(outer)], self._start[inner[0]]))
+        fits = (
+            0 < border < len(outer)
+            and self._stop[outer[border - 1]] <= self._start[inner[0]]
+            and self._stop[inner[-1]] <= self._start[outer[border]]
+        )
+        return (*outer[:border], *inner, *outer[border:]) if fits else ()
+
+    def _value(self, chain: Chain) -> float:
+        """Log-likelihood of a chain."""
+        sums = self._sum(chain)
+        value = self._session.proportions.log_likelihood(sums.information[-1], sums.pull[-1])
+        return float(value + sums.links[-1])
+
+    def _exchanges(self, one: int, other: int) -> _Exchanges:
+        """All exchanges of the ends of two chains that keep the order of time."""
+        kept = self._borders(self.chains[one], self.chains[other])
+        sums = self._sums[one], self._sums[other]
+        gain = np.zeros(len(kept))
+        for head, tail in ((0, 1), (1, 0)):
+            links, possible = self._joined(head, tail, (one, other), kept)
+            gain += np.where(possible, links, -np.inf)
+            information = _head(sums[head].information, kept[:, head]) + _tail(sums[tail].information, kept[:, tail])
+            pull = _head(sums[head].pull, kept[:, head]) + _tail(sums[tail].pull, kept[:, tail])
+            gain += self._session.proportions.log_likelihood(information, pull)
+        for of_chain in sums:
+            gain -= self._session.proportions.log_likelihood(of_chain.information[-1], of_chain.pull[-1])
+            gain -= of_chain.links[-1]
+        return _Exchanges(kept, gain)
+
+    def _borders(self, one: Chain, other: Chain) -> Int[np.ndarray, "exchanges 2"]:
+        """Numbers of tracklets that each chain may keep, except for exchanges that change nothing."""
+        left, right = np.array(one, int), np.array(other, int)
+        # The next tracklet of each chain must not begin before the last kept one of the other chain ends.
+        stop = [np.append(-np.inf, self._stop[chain]) for chain in (left, right)]
+        start = [np.append(self._start[chain], np.inf) for chain in (left, right)]
+        lowest = np.searchsorted(start[1], stop[0], side="left")
+        highest = np.searchsorted(stop[1], start[0], side="right") - 1
+        counts = np.maximum(highest - lowest + 1, 0)
+        first = np.repeat(np.arange(len(left) + 1), counts)
+        place = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+        kept = np.column_stack([first, np.repeat(lowest, counts) + place])
+        nothing = (kept == 0).all(-1) | (kept == [len(left), len(right)]).all(-1)
+        return kept[~nothing]
+
+    def _joined(
+        self, head: int, tail: int, chains: tuple[int, int], kept: Int[np.ndarray, "exchanges 2"]
+    ) -> tuple[Float[np.ndarray, " exchanges"], np.ndarray]:
+        """Scores of the links of a head of one chain with a tail of the other, and whether the link is possible."""
+        front, back = self.chains[chains[head]], self.chains[chains[tail]]
+        before, after = self._sums[chains[head]], self._sums[chains[tail]]
+        links = before.links[kept[:, head]]
+        # The link at the border itself belongs neither to the head nor to the tail.
+        begins = np.minimum(kept[:, tail] + 1, len(back))
+        links = links + after.links[-1] - after.links[begins]
+        both = (kept[:, head] > 0) & (kept[:, tail] < len(back))
+        scores = np.zeros(len(kept))
+        if both.any():
+            session = self._session
+            ends = np.array(front, int)[kept[both, head] - 1]
+            starts = np.array(back, int)[kept[both, tail]]
+            scores[both] = link_scores(session.last.rows(ends), session.first.rows(starts), session.area_m2)
+        return links + scores, np.isfinite(scores)
+
+
+def _from_zero(values: Float[np.ndarray, "n limbs"]) -> Float[np.ndarray, "borders limbs"]:
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+
+
+def _head(sums: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    return np.asarray(sums[kept])
+
+
+def _tail(sums: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    return np.asarray(sums[-1] - sums[kept])
+
+
+def _probability(log_odds: float) -> float:
+    return float(1 / (1 + np.exp(-log_odds)))

@@ -1,0 +1,131 @@
+"""Log-likelihood ratios of links between tracklets: motion across the gap, against an unrelated person."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.identity.tracklets import Path, Tracklet
+
+# Stretch of a path from which its velocity at an end is measured, and longest time for which it is extrapolated.
+_VELOCITY_S, _EXTRAPOLATED_S = 0.4, 0.3
+# Standard deviation of a body's position after a gap: at once, for each second, and at most.
+_NOISE_M, _WANDER_M_S, _FARTHEST_M = 0.15, 1.2, 3.0
+# Nobody is faster on average, beside the noise of both ends.
+_FASTEST_M_S, _FASTEST_NOISE_M = 6.0, 0.6
+# Time after which the place says little of the person, and share of bodies that are anywhere even at once.
+_FORGOTTEN_S, _ANYWHERE = 2.0, 1e-3
+_SMALLEST_AREA_M2 = 10.0
+# Log-odds, before any measurement, that a track that goes on at an encounter is of one person; that a person who is
+# lost is found again at once; and that a person who went away is the one who comes later.
+_STRAIGHT, _FOUND, _RETURNED = 3.0, 2.0, -1.0
+
+
+class Ends(NamedTuple):
+    """Ends of tracklets, as arrays of one row each.
+
+    Parameters
+    ----------
+    time_s
+        Time of the first or last frame.
+    xyz_m, velocity_m_s
+        Position and velocity there.
+    track, cut
+        Track and encounter of the end, see ``Tracklet``.
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    xyz_m: Float[np.ndarray, "n 3"]
+    velocity_m_s: Float[np.ndarray, "n 3"]
+    track: Int[np.ndarray, " n"]
+    cut: Int[np.ndarray, " n"]
+
+    def rows(self, index: Int[np.ndarray, " k"]) -> "Ends":
+        """Some of the ends."""
+        return Ends(*(values[index] for values in self))
+
+
+def first_ends(tracklets: Sequence[Tracklet], paths: Sequence[Path], frame_rate_hz: float) -> Ends:
+    """Gather the first frames of all tracklets."""
+    reach = max(2, round(_VELOCITY_S * frame_rate_hz))
+    frames = [np.arange(one.start_frame, min(one.start_frame + reach, one.stop_frame)) for one in tracklets]
+    return _ends(tracklets, paths, frames, [one.cut_before for one in tracklets], 0, frame_rate_hz)
+
+
+def last_ends(tracklets: Sequence[Tracklet], paths: Sequence[Path], frame_rate_hz: float) -> Ends:
+    """Gather the last frames of all tracklets."""
+    reach = max(2, round(_VELOCITY_S * frame_rate_hz))
+    frames = [np.arange(max(one.stop_frame - reach, one.start_frame), one.stop_frame) for one in tracklets]
+    return _ends(tracklets, paths, frames, [one.cut_after for one in tracklets], -1, frame_rate_hz)
+
+
+def _ends(
+    tracklets: Sequence[Tracklet],
+    paths: Sequence[Path],
+    frames: Sequence[Int[np.ndarray, " _"]],
+    cuts: Sequence[int],
+    end: int,
+    frame_rate_hz: float,
+) -> Ends:
+    fitted = [
+        _fit(paths[one.track].at(of_end), (of_end - of_end[end]) / frame_rate_hz)
+        for one, of_end in zip(tracklets, frames, strict=True)
+    ]
+    return Ends(
+        np.array([of_end[end] / frame_rate_hz for of_end in frames]),
+        np.array([xyz_m for xyz_m, _ in fitted]).reshape(-1, 3),
+        np.array([velocity_m_s for _, velocity_m_s in fitted]).reshape(-1, 3),
+        np.array([one.track for one in tracklets], int),
+        np.array(cuts, int),
+    )
+
+
+def _fit(
+    xyz_m: Float[np.ndarray, "frames 3"], time_s: Float[np.ndarray, " frames"]
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Position and velocity at time 0 by linear least squares; no velocity if it is hardly determined."""
+    known = np.isfinite(xyz_m[:, 0])
+    xyz_m, time_s = xyz_m[known], time_s[known]
+    spread_s = np.ptp(time_s)
+    if spread_s < _VELOCITY_S / 2:
+        return xyz_m[np.argmin(np.abs(time_s))], np.zeros(3)
+    middle_s = time_s.mean()
+    centred_s = time_s - middle_s
+    velocity_m_s = centred_s @ xyz_m / (centred_s**2).sum()
+    return xyz_m.mean(0) - middle_s * velocity_m_s, velocity_m_s
+
+
+def viewed_area_m2(paths: Sequence[Path]) -> float:
+    """Area of the floor on which people were seen."""
+    xy_m = np.concatenate([path.xyz_m[:, :2] for path in paths])
+    xy_m = xy_m[np.isfinite(xy_m[:, 0])]
+    return float(max(_SMALLEST_AREA_M2, np.prod(np.percentile(xy_m, 99, axis=0) - np.percentile(xy_m, 1, axis=0))))
+
+
+def link_scores(last: Ends, first: Ends, area_m2: float) -> Float[np.ndarray, "*batch"]:
+    """Log-likelihood ratio that a person's tracklet is followed by another one: the same person, or not.
+
+    Parameters
+    ----------
+    last, first
+        Ends of the earlier and beginnings of the later tracklets; their arrays are broadcast against each other.
+
+    Returns
+    -------
+        Ratio of each pair; minus infinity where the later tracklet does not come later, or nobody is as fast.
+    """
+    gap_s = first.time_s - last.time_s
+    ahead_s = np.clip(gap_s / 2, 0.0, _EXTRAPOLATED_S)[..., None]
+    between_m = (first.xyz_m - ahead_s * first.velocity_m_s) - (last.xyz_m + ahead_s * last.velocity_m_s)
+    squared_m2 = (between_m[..., :2] ** 2).sum(-1)
+    apart_m = np.linalg.norm(first.xyz_m - last.xyz_m, axis=-1)
+    possible: Bool[np.ndarray, "*batch"] = (gap_s > 0) & (apart_m <= _FASTEST_NOISE_M + _FASTEST_M_S * gap_s)
+    variance_m2 = np.minimum(_NOISE_M + _WANDER_M_S * np.maximum(gap_s, 0.0), _FARTHEST_M) ** 2
+    near = np.exp(-0.5 * squared_m2 / variance_m2) / (2 * np.pi * variance_m2) * area_m2
+    recent = np.exp(-np.maximum(gap_s, 0.0) / _FORGOTTEN_S) * (1 - _ANYWHERE)
+    motion = np.log(recent * near + (1 - recent) * np.maximum(near, 1.0))
+    same_cut = (last.cut >= 0) & (last.cut == first.cut)
+    prior = _RETURNED + (_FOUND - _RETURNED) * recent
+    prior = np.where(same_cut, np.where(last.track == first.track, _STRAIGHT, 0.0), prior)
+    return np.where(possible, motion + prior, -np.inf)
