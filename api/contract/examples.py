@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 from api.errors import title_of
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, STAGE_BY_NAME
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, STAGE_BY_NAME
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
@@ -121,6 +121,7 @@ _JOB: dict[str, Any] = {
     "stages": [
         _stage(DETECT, "running", 150, 600),
         _stage(ASSOCIATE, "waiting", 0, 1),
+        _stage(IDENTIFY, "waiting", 0, 1),
         _stage(FIT, "waiting", 0, 1),
         _stage(EXPORT, "waiting", 0, 1),
     ],

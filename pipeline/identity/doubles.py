@@ -4,7 +4,7 @@ One person is in one place at one time, and has one body in each picture. So two
 the same place while hardly any picture shows both of them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from pipeline.data import Camera, Timebase
 from pipeline.geometry.track_assembly import Person
 from pipeline.identity.merging import merge
-from pipeline.identity.tracklets import Path, path_of
+from pipeline.identity.tracklets import Path, pairs_within, path_of
 from pipeline.joints import JointSet
 
 # Median distance of the trunks of one person's tracks, and share of the pictures of one that show the other as well.
@@ -35,34 +35,28 @@ def merge_doubles(
         See ``merging.merge``.
     """
     paths = [path_of(track, joints) for track, _ in pieces]
-    shared: dict[tuple[int, int], int] = {}
-    different: set[tuple[int, int]] = set()
-    for one, other in _at_the_same_time(paths):
-        num_frames = min(paths[one].stop_frame, paths[other].stop_frame) - paths[other].start_frame
-        if _is_same_place(paths[one], paths[other]) and _is_one_body(pieces[one], pieces[other]):
-            shared[one, other] = num_frames
-        else:
-            different |= {(one, other), (other, one)}
+    shared = {
+        (one, other): min(paths[one].stop_frame, paths[other].stop_frame) - paths[other].start_frame
+        for one, other in pairs_within(paths, _SAME_PLACE_M)
+        if _is_same_place(paths[one], paths[other]) and _is_one_body(pieces[one], pieces[other])
+    }
+
+    def may_be_one(one: int, other: int) -> bool:
+        is_apart_in_time = (
+            paths[one].stop_frame <= paths[other].start_frame or paths[other].stop_frame <= paths[one].start_frame
+        )
+        return is_apart_in_time or (min(one, other), max(one, other)) in shared
+
     group = {number: [number] for number in range(len(pieces))}
     for one, other in sorted(shared, key=lambda pair: (-shared[pair], pair)):
         left, right = group[one], group[other]
         # A track near two people must not make one person of them.
-        if left is not right and not any((a, b) in different for a in left for b in right):
+        if left is not right and all(may_be_one(a, b) for a in left for b in right):
             left += right
             group |= dict.fromkeys(right, left)
     groups = {id(members): members for members in group.values()}.values()
     merged = (merge([pieces[number] for number in sorted(members)], cameras, timebase, min_score) for members in groups)
     return [person for person in merged if person is not None]
-
-
-def _at_the_same_time(paths: Sequence[Path]) -> Iterator[tuple[int, int]]:
-    """Pairs of paths that overlap in time, the earlier one first."""
-    order = np.argsort([path.start_frame for path in paths], kind="stable").tolist()
-    for place, one in enumerate(order):
-        for other in order[place + 1 :]:
-            if paths[other].start_frame >= paths[one].stop_frame:
-                break
-            yield one, other
 
 
 def _is_same_place(one: Path, other: Path) -> bool:
@@ -81,7 +75,7 @@ def _is_one_body(one: Person, other: Person) -> bool:
     pictures = [of_person.sum(-1) >= _MIN_JOINTS for of_person in found]
     both = pictures[0] & pictures[1]
     both &= ~_is_found_twice(points_px[0], points_px[1])
-    return both.sum() <= _BOTH_SEEN * min(of_person.sum() for of_person in pictures)
+    return bool(both.sum() <= _BOTH_SEEN * min(of_person.sum() for of_person in pictures))
 
 
 def _is_found_twice(

@@ -6,6 +6,7 @@ probability that the band around its epipolar line covers, times the number of b
 camera with that of the disc around a point. Moments count once a fifth of a second, because wrong detections last.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -36,7 +37,7 @@ def is_chance(person: Person, cameras: Sequence[Camera], timebase: Timebase, num
     num_bodies
         Mean number of bodies in a picture.
     """
-    return log_false_alarms(person, cameras, timebase, num_bodies) > np.log(_MAX_FALSE_ALARMS)
+    return log_false_alarms(person, cameras, timebase, num_bodies) > math.log(_MAX_FALSE_ALARMS)
 
 
 def log_false_alarms(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> float:

@@ -22,6 +22,9 @@ Chain = tuple[int, ...]
 # A change that gains less is rounding error. And the logarithm of the odds from which on nobody doubts: 0.99.
 _LEAST_GAIN = 1e-6
 _CERTAIN = 4.6
+# Limits of the work for a hostile session: ends of tracklets that are assigned, chains that are changed, and changes.
+# The longest are taken. Sessions of ten people for ten minutes have a tenth of that.
+_MOST_ENDS, _MOST_CHAINS, _MOST_CHANGES = 2_000, 200, 2_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +52,23 @@ class Session:
 
 def join(session: Session) -> list[Chain]:
     """Join tracklets to chains, a person each, in order of their first tracklets."""
-    search = _Search(session, _first_chains(session))
+    chains = sorted(_first_chains(session), key=lambda chain: -_num_frames(session, chain))
+    search = _Search(session, chains[:_MOST_CHAINS])
     search.run()
-    return sorted(chain for chain in search.chains if chain)
+    return sorted([*filter(None, search.chains), *chains[_MOST_CHAINS:]])
 
 
 def doubts_of(session: Session, chains: Sequence[Chain]) -> list[list[Doubt]]:
     """Doubts about each of the joined chains, in order of time; the other person is the number of a chain, or -1."""
-    return _Search(session, chains).doubts()
+    by_length = sorted(range(len(chains)), key=lambda number: -_num_frames(session, chains[number]))[:_MOST_CHAINS]
+    doubts: list[list[Doubt]] = [[] for _ in chains]
+    for number, found in zip(by_length, _Search(session, [chains[one] for one in by_length]).doubts(), strict=True):
+        doubts[number] = [one._replace(other=by_length[one.other] if one.other >= 0 else -1) for one in found]
+    return doubts
+
+
+def _num_frames(session: Session, chain: Chain) -> int:
+    return sum(session.tracklets[one].stop_frame - session.tracklets[one].start_frame for one in chain)
 
 
 def _first_chains(session: Session) -> list[Chain]:
@@ -67,13 +79,19 @@ def _first_chains(session: Session) -> list[Chain]:
     for number, one in enumerate(session.tracklets):
         if one.cut_after >= 0:
             following[number] = cut_before[one.track, one.cut_after]
-    ends = np.flatnonzero(session.last.cut < 0)
-    starts = np.flatnonzero(session.first.cut < 0)
+    length = np.array([one.stop_frame - one.start_frame for one in session.tracklets], int)
+    ends = _longest(np.flatnonzero(session.last.cut < 0), length)
+    starts = _longest(np.flatnonzero(session.first.cut < 0), length)
     gain = _pair_gains(session, ends, starts)
     rows, columns = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
     chosen = gain[rows, columns] > _LEAST_GAIN
     following[ends[rows[chosen]]] = starts[columns[chosen]]
     return list(_follow(following))
+
+
+def _longest(tracklets: Int[np.ndarray, " n"], length: Int[np.ndarray, " _"]) -> Int[np.ndarray, " most"]:
+    """The longest of some tracklets, in their order."""
+    return np.sort(tracklets[np.argsort(-length[tracklets], kind="stable")[:_MOST_ENDS]])
 
 
 def _pair_gains(
@@ -134,7 +152,7 @@ class _Search:
     def run(self) -> None:
         """Change pairs of chains, the greatest gain first, until nothing is gained."""
         best = {pair: self._best(*pair) for pair in self._pairs(range(len(self.chains)))}
-        while best:
+        for _ in range(_MOST_CHANGES if best else 0):
             (one, other), (gain, left, right) = max(best.items(), key=lambda entry: entry[1][0])
             if gain <= _LEAST_GAIN:
                 return

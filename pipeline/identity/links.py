@@ -12,13 +12,17 @@ from pipeline.identity.tracklets import Path, Tracklet
 _VELOCITY_S, _EXTRAPOLATED_S = 0.4, 0.3
 # Standard deviation of a body's position after a gap: at once, for each second, and at most.
 _NOISE_M, _WANDER_M_S, _FARTHEST_M = 0.15, 1.2, 3.0
+# Standard deviation along each axis of the change of a person's velocity at once and for each second, and of the
+# difference of the velocities of unrelated people.
+_CHANGE_M_S, _ACCELERATION_M_S2, _UNRELATED_M_S = 0.6, 2.0, 1.2
 # Nobody is faster on average, beside the noise of both ends.
 _FASTEST_M_S, _FASTEST_NOISE_M = 6.0, 0.6
 # Time after which the place says little of the person, and share of bodies that are anywhere even at once.
 _FORGOTTEN_S, _ANYWHERE = 2.0, 1e-3
 _SMALLEST_AREA_M2 = 10.0
-# Log-odds, before any measurement, that a track that goes on at an encounter is of one person; that a person who is
-# lost is found again at once; and that a person who went away is the one who comes later.
+# Log-odds, before any measurement, that a track that goes on at a moment of doubt is of one person (two tracks at an
+# encounter count twice); that a person who is lost is found again at once; and that a person who went away is the one
+# who comes later.
 _STRAIGHT, _FOUND, _RETURNED = 3.0, 2.0, -1.0
 
 
@@ -41,7 +45,7 @@ class Ends(NamedTuple):
     track: Int[np.ndarray, " n"]
     cut: Int[np.ndarray, " n"]
 
-    def rows(self, index: Int[np.ndarray, " k"]) -> "Ends":
+    def rows(self, index: Int[np.ndarray, "*batch"]) -> "Ends":
         """Some of the ends."""
         return Ends(*(values[index] for values in self))
 
@@ -125,6 +129,9 @@ def link_scores(last: Ends, first: Ends, area_m2: float) -> Float[np.ndarray, "*
     near = np.exp(-0.5 * squared_m2 / variance_m2) / (2 * np.pi * variance_m2) * area_m2
     recent = np.exp(-np.maximum(gap_s, 0.0) / _FORGOTTEN_S) * (1 - _ANYWHERE)
     motion = np.log(recent * near + (1 - recent) * np.maximum(near, 1.0))
+    change_m_s = np.minimum(_CHANGE_M_S + _ACCELERATION_M_S2 * np.maximum(gap_s, 0.0), _UNRELATED_M_S)
+    squared_m2_s2 = ((first.velocity_m_s - last.velocity_m_s)[..., :2] ** 2).sum(-1)
+    motion += 2 * np.log(_UNRELATED_M_S / change_m_s) - squared_m2_s2 / 2 * (1 / change_m_s**2 - 1 / _UNRELATED_M_S**2)
     same_cut = (last.cut >= 0) & (last.cut == first.cut)
     prior = _RETURNED + (_FOUND - _RETURNED) * recent
     prior = np.where(same_cut, np.where(last.track == first.track, _STRAIGHT, 0.0), prior)

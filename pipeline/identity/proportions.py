@@ -5,7 +5,7 @@ second each, of the person's own lengths, which come from a normal distribution 
 measurements are of one person is known in closed form, without a threshold.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,26 +144,22 @@ def changes(
         for values in (proportions.information, proportions.pull)
     )
 
-    def bisect(first: int, last: int) -> Iterator[int]:
+    def between(start: Int[np.ndarray, " _"] | int, stop: Int[np.ndarray, " _"] | int) -> np.ndarray:
+        return proportions.log_likelihood(information[stop] - information[start], pull[stop] - pull[start])
+
+    rows, spans = [], [(0, len(starts))]
+    while spans:
+        first, last = spans.pop()
         borders = np.arange(first + 1, last)
-        if not len(borders):
-            return
-
-        def between(start: Int[np.ndarray, " _"] | int, stop: Int[np.ndarray, " _"] | int) -> np.ndarray:
-            return proportions.log_likelihood(information[stop] - information[start], pull[stop] - pull[start])
-
         gain = between(first, borders) + between(borders, last) - between(first, last)
-        best = int(np.argmax(gain))
-        if gain[best] > _CHANGE:
-            border = int(borders[best])
-            yield from bisect(first, border)
-            around = slice(int(starts[border - 1]), int(starts[border]) + stretch)
-            yield around.start + _change_row(
-                lengths_m[around], measured[border - 1].median_m, measured[border].median_m
-            )
-            yield from bisect(border, last)
-
-    return list(bisect(0, len(starts)))
+        if not (gain > _CHANGE).any():
+            continue
+        border = int(borders[np.argmax(gain)])
+        spans += [(first, border), (border, last)]
+        around = slice(int(starts[border - 1]), int(starts[border]) + stretch)
+        before_m, after_m = measured[border - 1].median_m, measured[border].median_m
+        rows.append(around.start + _change_row(lengths_m[around], before_m, after_m))
+    return sorted(rows)
 
 
 def _change_row(
@@ -178,7 +174,7 @@ def _change_row(
 
 
 def spread_of_a_second_m(
-    lengths_m: Sequence[Float[np.ndarray, "frames limbs 2"]], frame_rate_hz: float
+    lengths_m: Sequence[Float[np.ndarray, "_ limbs 2"]], frame_rate_hz: float
 ) -> Float[np.ndarray, " limbs"]:
     """Standard deviation of a limb's length measured for a second, from the seconds of each track.
 

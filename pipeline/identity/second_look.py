@@ -39,7 +39,7 @@ def look_again(
         Observations with a lower score are not used.
     """
     distance_m = [_distances_m(person, left, cameras, timebase) for person in people]
-    claimed = _assign(np.array(distance_m).reshape(len(people), -1), left)
+    claimed = _assign(np.array(distance_m).reshape(len(people), len(left.frame)), left)
     return [
         _with_bodies(person, left, np.flatnonzero(claimed == number), cameras, timebase, min_score)
         for number, person in enumerate(people)

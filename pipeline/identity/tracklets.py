@@ -111,20 +111,29 @@ class Moment:
 
 def encounters(paths: Sequence[Path], frame_rate_hz: float) -> list[Moment]:
     """Find the moments at which two tracks came so near that they may have been exchanged."""
+    longest_gap = round(_LONGEST_GAP_S * frame_rate_hz)
     found = []
-    for one in range(len(paths)):
-        for other in range(one + 1, len(paths)):
-            start = max(paths[one].start_frame, paths[other].start_frame)
-            stop = min(paths[one].stop_frame, paths[other].stop_frame)
-            if start >= stop:
-                continue
-            rows = [slice(start - path.start_frame, stop - path.start_frame) for path in (paths[one], paths[other])]
-            apart_m = np.linalg.norm(paths[one].xyz_m[rows[0]] - paths[other].xyz_m[rows[1]], axis=-1)
-            found += [
-                Moment(start + nearest, (one, other))
-                for nearest in _nearest(apart_m, round(_LONGEST_GAP_S * frame_rate_hz))
-            ]
+    for one, other in pairs_within(paths, _REACH_M):
+        start = max(paths[one].start_frame, paths[other].start_frame)
+        stop = min(paths[one].stop_frame, paths[other].stop_frame)
+        rows = [slice(start - path.start_frame, stop - path.start_frame) for path in (paths[one], paths[other])]
+        apart_m = np.linalg.norm(paths[one].xyz_m[rows[0]] - paths[other].xyz_m[rows[1]], axis=-1)
+        found += [Moment(start + nearest, (one, other)) for nearest in _nearest(apart_m, longest_gap)]
     return found
+
+
+def pairs_within(paths: Sequence[Path], reach_m: float) -> Iterator[tuple[int, int]]:
+    """Pairs of paths that overlap in time and whose bounding boxes are within reach of each other."""
+    if not paths:
+        return
+    low_m = np.array([np.fmin.reduce(path.xyz_m) for path in paths])
+    high_m = np.array([np.fmax.reduce(path.xyz_m) for path in paths])
+    start, stop = (np.array([getattr(path, name) for path in paths]) for name in ("start_frame", "stop_frame"))
+    for one in range(len(paths)):
+        later = slice(one + 1, None)
+        near = (low_m[later] <= high_m[one] + reach_m).all(-1) & (high_m[later] >= low_m[one] - reach_m).all(-1)
+        near &= (start[later] < stop[one]) & (stop[later] > start[one])
+        yield from ((one, one + 1 + int(other)) for other in np.flatnonzero(near))
 
 
 def _nearest(apart_m: Float[np.ndarray, " frames"], longest_gap: int) -> Iterator[int]:

@@ -14,6 +14,8 @@ from pipeline.quality.names import first_names
 
 # With fewer views, a wrong observation can't be detected.
 _MIN_VIEWS = 3
+# Confidence in the identity of a person below which somebody should look.
+_UNCERTAIN = 0.9
 
 
 def capture_checks(
@@ -34,6 +36,7 @@ def capture_checks(
         _check_cameras(names, seen),
         _check_views(names, seen),
         _check_association(reconstruction),
+        _check_identity(reconstruction),
     )
     return [{"code": code, "message": message} for check in checks for code, message in check]
 
@@ -108,6 +111,21 @@ def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, st
             "approximate_association",
             f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames there were too "
             "many people for an exact matching: a simpler rule matched them.",
+        )
+
+
+def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
+    doubtful = [
+        (track.track_id, min(of_person, key=lambda doubt: doubt.confidence))
+        for track, of_person in zip(reconstruction.tracks, reconstruction.doubts, strict=False)
+        if any(doubt.confidence < _UNCERTAIN for doubt in of_person)
+    ]
+    if doubtful:
+        described = [f"person-{track_id} (frame {doubt.frame})" for track_id, doubt in doubtful]
+        yield (
+            "uncertain_identity",
+            f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
+            "metrics.json lists all of them.",
         )
 
 

@@ -14,19 +14,22 @@
 - *Track fragments*: tracks that begin within 2 s and 1.5 m of the end of another track. The person was probably lost.
 - *Slide*: mean horizontal distance of a standing foot's ankle from its median position over all contacts, before and
   after feet were held in place.
+- *Identity*: probability that a person is one and the same all the time, the product over the moments at which another
+  choice was nearly as likely (``doubts``, with a confidence below 0.99 each); see ``pipeline.identity``.
 - *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of the stature (Drillis and Contini 1966).
 
 A figure without data is null (``None``).
 """
 
 import json
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Floor, FootContact, Observations, Reconstruction, Source, Track3D
+from pipeline.data import Camera, Doubt, Floor, FootContact, Observations, Reconstruction, Source, Track3D
 from pipeline.geometry.camera import project
 from pipeline.joints import LIMBS, JointSet
 from pipeline.quality.capture_checks import capture_checks
@@ -71,6 +74,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
+    all_doubts = reconstruction.doubts or [()] * len(tracks)
     seen = {track.track_id: figures.sees for track, figures in zip(tracks, views, strict=True)}
     return {
         "schema_version": SCHEMA_VERSION,
@@ -106,11 +110,22 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                     **_summarise_feet(contacts.get(track.track_id, ())),
                     "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
                 },
+                "identity": _describe_identity(doubts),
             }
-            for track, figures in zip(tracks, views, strict=True)
+            for track, figures, doubts in zip(tracks, views, all_doubts, strict=True)
         ],
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
+    }
+
+
+def _describe_identity(doubts: Sequence[Doubt]) -> dict[str, Any]:
+    return {
+        "confidence": round(math.prod(doubt.confidence for doubt in doubts), 4),
+        "doubts": [
+            {"frame": doubt.frame, "confidence": round(doubt.confidence, 4), "other": doubt.other or None}
+            for doubt in doubts
+        ],
     }
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
@@ -36,8 +36,12 @@ def associate(work: Work) -> Output:
     return Output(b",".join(work.outputs(DETECT)))
 
 
+def identify(work: Work) -> Output:
+    return Output(work.outputs(ASSOCIATE)[0])
+
+
 def fit(work: Work) -> Output:
-    return Output(b"squares: " + work.outputs(ASSOCIATE)[0])
+    return Output(b"squares: " + work.outputs(IDENTIFY)[0])
 
 
 def export(work: Work) -> Output:
@@ -55,7 +59,13 @@ class Bench:
     artifacts: LocalArtifacts
     session: Session
     stages: dict[str, Callable[[Work], Output]] = field(
-        default_factory=lambda: {DETECT: detect, ASSOCIATE: associate, FIT: fit, EXPORT: export}
+        default_factory=lambda: {
+            DETECT: detect,
+            ASSOCIATE: associate,
+            IDENTIFY: identify,
+            FIT: fit,
+            EXPORT: export,
+        }
     )
     published: int = 0
     stopping: bool = False

@@ -19,6 +19,7 @@ from pipeline.stages.plan import (
     DETECT,
     EXPORT,
     FIT,
+    IDENTIFY,
     LENGTHS,
     MAX_TASKS,
     POSES,
@@ -86,6 +87,7 @@ def test_the_stages_and_their_sizes() -> None:
     assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
         (DETECT, 6),
         (ASSOCIATE, 1),
+        (IDENTIFY, 1),
         (FIT, 1),
         (EXPORT, 1),
     ]
@@ -104,7 +106,7 @@ CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
     detect, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
-    assert [stage.name for stage in stages] == [DETECT, LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
+    assert [stage.name for stage in stages] == [DETECT, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
     assert next(iter(lengths.chunks)).payload["chunk_frames"] == 25
     ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
     assert ranges == [(0, 25), (25, 50), (50, 60)]
@@ -124,7 +126,7 @@ def test_fields_are_another_output_than_bodies() -> None:
 @given(chunk_frames=st.integers(1, 300))
 def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
     one, other = keys(make_session(), CLUSTERING, chunk_frames), keys(make_session(), CLUSTERING)
-    assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, FIT, EXPORT))
+    assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, IDENTIFY, FIT, EXPORT))
 
 
 def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
@@ -135,8 +137,8 @@ def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
 @given(chunk_frames=st.integers(1, 300))
 def test_keys_of_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
     one, other = keys(make_session(), chunk_frames=chunk_frames), keys(make_session())
-    assert {name: one[name] for name in (ASSOCIATE, FIT, EXPORT)} == {
-        name: other[name] for name in (ASSOCIATE, FIT, EXPORT)
+    assert {name: one[name] for name in (ASSOCIATE, IDENTIFY, FIT, EXPORT)} == {
+        name: other[name] for name in (ASSOCIATE, IDENTIFY, FIT, EXPORT)
     }
 
 
@@ -155,8 +157,8 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 @pytest.mark.parametrize(
     ("choice", "changed"),
     [
-        ({"detector": "openpose-mobilenet-thin"}, {DETECT, ASSOCIATE, FIT, EXPORT}),
-        ({"method": "clustering"}, {ASSOCIATE, FIT, EXPORT}),
+        ({"detector": "openpose-mobilenet-thin"}, {DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT}),
+        ({"method": "clustering"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
         ({"exports": ("glb",)}, {EXPORT}),
@@ -169,7 +171,7 @@ def test_a_choice_changes_the_keys_of_its_stage_and_those_after(choice: dict[str
 
 @pytest.mark.parametrize(
     ("stage", "changed"),
-    [(DETECT, {DETECT, ASSOCIATE, FIT, EXPORT}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
+    [(DETECT, {DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
 )
 def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, changed: set[str]) -> None:
     before = keys(make_session())
@@ -203,9 +205,9 @@ def test_keys_are_unique_and_safe_as_names() -> None:
 def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
     files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
     session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
-    assert list(keys(session)) == [ASSOCIATE, FIT, EXPORT]
-    assert list(keys(session, CLUSTERING)) == [LENGTHS, POSES, ASSOCIATE, FIT, EXPORT]
-    assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, FIT, EXPORT))
+    assert list(keys(session)) == [ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert list(keys(session, CLUSTERING)) == [LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, EXPORT))
 
 
 def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
@@ -251,12 +253,12 @@ def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
     whole, part = keys(make_session(100)), keys(make_session(100), JobSpec(frame_range=(25, 90)))
     assert whole[DETECT][2:6] == part[DETECT][:4]  # 25-50 and 50-75 of both cameras
     assert not set(whole[DETECT]) & set(part[DETECT][4:])  # 75-90
-    assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, FIT, EXPORT))
+    assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, EXPORT))
 
 
-def test_how_many_people_are_wanted_counts_from_association_on() -> None:
+def test_how_many_people_are_wanted_counts_from_the_global_pass_on() -> None:
     everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
-    assert {name for name in two if two[name] != everybody[name]} == {ASSOCIATE, FIT, EXPORT}
+    assert {name for name in two if two[name] != everybody[name]} == {IDENTIFY, FIT, EXPORT}
 
 
 def paused(num_frames: int, stretches: list[list[int]], **changes: Any) -> Session:

@@ -13,7 +13,7 @@ import pytest
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
@@ -77,7 +77,7 @@ def test_a_job_runs_to_its_results(bench: Bench) -> None:
     job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
-        (name, ChunkState.DONE) for name in (DETECT, ASSOCIATE, FIT, EXPORT)
+        (name, ChunkState.DONE) for name in (DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT)
     ]
     assert not any(stage.reused for stage in job.stages)
     (result,) = bench.store.results.of_job(job.id)
@@ -120,7 +120,7 @@ def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
 def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    for name in (DETECT, ASSOCIATE, FIT):
+    for name in (DETECT, ASSOCIATE, IDENTIFY, FIT):
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
@@ -129,6 +129,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None
     assert {stage.name: stage.reused for stage in job.stages} == {
         DETECT: True,
         ASSOCIATE: True,
+        IDENTIFY: True,
         FIT: True,
         EXPORT: False,
     }
@@ -168,7 +169,10 @@ DAMAGES = pytest.mark.parametrize("damage", [flip, truncate, remove])
 
 
 @DAMAGES
-@pytest.mark.parametrize(("stage", "chunk", "reader"), [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, FIT), (FIT, 0, EXPORT)])
+@pytest.mark.parametrize(
+    ("stage", "chunk", "reader"),
+    [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, IDENTIFY), (IDENTIFY, 0, FIT), (FIT, 0, EXPORT)],
+)
 def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
     bench: Bench, stage: str, chunk: int, reader: str, damage: Callable[[Path], None]
 ) -> None:
@@ -277,7 +281,7 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> 
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
     reused = {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}
-    assert reused == {DETECT: True, ASSOCIATE: True, FIT: False, EXPORT: False}
+    assert reused == {DETECT: True, ASSOCIATE: True, IDENTIFY: True, FIT: False, EXPORT: False}
 
 
 def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:

@@ -148,6 +148,12 @@ WARNINGS = CodeGroup(
             "Some frames show more people than exact methods can tell apart.",
             "Check these frames; see [tracking](tracking.md#crowds) and [clustering](clustering.md#crowds).",
         ),
+        ProblemCode(
+            "uncertain_identity",
+            _WARNING,
+            "Two people may have been taken for each other at some moment.",
+            "Look at the moments under `identity.doubts` in metrics.json; see [who is who](identity.md#doubts).",
+        ),
         ProblemCode("upside_down", _WARNING, "Heads are below feet.", "Turn the calibration: Z must point up."),
         ProblemCode(
             "not_upright", _WARNING, "People lean in most frames.", "Check that the calibration's up axis is Z."
