@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import TypeVar, overload
 
@@ -74,19 +74,29 @@ class _Stored(Sequence[_Record]):
 
 
 def encode_detections(detections: Detections) -> bytes:
-    """Write the detections of one camera."""
+    """Write the detections of one camera without their colours, which are not kept with a session."""
     arrays = {name: np.asarray(getattr(detections, name)) for name in DETECTION_ARRAYS}
     return encode_arrays({"camera": np.array(detections.camera), **arrays, **_damaged(detections)})
 
 
 def decode_detections(content: bytes) -> Detections:
-    """Read what ``encode_detections`` wrote."""
+    """Read what ``encode_detections`` wrote; there are no colours in it."""
     arrays = decode_arrays(content)
     return Detections(
         str(arrays["camera"]),
         damaged=arrays.get("damaged", no_frames()),
         **{name: arrays[name] for name in DETECTION_ARRAYS},
     )
+
+
+def encode_colours(detections: Detections) -> bytes:
+    """Write the colours of the detections of one camera."""
+    return encode_arrays({"colour": detections.colour})
+
+
+def with_colours(detections: Detections, content: bytes) -> Detections:
+    """Add the colours that ``encode_colours`` wrote to their detections."""
+    return replace(detections, colour=decode_arrays(content)["colour"])
 
 
 def _damaged(found: Detections | PafFields) -> dict[str, np.ndarray]:
