@@ -34,6 +34,11 @@ def no_colours() -> UInt8[np.ndarray, "0 0 0"]:
     return read_only(np.empty((0, 0, 0), np.uint8))
 
 
+def no_detections() -> Int[np.ndarray, "0 0"]:
+    """Return an empty, read-only array of detections by frame and camera."""
+    return read_only(np.empty((0, 0), np.int32))
+
+
 class Source(IntEnum):
     """Origin of a joint's position in a frame: absent, measured, interpolated or predicted."""
 
@@ -250,11 +255,15 @@ class Observations:
         Joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has no observation.
     score
         The detector's confidence, 0 where ``points_px`` is NaN.
+    detection
+        Rows of the detections in ``tracking.observations.Bodies`` at the output frames that are nearest to them, -1
+        where there is none. No rows: not recorded, because no colours were measured.
     """
 
     track_id: int
     points_px: Float[np.ndarray, "frames cameras joints 2"]
     score: Float[np.ndarray, "frames cameras joints"]
+    detection: Int[np.ndarray, "recorded recorded_cameras"] = field(default_factory=no_detections)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from pipeline.data import (
     Poses3D,
     SkeletonMotion,
     Track3D,
+    no_detections,
     no_frames,
 )
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
@@ -165,6 +166,8 @@ def write_people(path: Path, people: People, damaged: Sequence[DamagedVideo] = (
     arrays["num_approximate_frames"] = np.array(people.num_approximate_frames)
     for k, seen in enumerate(people.observations):
         arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
+        if len(seen.detection):
+            arrays[f"detection_{k}"] = seen.detection
     with path.open("wb") as file:
         save_arrays(file, arrays)
 
@@ -178,7 +181,13 @@ def open_people(path: Path) -> People:
 
     def observations(k: int) -> Observations:
         with open_archive(path) as archive:
-            return Observations(int(archive["track_id"][k]), archive[f"points_px_{k}"], archive[f"point_score_{k}"])
+            name = f"detection_{k}"
+            return Observations(
+                int(archive["track_id"][k]),
+                archive[f"points_px_{k}"],
+                archive[f"point_score_{k}"],
+                archive[name] if name in archive.files else no_detections(),
+            )
 
     with open_archive(path) as archive:
         num_people, num_approximate_frames = len(archive["track_id"]), int(archive["num_approximate_frames"])

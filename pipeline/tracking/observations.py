@@ -167,6 +167,31 @@ def observations_at(
     return Sampled(start_frame, sampled_px, score)
 
 
+def detections_at(
+    timebase: Timebase, bodies: Bodies, rows: Int[np.ndarray, " rows"], sampled: Sampled
+) -> Int[np.ndarray, "frames cameras"]:
+    """Rows of a person's detections by nearest output frame and camera.
+
+    Parameters
+    ----------
+    rows
+        Rows of the person's detections, ascending.
+    sampled
+        Observations at the output frames.
+
+    Returns
+    -------
+        Rows of ``bodies``; the last one of several that are nearest to the same frame, -1 where there is none.
+    """
+    num_frames, num_cameras = sampled.score.shape[:2]
+    nearest = np.rint((bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)
+    nearest -= sampled.start_frame
+    is_inside = (nearest >= 0) & (nearest < num_frames)
+    detection = np.full((num_frames, num_cameras), -1, np.int32)
+    detection[nearest[is_inside], bodies.camera[rows[is_inside]]] = rows[is_inside]
+    return detection
+
+
 def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:
     """Output instants from half a period before the first observation to half a period after the last observation."""
     start = max(0, int(np.ceil((seen_s.min() - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
