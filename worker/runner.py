@@ -143,6 +143,7 @@ class Runner:
             log.info("chunk_reused")
             trace.get_current_span().set_attribute("multicap.reused", True)
             return self._store.leases.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
+        stored = None if found is None else self._stored(claim, found[0])
         started_s = time.monotonic()
         with scratch_folder() as scratch:
             output = self._run_chunk(
@@ -155,14 +156,15 @@ class Runner:
                     on_unit=lease.on_unit,
                     check=lease.check,
                     interim=partial(self._interim, claim),
-                    found=None if found is None else self._stored(claim, *found),
+                    found=stored,
                 )
             )
             lease.check()
             results = [self._keep(claim, file) for file in output.files]
         if output.interim is not None:
             write_interim(self._artifacts, claim, output.interim)
-        self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
+        if stored is None:
+            self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return self._store.leases.finish(
             claim.chunk_id,
@@ -201,7 +203,7 @@ class Runner:
             self._is_whole(claim.session_id, output.key, output.sha256) for outputs in read_by for output in outputs
         )
 
-    def _stored(self, claim: Claim, sha256: str, _num_bytes: int) -> bytes | None:
+    def _stored(self, claim: Claim, sha256: str) -> bytes | None:
         """Output of this chunk that an earlier job has left."""
         try:
             return read_artifact(self._artifacts, stage_key(claim.session_id, claim.output_key), sha256)

@@ -9,7 +9,7 @@ from jaxtyping import Int, UInt8
 
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Detections, MapGrid, PafFields, no_colours, no_frames, read_only
-from pipeline.detect.appearance import colour_histograms
+from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.detector import Bodies, Detector
@@ -83,14 +83,15 @@ def measure_colours(
 
     Returns
     -------
-        The detections with the colours that ``detect_chunk`` would have measured.
+        The detections with the colours that ``detect_chunk`` would have measured; zeros in frames that can't be decoded.
     """
-    colours: list[UInt8[np.ndarray, "n parts bins"]] = []
+    colour = np.zeros((len(detections.frame), len(PARTS), NUM_BINS), np.uint8)
     with closing(_images(session, detections.camera, span_s, on_frame, lambda _: None)) as frames:
         for frame, image_rgb in frames:
-            found = bodies_in(detections, range(frame, frame + 1))
-            colours.append(colour_histograms(image_rgb, found.keypoints_px, found.score, joints))
-    return replace(detections, colour=_join_colours(colours))
+            rows = slice(*np.searchsorted(detections.frame, [frame, frame + 1]))
+            bodies = detections.keypoints_px[rows], detections.score[rows]
+            colour[rows] = colour_histograms(image_rgb, *bodies, joints)
+    return replace(detections, colour=read_only(colour))
 
 
 def detect_fields_chunk(
