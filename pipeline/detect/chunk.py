@@ -83,7 +83,7 @@ def measure_colours(
 
     Returns
     -------
-        The detections with the colours that ``detect_chunk`` would have measured; zeros in frames that can't be decoded.
+        The detections with the colours that ``detect_chunk`` would have measured, zeros in frames that are missing now.
     """
     colour = np.zeros((len(detections.frame), len(PARTS), NUM_BINS), np.uint8)
     with closing(_images(session, detections.camera, span_s, on_frame, lambda _: None)) as frames:
