@@ -92,6 +92,10 @@ Feet = (
     | Annotated[Literal["auto"], Value("Held where contact is likely")]
     | Annotated[Literal["always"], Value("Held wherever contact is possible")]
 )
+Appearance = (
+    Annotated[Literal["on"], Value("Clothes help to tell people apart")]
+    | Annotated[Literal["off"], Value("No colours are measured")]
+)
 Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
@@ -157,6 +161,13 @@ class MotionChoices:
         ),
     ] = 6.0
     feet: Annotated[Feet, About("Feet on the floor", "Which standing feet are held in place.")] = "auto"
+    appearance: Annotated[
+        Appearance,
+        About(
+            "Colours of clothes",
+            "Whether people in videos are told apart by the colours of their clothes too, with the method `tracking`.",
+        ),
+    ] = "on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +268,11 @@ class ReconstructionConfig(JobChoices):
     def uses_fields(self) -> bool:
         """Whether people are found from part affinity fields, where there are videos."""
         return self.method == "clustering" and NETWORKS[self.detector].leaves_fields
+
+    @property
+    def uses_colours(self) -> bool:
+        """Whether the colours of clothes are measured, where there are videos."""
+        return self.method == "tracking" and self.appearance == "on"
 
 
 def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:

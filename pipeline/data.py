@@ -29,6 +29,16 @@ def no_frames() -> Int[np.ndarray, " 0"]:
     return read_only(np.empty(0, np.int64))
 
 
+def no_colours() -> UInt8[np.ndarray, "0 0 0"]:
+    """Return an empty, read-only array of colour histograms: colours were not measured."""
+    return read_only(np.empty((0, 0, 0), np.uint8))
+
+
+def no_detections() -> Int[np.ndarray, "0 0"]:
+    """Return an empty, read-only array of detections by frame and camera."""
+    return read_only(np.empty((0, 0), np.int32))
+
+
 class Source(IntEnum):
     """Origin of a joint's position in a frame: absent, measured, interpolated or predicted."""
 
@@ -96,6 +106,9 @@ class Detections:
         x0, y0, x1, y1 around each body.
     damaged
         Numbers of the frames whose picture is damaged or missing, ascending.
+    colour
+        Histograms of the colours of each body's parts, see ``detect.appearance``; zeros where a part is unknown. No
+        rows: colours were not measured.
     """
 
     camera: str
@@ -104,6 +117,7 @@ class Detections:
     score: Float[np.ndarray, "n joints"]
     box_px: Float[np.ndarray, "n 4"]
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
+    colour: UInt8[np.ndarray, "coloured parts bins"] = field(default_factory=no_colours)
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,11 +255,15 @@ class Observations:
         Joints in full-image pixels (distorted, as seen) at the output instants, NaN where a camera has no observation.
     score
         The detector's confidence, 0 where ``points_px`` is NaN.
+    detection
+        Rows of the detections in ``tracking.observations.Bodies`` at the output frames that are nearest to them, -1
+        where there is none. No rows: not recorded, because no colours were measured.
     """
 
     track_id: int
     points_px: Float[np.ndarray, "frames cameras joints 2"]
     score: Float[np.ndarray, "frames cameras joints"]
+    detection: Int[np.ndarray, "recorded recorded_cameras"] = field(default_factory=no_detections)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

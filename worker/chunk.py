@@ -46,6 +46,10 @@ class Work:
         Call it after each unit of work; raises ``StoppedError`` when the work is no longer wanted.
     check
         Call it during long steps that are no unit; raises ``StoppedError`` likewise.
+    interim
+        Reads the interim outputs of all chunks of an earlier stage, by its name. Raises ``DamagedOutputsError``.
+    found
+        Output of the chunk if it is stored already, and only the interim output is missing.
     """
 
     claim: Claim
@@ -55,3 +59,5 @@ class Work:
     scratch: Path
     on_unit: Callable[[], None]
     check: Callable[[], None]
+    interim: Callable[[str], list[bytes]]
+    found: bytes | None

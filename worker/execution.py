@@ -143,6 +143,12 @@ class _TaskContext(Context):
     def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         return self.work.outputs(stage, tasks)
 
+    def interim(self, stage: str) -> list[bytes]:
+        return self.work.interim(stage)
+
+    def found(self) -> bytes | None:
+        return self.work.found
+
 
 @contextlib.contextmanager
 def _undamaged(file: str, camera: str | None = None) -> Iterator[None]:

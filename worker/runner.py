@@ -11,10 +11,11 @@ from opentelemetry.trace import StatusCode
 
 from pipeline.stages.code import stage_codes
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.stages.plan import STAGE_BY_NAME, followers
 from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
+from worker.jobs.files.interim import read_interim, write_interim
 from worker.jobs.model import Claim, Result, ResultWarning
 from worker.jobs.store import JobStore
 from worker.lease import Lease
@@ -137,10 +138,12 @@ class Runner:
 
     def _finish(self, claim: Claim, lease: Lease) -> bool:
         """Run a chunk, or find its output, and record it; returns whether more work became ready."""
-        if (found := self._reusable(claim)) is not None:
+        found = self._reusable(claim)
+        if found is not None and not self._lacks_interim(claim):
             log.info("chunk_reused")
             trace.get_current_span().set_attribute("multicap.reused", True)
             return self._store.leases.finish(claim.chunk_id, claim.lease_token, *found, reused=True)
+        stored = None if found is None else self._stored(claim, found[0])
         started_s = time.monotonic()
         with scratch_folder() as scratch:
             output = self._run_chunk(
@@ -152,11 +155,16 @@ class Runner:
                     scratch=scratch,
                     on_unit=lease.on_unit,
                     check=lease.check,
+                    interim=partial(self._interim, claim),
+                    found=stored,
                 )
             )
             lease.check()
             results = [self._keep(claim, file) for file in output.files]
-        self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
+        if output.interim is not None:
+            write_interim(self._artifacts, claim, output.interim)
+        if stored is None:
+            self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return self._store.leases.finish(
             claim.chunk_id,
@@ -172,13 +180,35 @@ class Runner:
         if not STAGE_BY_NAME[claim.stage].is_reusable:
             return None
         recorded = self._store.outputs.find(claim.session_id, claim.output_key)
-        if recorded is None:
-            return None
-        try:
-            self._artifacts.open(stage_key(claim.session_id, claim.output_key), recorded[0]).close()
-        except (NotFound, DamagedArtifact):
+        if recorded is None or not self._is_whole(claim.session_id, claim.output_key, recorded[0]):
             return None
         return recorded
+
+    def _is_whole(self, session_id: str, output_key: str, sha256: str | None) -> bool:
+        try:
+            # Without a digest it is being computed.
+            self._artifacts.open(stage_key(session_id, output_key), sha256 or "").close()
+        except (NotFound, DamagedArtifact):
+            return False
+        return True
+
+    def _lacks_interim(self, claim: Claim) -> bool:
+        """Whether this chunk's interim output is missing, and a stage that reads it has yet to run."""
+        if not STAGE_BY_NAME[claim.stage].leaves_interim(claim.spec.config):
+            return False
+        if read_interim(self._artifacts, claim, claim.output_key) is not None:
+            return False
+        read_by = (self._store.outputs.of_stage(claim.job_id, stage) for stage in followers(claim.stage))
+        return not all(
+            self._is_whole(claim.session_id, output.key, output.sha256) for outputs in read_by for output in outputs
+        )
+
+    def _stored(self, claim: Claim, sha256: str) -> bytes | None:
+        """Output of this chunk that an earlier job has left."""
+        try:
+            return read_artifact(self._artifacts, stage_key(claim.session_id, claim.output_key), sha256)
+        except (NotFound, DamagedArtifact):
+            return None
 
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         contents, damaged = [], set()
@@ -192,6 +222,13 @@ class Runner:
         if damaged:
             raise DamagedOutputsError(stage, damaged)
         return contents
+
+    def _interim(self, claim: Claim, stage: str) -> list[bytes]:
+        outputs = self._store.outputs.of_stage(claim.job_id, stage)
+        contents = [read_interim(self._artifacts, claim, output.key) for output in outputs]
+        if damaged := {output.index for output, content in zip(outputs, contents, strict=True) if content is None}:
+            raise DamagedOutputsError(stage, damaged)
+        return [content for content in contents if content is not None]
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
         key = result_key(claim.job_id, file.name)

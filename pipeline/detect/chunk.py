@@ -8,11 +8,13 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data import Detections, MapGrid, PafFields, no_frames, read_only
+from pipeline.data import Detections, MapGrid, PafFields, no_colours, no_frames, read_only
+from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.detector import Bodies, Detector
 from pipeline.errors import InputError
+from pipeline.joints import JointSet
 from pipeline.runtime.memory import give_pictures_back
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
@@ -24,6 +26,7 @@ def detect_chunk(
     span_s: tuple[float, float],
     detector: Detector,
     on_frame: Callable[[], None] = lambda: None,
+    measures_colours: bool = False,
 ) -> Detections:
     """Decode a camera's frames with times in ``[t0, t1)``, and detect bodies in them.
 
@@ -35,6 +38,8 @@ def detect_chunk(
         t0 and t1 on the session's clock.
     on_frame
         Called after each frame.
+    measures_colours
+        Whether the colours of the bodies are measured; see ``appearance``.
 
     Returns
     -------
@@ -46,10 +51,47 @@ def detect_chunk(
         See ``decode``.
     """
     damaged: list[int] = []
+    bodies: list[tuple[int, Bodies]] = []
+    colours: list[UInt8[np.ndarray, "n parts bins"]] = []
     with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
-        bodies = [(frame, detector.detect(image_rgb)) for frame, image_rgb in frames]
+        for frame, image_rgb in frames:
+            found = detector.detect(image_rgb)
+            bodies.append((frame, found))
+            if measures_colours:
+                colours.append(colour_histograms(image_rgb, found.keypoints_px, found.score, detector.joints))
     detections = _as_detections(camera, bodies, len(detector.joints.names))
-    return replace(detections, damaged=_frame_numbers(damaged))
+    return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours))
+
+
+def measure_colours(
+    session: CaptureSession,
+    span_s: tuple[float, float],
+    detections: Detections,
+    joints: JointSet,
+    on_frame: Callable[[], None] = lambda: None,
+) -> Detections:
+    """Decode a range of frames once more, and measure the colours of the bodies that were detected in them.
+
+    Parameters
+    ----------
+    span_s, on_frame
+        See ``detect_chunk``.
+    detections
+        Detections of ``detect_chunk`` in the same range.
+    joints
+        Joints of the detections.
+
+    Returns
+    -------
+        The detections with the colours that ``detect_chunk`` would have measured, zeros in frames that are missing now.
+    """
+    colour = np.zeros((len(detections.frame), len(PARTS), NUM_BINS), np.uint8)
+    with closing(_images(session, detections.camera, span_s, on_frame, lambda _: None)) as frames:
+        for frame, image_rgb in frames:
+            rows = slice(*np.searchsorted(detections.frame, [frame, frame + 1]))
+            bodies = detections.keypoints_px[rows], detections.score[rows]
+            colour[rows] = colour_histograms(image_rgb, *bodies, joints)
+    return replace(detections, colour=read_only(colour))
 
 
 def detect_fields_chunk(
@@ -90,6 +132,12 @@ def _images(
                 on_frame()
     except InputError as error:
         raise InputError([replace(problem, camera=camera) for problem in error.problems]) from error
+
+
+def _join_colours(colours: Sequence[UInt8[np.ndarray, "_ _ _"]]) -> UInt8[np.ndarray, "_ _ _"]:
+    """Concatenate colours of bodies, (bodies, parts, bins); pieces without bodies need not have parts and bins."""
+    measured = [one for one in colours if len(one)]
+    return read_only(np.concatenate(measured)) if measured else no_colours()
 
 
 def _frame_numbers(frames: Sequence[int]) -> Int[np.ndarray, " frames"]:
@@ -145,6 +193,7 @@ def bodies_in(detections: Detections, frames: range) -> Detections:
         keypoints_px=detections.keypoints_px[rows],
         score=detections.score[rows],
         box_px=detections.box_px[rows],
+        colour=detections.colour[rows],
         damaged=detections.damaged[slice(*np.searchsorted(detections.damaged, [frames.start, frames.stop]))],
     )
 
@@ -174,4 +223,5 @@ def _join(camera: str, chunks: Sequence[Detections], num_joints: int) -> Detecti
         score=np.concatenate([np.empty((0, num_joints)), *(chunk.score for chunk in chunks)]),
         box_px=np.concatenate([np.empty((0, 4)), *(chunk.box_px for chunk in chunks)]),
         damaged=np.concatenate([no_frames(), *(chunk.damaged for chunk in chunks)]),
+        colour=_join_colours([chunk.colour for chunk in chunks]),
     )

@@ -1,11 +1,12 @@
 """Build tracks and observations from the positions of people over time."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from pipeline.data import Camera, Observations, Timebase, Track3D, read_only
+from pipeline.data import Camera, Observations, Timebase, Track3D, no_detections, read_only
 from pipeline.geometry.gap_kernels import fill_gaps
 from pipeline.geometry.tracks import reproject
 
@@ -25,6 +26,7 @@ def record_life(
     seen_px: Float[np.ndarray, "frames cameras joints 2"],
     score: Float[np.ndarray, "frames cameras joints"],
     min_score: float,
+    detection: Int[np.ndarray, "recorded recorded_cameras"] | None = None,
 ) -> Person | None:
     """Build track and observations of a person: fill short gaps and measure the reprojection error.
 
@@ -38,6 +40,8 @@ def record_life(
         Observations of the person in distorted pixels, and their scores.
     min_score
         Observations with a lower score were not used.
+    detection
+        See ``Observations``; ``None``: not recorded.
 
     Returns
     -------
@@ -61,7 +65,8 @@ def record_life(
         error_px=read_only(error_px),
         views=read_only(views),
     )
-    return track, Observations(0, read_only(seen_px), read_only(score))
+    rows = no_detections() if detection is None else read_only(detection[life])
+    return track, Observations(0, read_only(seen_px), read_only(score), rows)
 
 
 def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
@@ -72,5 +77,5 @@ def number_people(people: Sequence[Person]) -> tuple[tuple[Track3D, ...], tuple[
             Track3D(k, track.start_frame, track.xyz_m, track.score, track.source, track.error_px, track.views)
             for k, (track, _) in enumerate(ordered, start=1)
         ),
-        tuple(Observations(k, seen.points_px, seen.score) for k, (_, seen) in enumerate(ordered, start=1)),
+        tuple(replace(seen, track_id=k) for k, (_, seen) in enumerate(ordered, start=1)),
     )

@@ -7,8 +7,12 @@ session tells: motion on both sides of each gap, and body proportions.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pipeline.data import Camera, Doubt, People, Timebase
+import numpy as np
+from jaxtyping import UInt8
+
+from pipeline.data import Camera, Doubt, People, Timebase, no_detections
 from pipeline.geometry.track_assembly import Person, number_people
+from pipeline.identity.clothes import tracklet_ratios
 from pipeline.identity.doubles import merge_doubles
 from pipeline.identity.ghosts import is_chance, mean_bodies
 from pipeline.identity.joining import Chain, Session, doubts_of, join
@@ -27,6 +31,7 @@ def identify(
     timebase: Timebase,
     min_score: float,
     most: int | None = None,
+    colour: UInt8[np.ndarray, "detections parts bins"] | None = None,
 ) -> People:
     """Find out who is who over a whole session.
 
@@ -40,6 +45,8 @@ def identify(
         Observations with a lower score are not used.
     most
         Number of people to keep, those with the most observations; ``None``: all.
+    colour
+        Colours of all detections, in the order of ``Observations.detection``; ``None`` if they were not measured.
 
     Returns
     -------
@@ -52,6 +59,9 @@ def identify(
     pieces = [cut(tracks[piece.track], piece.start_frame, piece.stop_frame) for piece in whole]
     pieces = merge_doubles(pieces, cameras, joints, timebase, min_score)
     session = _session(pieces, joints, timebase.frame_rate_hz)
+    if colour is not None and all(len(seen.detection) for _, seen in pieces):
+        ratios = tracklet_ratios(pieces, session.tracklets, colour, len(cameras))
+        session = replace(session, clothes=ratios)
     chains = join(session)
     merged = [_merge(chain, session.tracklets, pieces, cameras, timebase, min_score) for chain in chains]
     kept = [
@@ -62,7 +72,8 @@ def identify(
     if most is not None:
         kept = sorted(kept, key=lambda entry: int(entry[0][0].views.sum()), reverse=True)[:most]
     kept.sort(key=lambda entry: entry[0][0].start_frame)
-    found = [person for person, _ in kept]
+    # Whose body a detection is was of use for its colours.
+    found = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
     if people.leftovers is not None:
         found = look_again(found, people.leftovers, cameras, timebase, min_score)
     numbers = {number: k for k, (_, number) in enumerate(kept, start=1)}

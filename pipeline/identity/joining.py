@@ -41,6 +41,8 @@ class Session:
         Their body proportions, in the same order.
     area_m2
         See ``links.viewed_area_m2``.
+    clothes
+        Log-likelihood ratios of their clothes (``clothes``); ``None`` if colours are not known.
     """
 
     tracklets: Sequence[Tracklet]
@@ -48,6 +50,12 @@ class Session:
     last: Ends
     proportions: Proportions
     area_m2: float
+    clothes: Float[np.ndarray, "tracklets tracklets"] | None = None
+
+    def links(self, before: Int[np.ndarray, "*batch"], after: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+        """Log-likelihood ratios of links by all but body proportions; minus infinity where a link is impossible."""
+        scores = link_scores(self.last.rows(before), self.first.rows(after), self.area_m2)
+        return scores if self.clothes is None else scores + self.clothes[before, after]
 
 
 def join(session: Session) -> list[Chain]:
@@ -99,9 +107,8 @@ def _pair_gains(
 ) -> Float[np.ndarray, "ends starts"]:
     """Gain of the likelihood by linking pairs of tracklets."""
     proportions = session.proportions
-    last, first = session.last.rows(ends[:, None]), session.first.rows(starts[None])
     alone = proportions.log_likelihood(proportions.information, proportions.pull)
-    gain = link_scores(last, first, session.area_m2)
+    gain = session.links(*np.broadcast_arrays(ends[:, None], starts[None]))
     for row, end in enumerate(ends.tolist()):
         together = proportions.log_likelihood(
             proportions.information[end] + proportions.information[starts],
@@ -198,7 +205,7 @@ class _Search:
 
     def _sum(self, chain: Chain) -> _Sums:
         session, members = self._session, np.array(chain, int)
-        scores = link_scores(session.last.rows(members[:-1]), session.first.rows(members[1:]), session.area_m2)
+        scores = session.links(members[:-1], members[1:])
         return _Sums(
             _from_zero(session.proportions.information[members]),
             _from_zero(session.proportions.pull[members]),
@@ -283,10 +290,9 @@ class _Search:
         both = (kept[:, head] > 0) & (kept[:, tail] < len(back))
         scores = np.zeros(len(kept))
         if both.any():
-            session = self._session
             ends = np.array(front, int)[kept[both, head] - 1]
             starts = np.array(back, int)[kept[both, tail]]
-            scores[both] = link_scores(session.last.rows(ends), session.first.rows(starts), session.area_m2)
+            scores[both] = self._session.links(ends, starts)
         return links + scores, np.isfinite(scores)
 
 

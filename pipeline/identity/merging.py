@@ -27,7 +27,7 @@ def cut(person: Person, start_frame: int, stop_frame: int) -> Person:
         start_frame=start_frame,
         **{name: getattr(track, name)[rows] for name in ("xyz_m", "score", "source", "error_px", "views")},
     )
-    return piece, replace(seen, points_px=seen.points_px[rows], score=seen.score[rows])
+    return piece, replace(seen, points_px=seen.points_px[rows], score=seen.score[rows], detection=seen.detection[rows])
 
 
 def merge(pieces: Sequence[Person], cameras: Sequence[Camera], timebase: Timebase, min_score: float) -> Person | None:
@@ -53,17 +53,20 @@ def merge(pieces: Sequence[Person], cameras: Sequence[Camera], timebase: Timebas
     shape = (stop - start, *first.score.shape[1:])
     xyz_m = np.full((shape[0], shape[2], 3), np.nan)
     points_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
+    detection = np.full(shape[:2], -1) if all(len(seen.detection) for _, seen in pieces) else None
     num_pieces = np.zeros(shape[0], int)
     for track, seen in sorted(pieces, key=lambda piece: -np.count_nonzero(piece[1].score)):
         rows = slice(track.start_frame - start, track.start_frame - start + track.num_frames)
         free = np.asarray((score[rows] <= 0).all(-1, keepdims=True))
         points_px[rows] = np.where(free[..., None], seen.points_px, points_px[rows])
         score[rows] = np.where(free, seen.score, score[rows])
+        if detection is not None:
+            detection[rows] = np.where(free[..., 0], seen.detection, detection[rows])
         measured_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
         xyz_m[rows] = np.where(num_pieces[rows, None, None] == 0, measured_m, xyz_m[rows])
         num_pieces[rows] += np.isfinite(track.xyz_m[..., 0]).any(-1)
     _locate(xyz_m, points_px, score, np.asarray(num_pieces > 1), cameras, min_score)
-    return record_life(cameras, timebase, start, xyz_m, points_px, score, min_score)
+    return record_life(cameras, timebase, start, xyz_m, points_px, score, min_score, detection)
 
 
 def relocate(

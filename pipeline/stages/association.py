@@ -11,6 +11,9 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import overload
 
+import numpy as np
+from jaxtyping import UInt8
+
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.clustering.associate import find_people, first_lengths, join_poses, link_people, sampled_frames
@@ -184,10 +187,16 @@ def link(
     return People(*people, len(poses.approximate))
 
 
-def tell_apart(session: Session, people: People, joints: JointSet, config: ReconstructionConfig) -> People:
+def tell_apart(
+    session: Session,
+    people: People,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    colour: UInt8[np.ndarray, "detections parts bins"] | None = None,
+) -> People:
     """Find out who is who among the tracks of either method; see ``pipeline.identity.identify``."""
     min_score = 0.0 if config.method == "clustering" else tracking_parameters(session, config.tracking).min_score
-    return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people)
+    return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour)
 
 
 def _evidence(

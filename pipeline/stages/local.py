@@ -22,7 +22,7 @@ from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
 from pipeline.stages.output_folder import OutputFolder, output_folder
-from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, plan
+from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, followers, plan
 from pipeline.stages.run import Context, assemble, run_task
 from pipeline.video.frame_rate import measured_rate_hz
 
@@ -63,10 +63,14 @@ def reconstruct(
     """
     _check(session, config)
     facts = session_facts(session, () if cache is None else _inputs(session))
-    with output_folder(cache) as outputs, tempfile.TemporaryDirectory(prefix="multicap-") as scratch:
+    with (
+        output_folder(cache) as outputs,
+        tempfile.TemporaryDirectory(prefix="multicap-") as interim,
+        tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
+    ):
         codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
         stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name != EXPORT]
-        job = _Job(session, config, facts, stages, outputs, Path(scratch))
+        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch))
         for stage in stages:
             _run_stage(job, stage, on_progress)
         reconstruction = assemble(_TaskContext(job))
@@ -137,6 +141,8 @@ class _Job:
         Stages of the plan.
     outputs
         Folder for outputs of tasks.
+    interim
+        Folder for interim outputs, under the keys of the tasks' outputs. It is removed at the end of the run.
     scratch
         Folder for temporary files of the process that runs a task.
     """
@@ -146,7 +152,12 @@ class _Job:
     facts: SessionFacts
     stages: Sequence[PlannedStage]
     outputs: OutputFolder
+    interim: OutputFolder
     scratch: Path
+
+    def tasks_of(self, stage: str) -> Iterable[Task]:
+        """Tasks of a stage; none if it is not planned."""
+        return next((planned.tasks for planned in self.stages if planned.name == stage), ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +165,7 @@ class _TaskContext(Context):
     """Context on a folder of this machine."""
 
     job: _Job
+    task: Task | None = None
     count: Callable[[], None] = lambda: None
 
     @property
@@ -181,17 +193,21 @@ class _TaskContext(Context):
         return contextlib.nullcontext()
 
     def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
-        (planned,) = (one for one in self.job.stages if one.name == stage)
-        return [self._output(task) for task in islice(planned.tasks, tasks.start, tasks.stop)]
+        return [_read(self.job.outputs, task) for task in islice(self.job.tasks_of(stage), tasks.start, tasks.stop)]
 
-    def _output(self, task: Task) -> bytes:
-        content = self.job.outputs.read(task.key)
-        if content is None:
-            message = (
-                f"An output of the stage {task.stage} was removed or changed in {self.job.outputs.path} meanwhile."
-            )
-            raise PipelineError(f"{message} Run the command again.")
-        return content
+    def interim(self, stage: str) -> list[bytes]:
+        return [_read(self.job.interim, task) for task in self.job.tasks_of(stage)]
+
+    def found(self) -> bytes | None:
+        return None if self.task is None else self.job.outputs.read(self.task.key)
+
+
+def _read(folder: OutputFolder, task: Task) -> bytes:
+    content = folder.read(task.key)
+    if content is None:
+        message = f"An output of the stage {task.stage} was removed or changed in {folder.path} meanwhile."
+        raise PipelineError(f"{message} Run the command again.")
+    return content
 
 
 class _Counter:
@@ -221,14 +237,23 @@ class _Counter:
 
 def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> None:
     counter = _Counter(stage, on_progress)
+    needs_interim = _needs_interim(job, stage)
     missing = []
     for task in stage.tasks:
-        if job.outputs.read(task.key) is None:
+        if needs_interim or job.outputs.read(task.key) is None:
             missing.append(task)
         else:
             counter.finish(task, is_reused=True)
     for task in _finished(job, missing, counter.on_unit):
         counter.finish(task, is_reused=False)
+
+
+def _needs_interim(job: _Job, stage: PlannedStage) -> bool:
+    """Whether a later stage will read the stage's interim outputs: not if its own output is there already."""
+    following = (task for name in followers(stage.name) for task in job.tasks_of(name))
+    return STAGE_BY_NAME[stage.name].leaves_interim(job.config) and any(
+        job.outputs.read(task.key) is None for task in following
+    )
 
 
 def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[], None]) -> Iterable[Task]:
@@ -239,7 +264,10 @@ def _finished(job: _Job, tasks: Sequence[Task], on_unit: Callable[[], None]) -> 
 
 
 def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> Task:
-    job.outputs.write(task.key, run_task(task, _TaskContext(job, on_unit)).content)
+    output = run_task(task, _TaskContext(job, task, on_unit))
+    if output.interim is not None:
+        job.interim.write(task.key, output.interim)
+    job.outputs.write(task.key, output.content)
     return task
 
 

@@ -28,8 +28,11 @@ class Output:
         Result files, of the last stage only.
     warnings
         Warnings about the results, ``code`` and ``message``.
+    interim
+        Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
     """
 
     content: bytes
     files: tuple[ResultFile, ...] = ()
     warnings: tuple[Mapping[str, str], ...] = ()
+    interim: bytes | None = None

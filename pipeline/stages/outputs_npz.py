@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import TypeVar, overload
 
@@ -25,6 +25,7 @@ from pipeline.data import (
     Poses3D,
     SkeletonMotion,
     Track3D,
+    no_detections,
     no_frames,
 )
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
@@ -78,19 +79,29 @@ class _Stored(Sequence[_Record]):
 
 
 def encode_detections(detections: Detections) -> bytes:
-    """Write the detections of one camera."""
+    """Write the detections of one camera without their colours, which are not kept with a session."""
     arrays = {name: np.asarray(getattr(detections, name)) for name in DETECTION_ARRAYS}
     return encode_arrays({"camera": np.array(detections.camera), **arrays, **_damaged(detections)})
 
 
 def decode_detections(content: bytes) -> Detections:
-    """Read what ``encode_detections`` wrote."""
+    """Read what ``encode_detections`` wrote; there are no colours in it."""
     arrays = decode_arrays(content)
     return Detections(
         str(arrays["camera"]),
         damaged=arrays.get("damaged", no_frames()),
         **{name: arrays[name] for name in DETECTION_ARRAYS},
     )
+
+
+def encode_colours(detections: Detections) -> bytes:
+    """Write the colours of the detections of one camera."""
+    return encode_arrays({"colour": detections.colour})
+
+
+def with_colours(detections: Detections, content: bytes) -> Detections:
+    """Add the colours that ``encode_colours`` wrote to their detections."""
+    return replace(detections, colour=decode_arrays(content)["colour"])
 
 
 def _damaged(found: Detections | PafFields) -> dict[str, np.ndarray]:
@@ -163,6 +174,8 @@ def write_people(path: Path, people: People, damaged: Sequence[DamagedVideo] = (
         arrays |= {f"left_{name}": getattr(people.leftovers, name) for name in _LEFTOVER_ARRAYS}
     for k, seen in enumerate(people.observations):
         arrays |= {f"points_px_{k}": seen.points_px, f"point_score_{k}": seen.score}
+        if len(seen.detection):
+            arrays[f"detection_{k}"] = seen.detection
     with path.open("wb") as file:
         save_arrays(file, arrays)
 
@@ -176,7 +189,13 @@ def open_people(path: Path) -> People:
 
     def observations(k: int) -> Observations:
         with open_archive(path) as archive:
-            return Observations(int(archive["track_id"][k]), archive[f"points_px_{k}"], archive[f"point_score_{k}"])
+            name = f"detection_{k}"
+            return Observations(
+                int(archive["track_id"][k]),
+                archive[f"points_px_{k}"],
+                archive[f"point_score_{k}"],
+                archive[name] if name in archive.files else no_detections(),
+            )
 
     with open_archive(path) as archive:
         num_people, num_approximate_frames = len(archive["track_id"]), int(archive["num_approximate_frames"])

@@ -122,6 +122,10 @@ class Stage:
         What its progress counts.
     is_reusable
         Whether its outputs serve other jobs of the session too.
+    leaves_interim
+        Whether its tasks leave interim outputs beside their outputs: for the stages of the same job that follow it,
+        removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same
+        if its interim output is missing and an output of a stage that follows is missing too.
     """
 
     name: str
@@ -133,6 +137,7 @@ class Stage:
     is_planned: Callable[[SessionFacts, JobChoices], bool] = lambda facts, config: True
     unit: Literal["frames", "steps"] = "steps"
     is_reusable: bool = True
+    leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
 
 
 def _has_videos(facts: SessionFacts, _: JobChoices) -> bool:
@@ -153,6 +158,7 @@ STAGES = (
         function="detect",
         is_planned=_has_videos,
         unit="frames",
+        leaves_interim=lambda config: config.uses_colours,
     ),
     Stage(
         LENGTHS,
@@ -177,14 +183,14 @@ STAGES = (
         "Track people",
         cut="whole",
         follows=(DETECT, LENGTHS, POSES),
-        choices=("method", "frame_range", "tracking", "clustering"),
+        choices=("method", "frame_range", "appearance", "tracking", "clustering"),
         function="associate_people",
     ),
     Stage(
         IDENTIFY,
         "Tell people apart",
         cut="whole",
-        follows=(ASSOCIATE,),
+        follows=(DETECT, ASSOCIATE),
         choices=("people",),
         function="identify_people",
     ),
@@ -209,6 +215,11 @@ STAGES = (
 """All stages in their order."""
 
 STAGE_BY_NAME: Mapping[str, Stage] = {stage.name: stage for stage in STAGES}
+
+
+def followers(stage: str) -> tuple[str, ...]:
+    """Names of the stages that read outputs of a stage."""
+    return tuple(other.name for other in STAGES if stage in other.follows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +325,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     is_clustering = config.method == "clustering"
     has_no_effect = {
         "cutoff_hz": config.smoothing != "butterworth",
+        "appearance": is_clustering,
         "bvh": "bvh" not in config.exports,
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}

@@ -13,7 +13,7 @@ from pathlib import Path
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
-from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk
+from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.detector import open_detector
 from pipeline.detect.registry import entry_of
@@ -42,11 +42,13 @@ from pipeline.stages.outputs_npz import (
     decode_lengths,
     decode_poses,
     encode_animation,
+    encode_colours,
     encode_detections,
     encode_fields,
     encode_lengths,
     encode_poses,
     open_people,
+    with_colours,
     write_people,
 )
 from pipeline.stages.plan import (
@@ -107,6 +109,14 @@ class Context(ABC):
         """Outputs of tasks of an earlier stage, in the tasks' order; by default of all tasks."""
 
     @abstractmethod
+    def interim(self, stage: str) -> list[bytes]:
+        """Interim outputs of all tasks of an earlier stage, in the tasks' order; see ``Stage.leaves_interim``."""
+
+    @abstractmethod
+    def found(self) -> bytes | None:
+        """Output of this task if an earlier job has left it, and this job lacks only the interim output."""
+
+    @abstractmethod
     def on_unit(self) -> None:
         """Count a unit of the task's progress; may raise to end the task."""
 
@@ -140,16 +150,26 @@ def wanted_session(session: Session, config: ReconstructionConfig) -> tuple[Sess
 
 
 def detect(task: Task, context: Context) -> Output:
-    """Find bodies in a range of a camera's frames, or the peaks and fields that clustering takes."""
+    """Find bodies in a range of a camera's frames, or the peaks and fields that clustering takes.
+
+    The colours of the bodies are an interim output. If nothing else is missing, they are measured without the network.
+    """
     session = context.session()
     if isinstance(session, KeypointSession) or task.camera is None:
         raise PipelineError("A session of keypoints has no videos.")
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
-    of_chunk = session, task.camera, span, load_detector(context.config.detector), context.on_unit
+    config, found = context.config, context.found()
     with context.video(task.camera):
-        if context.config.uses_fields:
+        if found is not None:
+            joints = entry_of(config.detector).joints
+            coloured = measure_colours(session, span, decode_detections(found), joints, context.on_unit)
+            return Output(found, interim=encode_colours(coloured))
+        of_chunk = session, task.camera, span, load_detector(config.detector), context.on_unit
+        if config.uses_fields:
             return Output(encode_fields(detect_fields_chunk(*of_chunk)))
-        return Output(encode_detections(detect_chunk(*of_chunk)))
+        detections = detect_chunk(*of_chunk, config.uses_colours)
+        interim = encode_colours(detections) if config.uses_colours else None
+        return Output(encode_detections(detections), interim=interim)
 
 
 def measure_lengths(task: Task, context: Context) -> Output:
@@ -202,7 +222,8 @@ def identify_people(task: Task, context: Context) -> Output:
     """Find out who is who, from the tracks of the whole session."""
     session, joints = wanted_session(context.outline(), context.config)
     archive = _archive_of_people(context, ASSOCIATE)
-    people = tell_apart(session, open_people(archive), joints, context.config)
+    colour = _gathered(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
+    people = tell_apart(session, open_people(archive), joints, context.config, colour)
     write_people(archive, people, decode_damaged_videos(archive))
     del people
     _on_share(task, context)(1.0)
@@ -258,10 +279,9 @@ def _from_first(frames: range, first: int) -> range:
     return range(frames.start - first, frames.stop - first)
 
 
-def _bodies(session: Session, joints: JointSet, outputs: Iterable[bytes]) -> Mapping[str, Detections]:
-    """All cameras' bodies from outputs of detection."""
-    cameras = [camera.name for camera in session.cameras]
-    return concatenate(map(decode_detections, outputs), cameras, len(joints.names))
+def _bodies(session: Session, joints: JointSet, chunks: Iterable[Detections]) -> Mapping[str, Detections]:
+    """All cameras' bodies from those of the tasks of detection."""
+    return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
 
 
 def _detected(context: Context, session: Session, joints: JointSet, number: int) -> DetectionsByCamera:
@@ -272,7 +292,7 @@ def _detected(context: Context, session: Session, joints: JointSet, number: int)
     outputs = context.outputs(DETECT, slice(number * num_cameras, (number + 1) * num_cameras))
     if context.config.uses_fields:
         return {fields.camera: fields for fields in map(decode_fields, outputs)}
-    return _bodies(session, joints, outputs)
+    return _bodies(session, joints, map(decode_detections, outputs))
 
 
 def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
@@ -281,10 +301,17 @@ def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
     detections = (
         session.detections
         if isinstance(session, KeypointSession)
-        else _bodies(session, joints, iter(context.outputs(DETECT)))
+        else _bodies(session, joints, _coloured(context, map(decode_detections, context.outputs(DETECT))))
     )
     damaged = damaged_videos(session, [(camera, of_camera.damaged) for camera, of_camera in detections.items()])
     return gather(session.cameras, session.times, detections), damaged
+
+
+def _coloured(context: Context, chunks: Iterable[Detections]) -> Iterable[Detections]:
+    """Detections with their colours, if colours are measured."""
+    if not context.config.uses_colours:
+        return chunks
+    return (with_colours(chunk, colours) for chunk, colours in zip(chunks, context.interim(DETECT), strict=True))
 
 
 def _animation(task: Task, context: Context) -> Animation:

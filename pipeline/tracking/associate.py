@@ -10,7 +10,14 @@ from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.track_assembly import number_people, record_life
 from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore, part_of
-from pipeline.tracking.observations import Bodies, gather, observations_at, rows_by_person, undistorted
+from pipeline.tracking.observations import (
+    Bodies,
+    detections_at,
+    gather,
+    observations_at,
+    rows_by_person,
+    undistorted,
+)
 from pipeline.tracking.parameters import TrackingParameters
 from pipeline.tracking.tracker import Tracker, make_frames
 
@@ -147,8 +154,9 @@ def _record(
     recorded, is_left = [], np.ones(len(bodies.camera), bool)
     for rows, person_m in zip(_reported(person_rows, on_share), xyz_m, strict=True):
         seen = observations_at(timebase, bodies, bodies.seen_px, rows, len(cameras), parameters)
+        detection = detections_at(timebase, bodies, rows, seen) if bodies.colour.size else None
         person = record_life(
-            cameras, timebase, seen.start_frame, person_m, seen.points_px, seen.score, parameters.min_score
+            cameras, timebase, seen.start_frame, person_m, seen.points_px, seen.score, parameters.min_score, detection
         )
         if person is not None:
             recorded.append(person)

@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.undistortion import undistort_px
@@ -27,6 +27,9 @@ class Bodies(NamedTuple):
         Joints in full-image pixels (distorted, as seen), (detections, joints, 2); NaN where a joint was not found.
     score
         The detector's confidence, (detections, joints); 0 where a joint was not found.
+    colour
+        Histograms of the colours of the bodies' parts as bytes, (detections, parts, bins); zeros where a part is
+        unknown. Without parts and bins if colours were not measured.
     """
 
     camera: np.ndarray
@@ -34,6 +37,7 @@ class Bodies(NamedTuple):
     time_s: np.ndarray
     seen_px: np.ndarray
     score: np.ndarray
+    colour: np.ndarray
 
 
 def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]) -> Bodies:
@@ -56,6 +60,21 @@ def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detection
         time_s=np.concatenate([times[of_camera.camera].time_s[of_camera.frame] for of_camera in ordered]),
         seen_px=seen_px,
         score=score,
+        colour=_gather_colours(ordered),
+    )
+
+
+def _gather_colours(ordered: Sequence[Detections]) -> UInt8[np.ndarray, "detections parts bins"]:
+    """Colours of all cameras' detections: zeros for a camera without colours if another one has some."""
+    measured = [of_camera.colour for of_camera in ordered if len(of_camera.colour)]
+    if not measured:
+        return np.zeros((sum(len(of_camera.frame) for of_camera in ordered), 0, 0), np.uint8)
+    shape = measured[0].shape[1:]
+    return np.concatenate(
+        [
+            of_camera.colour if len(of_camera.colour) else np.zeros((len(of_camera.frame), *shape), np.uint8)
+            for of_camera in ordered
+        ]
     )
 
 
@@ -146,6 +165,31 @@ def observations_at(
         round(float((instants_s[0] - timebase.start_time_s) * timebase.frame_rate_hz)) if len(instants_s) else 0
     )
     return Sampled(start_frame, sampled_px, score)
+
+
+def detections_at(
+    timebase: Timebase, bodies: Bodies, rows: Int[np.ndarray, " rows"], sampled: Sampled
+) -> Int[np.ndarray, "frames cameras"]:
+    """Rows of a person's detections by nearest output frame and camera.
+
+    Parameters
+    ----------
+    rows
+        Rows of the person's detections, ascending.
+    sampled
+        Observations at the output frames.
+
+    Returns
+    -------
+        Rows of ``bodies``; the last one of several that are nearest to the same frame, -1 where there is none.
+    """
+    num_frames, num_cameras = sampled.score.shape[:2]
+    nearest = np.rint((bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)
+    nearest -= sampled.start_frame
+    is_inside = (nearest >= 0) & (nearest < num_frames)
+    detection = np.full((num_frames, num_cameras), -1, np.int32)
+    detection[nearest[is_inside], bodies.camera[rows[is_inside]]] = rows[is_inside]
+    return detection
 
 
 def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:

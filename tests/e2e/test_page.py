@@ -80,6 +80,7 @@ def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served
         ("detector", "Detector"),
         ("smoothing", "Smoothing"),
         ("feet", "Feet on the floor"),
+        ("appearance", "Colours of clothes"),
         ("bvh", "Application for BVH files"),
     ):
         options = page.get_by_label(label).get_by_role("option").evaluate_all("all => all.map(one => one.value)")

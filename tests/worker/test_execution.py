@@ -57,12 +57,26 @@ def session(
 
 
 def work(
-    session: Session, artifacts: LocalArtifacts, scratch: Path, on_unit: Callable[[], None] = lambda: None
+    session: Session,
+    artifacts: LocalArtifacts,
+    scratch: Path,
+    on_unit: Callable[[], None] = lambda: None,
+    found: bytes | None = None,
 ) -> Work:
     """The chunk of all frames of the camera on the left."""
     payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES, "chunk_frames": NUM_FRAMES}
-    claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, JobSpec(), "token", 1, None)
-    return Work(claim, session, artifacts, lambda stage, chunks=slice(None): [], scratch, on_unit, lambda: None)
+    claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, JobSpec(), "token", 1, 1, None)
+    return Work(
+        claim,
+        session,
+        artifacts,
+        lambda stage, chunks=slice(None): [],
+        scratch,
+        on_unit,
+        lambda: None,
+        lambda stage: [],
+        found,
+    )
 
 
 def stored(session: Session, tmp_path: Path) -> Path:

@@ -58,12 +58,14 @@ def work(folder: Path, stage: str) -> Work:
     file = InputFile("cam_00.zip", "keypoints", "sessions/0190/inputs/0-cam_00.zip", 1, "0" * 64)
     digest = hashlib.sha256(content).hexdigest()
     session = Session(SESSION_ID, "take", datetime.now(UTC), (file,), PREFLIGHT, record_sha256=digest)
-    claim = Claim(1, "job", SESSION_ID, stage, 0, PAYLOAD, 100, "0" * 64, JobSpec(smoothing="none"), "token", 1, None)
+    claim = Claim(
+        1, "job", SESSION_ID, stage, 0, PAYLOAD, 100, "0" * 64, JobSpec(smoothing="none"), "token", 1, 1, None
+    )
 
     def outputs(stage: str, chunks: slice = slice(None)) -> list[bytes]:
         return [(folder / stage).read_bytes()][chunks]
 
-    return Work(claim, session, artifacts, outputs, folder, lambda: None, lambda: None)
+    return Work(claim, session, artifacts, outputs, folder, lambda: None, lambda: None, lambda _: [], None)
 
 
 def run(folder: Path, stage: str) -> None:

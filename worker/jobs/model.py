@@ -381,4 +381,5 @@ class Claim:
     spec: JobSpec
     lease_token: str
     attempt: int  # try of the chunk, from 1
+    job_attempt: int
     trace: str | None  # W3C traceparent of the request for the job

@@ -18,6 +18,7 @@ from pipeline.data import (
     People,
     Poses3D,
     Track3D,
+    no_detections,
 )
 from pipeline.geometry.rigid import Rigid3
 from pipeline.stages.outputs_npz import (
@@ -26,11 +27,13 @@ from pipeline.stages.outputs_npz import (
     decode_fields,
     decode_lengths,
     decode_poses,
+    encode_colours,
     encode_detections,
     encode_fields,
     encode_lengths,
     encode_poses,
     open_people,
+    with_colours,
     write_people,
 )
 from pipeline.video.info import VideoInfo
@@ -83,6 +86,15 @@ def test_detections_come_back() -> None:
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
 
 
+def test_colours_are_apart_from_detections() -> None:
+    plain = Detections("left", np.array([4]), RNG.normal(size=(1, 17, 2)), np.ones((1, 17)), np.ones((1, 4)))
+    coloured = replace(plain, colour=RNG.integers(0, 256, (1, 2, 32), np.uint8))
+    assert encode_detections(coloured) == encode_detections(plain)
+    back = with_colours(decode_detections(encode_detections(coloured)), encode_colours(coloured))
+    np.testing.assert_array_equal(back.colour, coloured.colour)
+    assert decode_detections(encode_detections(coloured)).colour.size == 0
+
+
 def test_damage_comes_back_and_costs_no_byte_where_there_is_none(tmp_path: Path) -> None:
     found = Detections("left", np.array([4]), RNG.normal(size=(1, 17, 2)), np.ones((1, 17)), np.ones((1, 4)))
     assert "damaged" not in np.load(io.BytesIO(encode_detections(found))).files
@@ -116,7 +128,8 @@ def people_of_two_lengths() -> People:
         xyz_m = RNG.normal(size=(*shape, 3))
         tracks.append(Track3D(track_id, 10 * track_id, xyz_m, score, source, error_px, num_views))
         points_px = RNG.normal(size=(num_frames, 2, 17, 2))
-        observations.append(Observations(track_id, points_px, RNG.uniform(size=(num_frames, 2, 17))))
+        detection = RNG.integers(-1, 90, (num_frames, 2), np.int32) if track_id == 2 else no_detections()
+        observations.append(Observations(track_id, points_px, RNG.uniform(size=(num_frames, 2, 17)), detection))
     return People(tracks, observations, 3)
 
 

@@ -6,7 +6,10 @@ import numpy as np
 
 from pipeline.data import Camera, Detections, FrameTimes, Source, Timebase, Track3D
 from pipeline.geometry.camera import project
+from pipeline.identity.clothes import clothes_of
+from pipeline.simulation.scenes import find_scene, record
 from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
 from tests.pipeline.conftest import body, detections_of
 
@@ -198,3 +201,52 @@ def test_nobody_anywhere(ring: tuple[Camera, ...]) -> None:
         for c in ring
     }
     assert run(ring, empty) == ()
+
+
+def test_observations_name_the_detections_and_so_their_colours() -> None:
+    """Everybody wears a colour of their own, in cameras that are not synchronised."""
+    scene = record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4)
+    detections = {}
+    for name, one in scene.detections.items():
+        colour = np.zeros((len(one.frame), 2, 32), np.uint8)
+        colour[np.arange(len(one.frame)), :, scene.identities[name]] = 255
+        detections[name] = replace(one, colour=colour)
+    parameters = derive_parameters(scene.cameras, scene.timebase.frame_rate_hz)
+    tracked = scene.cameras, scene.times
+    tracks, observations = reconstruct_tracks(*tracked, detections, scene.timebase, parameters)
+    bodies = gather(*tracked, detections)
+    worn = []
+    for seen in observations:
+        # Every camera that observes a joint has a detection near by, except between two frames.
+        np.testing.assert_array_equal(seen.detection.shape, seen.score.shape[:2])
+        assert ((seen.detection >= 0) & (seen.score > 0).any(-1)).sum() > 0.85 * (seen.score > 0).any(-1).sum()
+        at_s = scene.timebase.start_time_s + (tracks[seen.track_id - 1].start_frame + np.arange(len(seen.score))) / (
+            scene.timebase.frame_rate_hz
+        )
+        frames, cameras = np.nonzero(seen.detection >= 0)
+        rows = seen.detection[frames, cameras]
+        assert (bodies.camera[rows] == cameras).all()
+        assert np.abs(bodies.time_s[rows] - at_s[frames]).max() <= 0.5 / scene.timebase.frame_rate_hz + 1e-9
+        clothes = clothes_of(seen.detection, bodies.colour, len(scene.cameras))
+        assert clothes.num_detections.sum() == 2 * len(rows)
+        worn.append(int(clothes.share.sum((0, 1)).argmax()))
+        assert clothes.share[..., worn[-1]].min() > 0.9
+    assert sorted(worn) == [0, 1, 2]
+
+
+def test_without_colours_no_detections_are_recorded(ring: tuple[Camera, ...]) -> None:
+    people_m = two_walkers()
+    detections = {camera.name: detections_of(camera, people_m) for camera in ring}
+    bodies = gather(ring, same_times(ring), detections)
+    assert bodies.colour.shape == (len(bodies.frame), 0, 0)
+    _, observations = reconstruct_tracks(
+        ring, same_times(ring), detections, Timebase(0.0, RATE_HZ, NUM_FRAMES), derive_parameters(ring, RATE_HZ)
+    )
+    assert [seen.detection.size for seen in observations] == [0, 0]
+    # A camera without colours has unknown ones beside the others.
+    first, *_ = ring
+    count = len(detections[first.name].frame)
+    detections[first.name] = replace(detections[first.name], colour=np.full((count, 2, 32), 8, np.uint8))
+    mixed = gather(ring, same_times(ring), detections)
+    assert mixed.colour.any((1, 2)).sum() == count
+    assert mixed.colour.shape == (len(bodies.frame), 2, 32)

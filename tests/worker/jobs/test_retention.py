@@ -39,7 +39,11 @@ def test_a_job_whose_time_is_over_is_due_once(jobs: Bench) -> None:
     time.sleep(0.05)
     finished_at = jobs.store.jobs.get(job.id).finished_at
     assert jobs.store.removals.expire_jobs() == [job.id]
-    assert [removal.prefix for removal in jobs.store.removals.due()] == [f"jobs/{job.id}/"]
+    assert [removal.prefix for removal in jobs.store.removals.due()] == [
+        f"jobs/{job.id}/interim/1/",
+        f"jobs/{other.id}/interim/1/",
+        f"jobs/{job.id}/",
+    ]
     expired = jobs.store.jobs.get(job.id)
     assert (expired.state, expired.finished_at) == (JobState.EXPIRED, finished_at)
     assert jobs.store.removals.expire_jobs() == []

@@ -11,8 +11,10 @@ from typing import Any, Literal
 from sqlalchemy import Connection, Row, insert, select, update
 
 from worker.jobs.database.connection import now
+from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.tables import chunks, events, jobs
 from worker.jobs.database.totals import Total, count
+from worker.jobs.files.artifacts import interim_prefix
 from worker.jobs.model import FINISHED, JOB_TRANSITIONS, ChunkState, JobState, Problem
 from worker.jobs.repositories.webhooks import queue_delivery
 
@@ -35,13 +37,17 @@ def note(connection: Connection, job_id: str, kind: EventKind, value: str) -> No
 def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
     """Move a job to a state if its state allows it; return whether it was moved."""
     sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
-    if to in FINISHED - {JobState.EXPIRED}:
+    ends = to in FINISHED - {JobState.EXPIRED}
+    if ends:
         values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s}
     moved = connection.execute(
         update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
     )
     if moved.rowcount == 1:
         note(connection, job_id, "state", to)
+        if ends:
+            attempt = select(jobs.c.attempt).where(jobs.c.id == job_id)
+            remove_later(connection, interim_prefix(job_id, connection.execute(attempt).scalar_one()))
         if to in FINISHED:
             count(connection, Total.JOBS_ENDED, to)
             queue_delivery(connection, job_id, to)

@@ -1,4 +1,4 @@
-"""Files of sessions and jobs: inputs, outputs of chunks, results.
+"""Files of sessions and jobs: inputs, outputs of chunks, results, interim outputs of unfinished jobs.
 
 ::
 
@@ -6,6 +6,7 @@
     sessions/<session>/record
     sessions/<session>/stages/<output key>
     jobs/<job>/results/<name>
+    jobs/<job>/interim/<attempt>/<output key>
 """
 
 import contextlib
@@ -45,7 +46,7 @@ def session_prefix(session_id: str) -> str:
 
 
 def job_prefix(job_id: str) -> str:
-    """Prefix of the keys of a job's results."""
+    """Prefix of the keys of a job's results and interim outputs."""
     return f"jobs/{job_id}/"
 
 
@@ -62,6 +63,16 @@ def record_key(session_id: str) -> str:
 def stage_key(session_id: str, output_key: str) -> str:
     """Key of a chunk's output."""
     return f"{session_prefix(session_id)}stages/{output_key}"
+
+
+def interim_prefix(job_id: str, attempt: int) -> str:
+    """Prefix of the keys of the interim outputs of an attempt of a job."""
+    return f"{job_prefix(job_id)}interim/{attempt}/"
+
+
+def interim_key(job_id: str, attempt: int, output_key: str) -> str:
+    """Key of a chunk's interim output."""
+    return f"{interim_prefix(job_id, attempt)}{output_key}"
 
 
 def result_key(job_id: str, name: str) -> str:

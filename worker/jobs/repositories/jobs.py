@@ -8,6 +8,7 @@ from uuid_utils import uuid7
 
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
+from worker.jobs.database.removal_notes import remove_later
 from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
@@ -16,7 +17,6 @@ from worker.jobs.files.artifacts import job_prefix
 from worker.jobs.model import FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
-from worker.jobs.repositories.removals import remove_later
 from worker.jobs.repositories.sessions import lock_session
 from worker.jobs.repositories.work.plans import insert_chunks
 from worker.jobs.spec import JobSpec

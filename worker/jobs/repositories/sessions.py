@@ -11,13 +11,13 @@ from uuid_utils import uuid7
 from pipeline.capture.preflight_record import Preflight
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
+from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import jobs, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
 from worker.jobs.model import FINISHED, InputFile, Session
 from worker.jobs.repositories.audit import AuditAction, record_event
-from worker.jobs.repositories.removals import keep, remove_later, remove_unless_kept
 
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 

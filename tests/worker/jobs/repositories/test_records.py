@@ -261,10 +261,11 @@ def test_delete_job_leaves_the_session(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     with pytest.raises(Conflict):
         jobs.store.jobs.delete(job_id)
-    jobs.finish_all()
     assert due(jobs) == []
+    jobs.finish_all()
+    assert due(jobs) == [f"jobs/{job_id}/interim/1/"]
     jobs.store.jobs.delete(job_id)
-    assert due(jobs) == [f"jobs/{job_id}/"]
+    assert due(jobs) == [f"jobs/{job_id}/interim/1/", f"jobs/{job_id}/"]
     assert jobs.store.outputs.find(jobs.session_id, "detect-0") is not None
     with pytest.raises(NotFound):
         jobs.store.jobs.get(job_id)
@@ -278,7 +279,15 @@ def test_delete_session_takes_its_jobs_along(jobs: Bench) -> None:
         jobs.store.sessions.delete(jobs.session_id)
     jobs.store.jobs.cancel(canceled.id)
     jobs.store.sessions.delete(jobs.session_id)
-    assert sorted(due(jobs)) == sorted([f"jobs/{done.id}/", f"jobs/{canceled.id}/", f"sessions/{jobs.session_id}/"])
+    assert sorted(due(jobs)) == sorted(
+        [
+            f"jobs/{done.id}/interim/1/",
+            f"jobs/{done.id}/",
+            f"jobs/{canceled.id}/interim/1/",
+            f"jobs/{canceled.id}/",
+            f"sessions/{jobs.session_id}/",
+        ]
+    )
     assert jobs.store.sessions.page() == []
     assert jobs.store.jobs.page() == []
     assert jobs.store.outputs.find(jobs.session_id, "detect-0") is None

@@ -90,6 +90,7 @@ class Leases:
             spec=JobSpec.model_validate(job.spec),
             lease_token=chunk.lease_token,
             attempt=chunk.attempt,
+            job_attempt=job.attempt,
             trace=job.trace,
         )
 

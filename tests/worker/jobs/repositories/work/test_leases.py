@@ -31,6 +31,7 @@ def test_a_claim_says_all_that_a_worker_needs(jobs: Bench) -> None:
         spec=JobSpec(),
         lease_token=claim.lease_token,
         attempt=1,
+        job_attempt=1,
         trace=None,
     )
 

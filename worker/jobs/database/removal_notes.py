@@ -1,0 +1,30 @@
+"""Notes of files to be removed from the artifact store, in the transaction that makes the files superfluous."""
+
+from datetime import timedelta
+
+from sqlalchemy import Connection, delete, insert
+
+from worker.jobs.database.connection import now
+from worker.jobs.database.tables import removals
+
+# Files of a session take less than this to reach the artifact store; a session that is not added by then never is.
+_ARRIVAL = timedelta(days=1)
+# A worker that was frozen while its job ended or was deleted may still write: look again when no such worker can be
+# left.
+_AGAIN_AFTER = timedelta(hours=2)
+
+
+def remove_later(connection: Connection, prefix: str) -> None:
+    """Note files to be removed after the transaction."""
+    for wait_s in (0.0, _AGAIN_AFTER.total_seconds()):
+        connection.execute(insert(removals).values(prefix=prefix, due_at=now() + wait_s))
+
+
+def remove_unless_kept(connection: Connection, prefix: str) -> None:
+    """Note files that are about to be stored to be removed after a day, unless ``keep`` is called before."""
+    connection.execute(insert(removals).values(prefix=prefix, due_at=now() + _ARRIVAL.total_seconds()))
+
+
+def keep(connection: Connection, prefix: str) -> bool:
+    """Delete the removals of some files; ``False`` if the files are removed already."""
+    return connection.execute(delete(removals).where(removals.c.prefix == prefix)).rowcount > 0
