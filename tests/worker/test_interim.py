@@ -91,7 +91,7 @@ def test_another_association_makes_them_again_from_the_detections(
         remove_files(bench.store.removals, bench.artifacts)
     before = stages.passed[0]
     stages.forget()
-    job = run(bench, people=1)
+    job = run(bench, tracking={"alpha_3d_m": 0.3})
     assert job.state is JobState.SUCCEEDED
     assert (stages.detected, stages.measured, stages.passed) == ([], [0, 1, 2, 3], [before])
     remove_files(bench.store.removals, bench.artifacts)
@@ -102,7 +102,7 @@ def test_without_colours_there_are_none(bench: Bench, stages: Stages) -> None:
     run(bench, appearance="off")
     stages.forget()
     bench.stages[ASSOCIATE] = associate
-    job = run(bench, appearance="off", people=1)
+    job = run(bench, appearance="off", tracking={"alpha_3d_m": 0.3})
     assert {stage.name: stage.reused for stage in job.stages}[DETECT]
     assert stages.measured == []
 

@@ -109,7 +109,7 @@ def test_another_association_measures_them_again_without_the_network(
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
     num_images = network.num_images
-    reconstruct(session, replace(CONFIG, people=1), cache=tmp_path / "cache")
+    reconstruct(session, replace(CONFIG, tracking={"alpha_3d_m": 0.3}), cache=tmp_path / "cache")
     assert network.num_images == num_images
     first, again = tracked
     np.testing.assert_array_equal(again.colour, first.colour)
