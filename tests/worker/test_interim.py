@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, DETECT, FIT
-from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench, associate, detect, fit
+from pipeline.stages.plan import DETECT, FIT, IDENTIFY
+from tests.worker.conftest import CHUNK_FRAMES, RESULT, Bench, detect, fit, identify
 from worker.chunk import StoppedError, Work
 from worker.jobs.backup.create import create_backup
 from worker.jobs.files.removals import remove_files
@@ -29,17 +29,17 @@ class Stages:
         self.detected: list[int] = []
         self.measured: list[int] = []
         self.passed: list[list[bytes]] = []
-        bench.stages |= {DETECT: self.detect, ASSOCIATE: self.associate}
+        bench.stages |= {DETECT: self.detect, IDENTIFY: self.identify}
 
     def detect(self, work: Work) -> Output:
         (self.detected if work.found is None else self.measured).append(work.claim.index)
         content = detect(work).content if work.found is None else work.found
         return Output(content, interim=b"colours of " + content)
 
-    def associate(self, work: Work) -> Output:
+    def identify(self, work: Work) -> Output:
         self.passed.append(work.interim(DETECT))
         assert self.passed[-1] == [b"colours of " + content for content in work.outputs(DETECT)]
-        return associate(work)
+        return identify(work)
 
     def forget(self) -> None:
         self.detected, self.measured, self.passed = [], [], []
@@ -91,7 +91,7 @@ def test_another_association_makes_them_again_from_the_detections(
         remove_files(bench.store.removals, bench.artifacts)
     before = stages.passed[0]
     stages.forget()
-    job = run(bench, tracking={"alpha_3d_m": 0.3})
+    job = run(bench, people=1)
     assert job.state is JobState.SUCCEEDED
     assert (stages.detected, stages.measured, stages.passed) == ([], [0, 1, 2, 3], [before])
     remove_files(bench.store.removals, bench.artifacts)
@@ -101,8 +101,8 @@ def test_another_association_makes_them_again_from_the_detections(
 def test_without_colours_there_are_none(bench: Bench, stages: Stages) -> None:
     run(bench, appearance="off")
     stages.forget()
-    bench.stages[ASSOCIATE] = associate
-    job = run(bench, appearance="off", tracking={"alpha_3d_m": 0.3})
+    bench.stages[IDENTIFY] = identify
+    job = run(bench, appearance="off", people=1)
     assert {stage.name: stage.reused for stage in job.stages}[DETECT]
     assert stages.measured == []
 
@@ -118,9 +118,9 @@ def test_a_damaged_one_is_made_again(bench: Bench, stages: Stages, damage: Calla
     def damaging(work: Work) -> Output:
         for once in damages:
             once(sorted(left(bench))[0])
-        return stages.associate(work)
+        return stages.identify(work)
 
-    bench.stages[ASSOCIATE] = damaging
+    bench.stages[IDENTIFY] = damaging
     job = run(bench)
     assert bench.result(job.id) == RESULT
     assert (len(stages.detected), len(stages.measured)) == (NUM_CHUNKS, 1)
@@ -132,10 +132,10 @@ def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: Bench, sta
     def broken(work: Work) -> Output:
         raise RuntimeError
 
-    bench.stages[ASSOCIATE] = broken
+    bench.stages[IDENTIFY] = broken
     job = run(bench)
     assert job.state is JobState.FAILED
-    bench.stages[ASSOCIATE] = stages.associate
+    bench.stages[IDENTIFY] = stages.identify
     stages.forget()
     bench.store.jobs.retry(job.id, plan_job(bench.session, job.spec, CHUNK_FRAMES))
     remove_files(bench.store.removals, bench.artifacts)
@@ -153,11 +153,11 @@ def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: Bench
 
     def late(work: Work) -> Output:
         remove_files(bench.store.removals, bench.artifacts)
-        return stages.associate(work)
+        return stages.identify(work)
 
-    bench.stages[ASSOCIATE] = broken
+    bench.stages[IDENTIFY] = broken
     job = run(bench)
-    bench.stages[ASSOCIATE] = late
+    bench.stages[IDENTIFY] = late
     bench.store.jobs.retry(job.id, plan_job(bench.session, job.spec, CHUNK_FRAMES))
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
@@ -170,7 +170,7 @@ def test_those_of_a_canceled_job_go(bench: Bench, stages: Stages) -> None:
         bench.store.jobs.cancel(work.claim.job_id)
         raise StoppedError
 
-    bench.stages[ASSOCIATE] = canceling
+    bench.stages[IDENTIFY] = canceling
     job = run(bench)
     assert job.state is JobState.CANCELED
     assert len(left(bench)) == NUM_CHUNKS
