@@ -70,6 +70,7 @@ def make_frames(
         np.concatenate(last)[in_time],
         points_px=ideal_px,
         score=np.where(bodies.score >= min_score, bodies.score, 0.0),
+        flat_px=ideal_px.reshape(len(ideal_px), 2 * ideal_px.shape[1]),
     )
 
 
