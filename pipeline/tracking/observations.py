@@ -79,7 +79,9 @@ def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> 
     identity
         Identity of each detection; rows with ``NOBODY`` are left out.
     """
-    by_person = np.argsort(identity, kind="stable")
+    # NumPy sorts integers of 16 bits in linear time.
+    is_small = identity.max(initial=NOBODY) <= np.iinfo(np.int16).max
+    by_person = np.argsort(identity.astype(np.int16) if is_small else identity, kind="stable")
     for rows in np.split(by_person, np.flatnonzero(np.diff(identity[by_person])) + 1):
         if len(rows) and identity[rows[0]] != NOBODY:
             yield _best_in_frame(bodies, rows)

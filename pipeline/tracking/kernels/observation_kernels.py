@@ -28,6 +28,15 @@ def clear_unfound(seen_px, score):
             score[row, k] = score[row, k] if is_found else 0.0
 
 
+@kernel
+@no_type_check
+def keep_used(score, min_score, used):
+    """Copy the scores that are at least ``min_score`` to ``used``, and set the others to 0 there."""
+    for row in range(score.shape[0]):
+        for k in range(score.shape[1]):
+            used[row, k] = score[row, k] if score[row, k] >= min_score else 0.0
+
+
 @inlined
 @no_type_check
 def _copy(bodies, flat_px, row, decay, sampled_px, score):
