@@ -1,17 +1,45 @@
 """Compiled reprojection of whole tracks, and undistortion; ``camera.py`` is the same in plain NumPy."""
 
+from collections.abc import Sequence
 from functools import cache
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.runtime.jit import kernel, record_dtype
+from pipeline.data import Camera
+from pipeline.geometry.camera import twelve_coefficients
+from pipeline.geometry.kernels import point_dtype, view_dtype
+from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
 
 @cache
 def block_dtype(size: int) -> np.dtype:
     """Record of a block of points for undistortion."""
     return record_dtype(*((name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")))
+
+
+class Lenses(NamedTuple):
+    """Cameras of a reprojection, and workspace: kernels allocate no memory."""
+
+    poses: np.ndarray  # (cameras, 3, 4): extrinsics [R | t]
+    matrices: np.ndarray  # (cameras, 3, 3)
+    distortions: np.ndarray  # (cameras, 12), in the order of camera.distort
+    min_weight: float  # an observation is used if its weight is above 0 and at least this
+    points: np.ndarray  # (1,) of kernels.point_dtype
+    views: np.ndarray  # (1,) of kernels.view_dtype
+
+
+def make_lenses(cameras: Sequence[Camera], num_joints: int, min_weight: float) -> Lenses:
+    """Gather the cameras in arrays, and allocate the workspace for so many joints."""
+    lanes = round_up(num_joints)
+    return Lenses(
+        np.array([camera.cam_from_world.matrix for camera in cameras]),
+        np.array([camera.matrix for camera in cameras]),
+        np.array([twelve_coefficients(camera.distortion) for camera in cameras]),
+        float(min_weight),
+        zero_records(1, point_dtype(lanes)),
+        zero_records(1, view_dtype(lanes)),
+    )
 
 
 @kernel
@@ -44,64 +72,54 @@ def _add_errors(here, view, p, m, d):
 
 @kernel
 @no_type_check
-def reprojection_errors(
-    poses,
-    matrices,
-    distortions,
-    xyz_m,
-    points_px,
-    weights,
-    min_weight,
-    points,
-    views_room,
-    error_px,
-    mean_weight,
-    views,
-):
+def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views):
     """Compute the mean reprojection error over the cameras that saw a joint, and the number of these cameras.
 
     Parameters
     ----------
-    poses
-        Extrinsics [R | t], (cameras, 3, 4).
-    matrices
-        Camera matrices, (cameras, 3, 3).
-    distortions
-        Twelve coefficients a camera, in the order of ``camera.distort``.
     xyz_m
-        World coordinates in metres, (frames, joints, 3).
-    points_px
-        Distorted pixels, (frames, cameras, joints, 2).
-    weights, min_weight
-        Weights of observations, (frames, cameras, joints). An observation is used if its weight is above 0 and at least
-        ``min_weight``.
-    points, views_room
-        Workspace, zeros (1,) of ``point_dtype`` and of ``view_dtype``.
+        World coordinates in metres, (joints, 3).
+    flat_px
+        Distorted pixels, x and y of each joint in turn, (cameras, 2 * joints).
+    weights
+        Weights of observations, (cameras, joints).
     error_px
-        Output: error in pixels, (frames, joints), NaN where no camera saw the joint or the joint is unknown.
+        Output: error in pixels, (joints,), NaN where no camera saw the joint or the joint is unknown.
     mean_weight, views
-        Output: mean weight and number of the cameras that saw the joint, (frames, joints); 0 where there is no error.
+        Output: mean weight and number of the cameras that saw the joint, (joints,); 0 where there is no error.
     """
-    here, view = points[0], views_room[0]
-    for frame in range(len(weights)):
-        here.cost[:] = 0.0
-        here.views[:] = 0.0
-        here.weight_sum[:] = 0.0
-        for k in range(weights.shape[2]):
-            for axis in range(3):
-                here.xyz_m[axis, k] = xyz_m[frame, k, axis]
-        for c in range(weights.shape[1]):
-            for k in range(weights.shape[2]):
-                view.px[0, k], view.px[1, k] = points_px[frame, c, k, 0], points_px[frame, c, k, 1]
-                view.weight[k] = weights[frame, c, k] if weights[frame, c, k] >= min_weight else 0.0
-            _add_errors(here, view, poses[c], matrices[c], distortions[c])
-        for k in range(weights.shape[2]):
-            seen = here.views[k]
-            error, weight = here.cost[k] / seen, here.weight_sum[k] / seen
-            located = (seen > 0) & (error == error)
-            views[frame, k] = seen if located else 0.0
-            error_px[frame, k] = error if located else np.nan
-            mean_weight[frame, k] = weight if located else 0.0
+    here, view = lenses.points[0], lenses.views[0]
+    here.cost[:] = 0.0
+    here.views[:] = 0.0
+    here.weight_sum[:] = 0.0
+    for k in range(weights.shape[1]):
+        for axis in range(3):
+            here.xyz_m[axis, k] = xyz_m[k, axis]
+    for c in range(weights.shape[0]):
+        num_used = 0.0
+        for k in range(weights.shape[1]):
+            view.weight[k] = weights[c, k] if weights[c, k] >= lenses.min_weight else 0.0
+            num_used += 1.0 if weights[c, k] > 0 else 0.0
+        if num_used == 0:  # it would add only zeros
+            continue
+        for k in range(weights.shape[1]):
+            view.px[0, k], view.px[1, k] = flat_px[c, 2 * k], flat_px[c, 2 * k + 1]
+        _add_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c])
+    for k in range(weights.shape[1]):
+        seen = here.views[k]
+        error, weight = here.cost[k] / seen, here.weight_sum[k] / seen
+        located = (seen > 0) & (error == error)
+        views[k] = seen if located else 0.0
+        error_px[k] = error if located else np.nan
+        mean_weight[k] = weight if located else 0.0
+
+
+@kernel
+@no_type_check
+def reproject_all(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views):
+    """Reproject several frames; the parameters are those of ``reproject_frame`` with a leading axis of frames."""
+    for n in range(len(weights)):
+        reproject_frame(lenses, xyz_m[n], flat_px[n], weights[n], error_px[n], mean_weight[n], views[n])
 
 
 @kernel

@@ -10,9 +10,12 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
+from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
 from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
 _NUM_NORMAL = 9
+# The guess for a joint is its median over so many frames on each side.
+_REACH = 2
 _MIN_DETERMINANT = 1e-5
 
 
@@ -47,43 +50,61 @@ def point_dtype(lanes: int) -> np.dtype:
     )
 
 
-class Workspace(NamedTuple):
-    """Workspace of the kernels, which allocate no memory and so need no reference counting."""
+class Solver(NamedTuple):
+    """Cameras and settings of a triangulation, and workspace: kernels allocate no memory."""
 
+    image_from_world: np.ndarray  # (cameras, 3, 4), to undistorted pixels
+    min_weight: float  # a view with a smaller weight, or with weight 0, is left out
+    scales_m: np.ndarray  # triangulation.SCALES_M
+    disputed_m: float  # triangulation.DISPUTED_M
+    reach: int  # a guess is the median over so many frames on each side
     views: np.ndarray  # (cameras,) of view_dtype
     points: np.ndarray  # (1,) of point_dtype
-    guess_m: np.ndarray  # (joints, 3)
-    before_m: np.ndarray  # (reach + 1, joints, 3): ring buffer of the last unchanged frames
-    window: np.ndarray  # (2 * reach + 1,)
+    window: np.ndarray  # (2 * reach + 1,): sorted values around a frame
 
 
-def make_workspace(num_cameras: int, num_joints: int, reach: int) -> Workspace:
-    """Allocate the workspace of ``triangulate_alone`` and ``settle_disputes``."""
+def make_solver(image_from_world: np.ndarray, num_joints: int, min_weight: float) -> Solver:
+    """Allocate the workspace for so many joints, and gather the settings of ``triangulation.triangulate_robust``."""
     lanes = round_up(num_joints)
-    return Workspace(
-        zero_records(num_cameras, view_dtype(lanes)),
+    return Solver(
+        image_from_world,
+        float(min_weight),
+        np.array(SCALES_M),
+        DISPUTED_M,
+        _REACH,
+        zero_records(len(image_from_world), view_dtype(lanes)),
         zero_records(1, point_dtype(lanes)),
-        np.zeros((num_joints, 3)),
-        np.empty((reach + 1, num_joints, 3)),
-        np.empty(2 * reach + 1),
+        np.empty(2 * _REACH + 1),
     )
 
 
 @kernel
 @no_type_check
-def _fill_rows(image_from_world, points_px, weights, min_weight, views):
-    """Compute rows of each view and their norms (Chen et al. 2020, eq. 7-9 and 11)."""
-    for c in range(len(views)):
-        view, p = views[c], image_from_world[c]
+def _fill_rows(solver, flat_px, weights):
+    """Compute the rows of the views that have a joint, and their norms (Chen et al. 2020, eq. 7-9 and 11).
+
+    Returns
+    -------
+        Number of these views; the others would add only zeros to all sums.
+    """
+    num_views = 0
+    for c in range(len(weights)):
+        num_used = 0.0
+        for k in range(weights.shape[1]):
+            num_used += 1.0 if weights[c, k] > 0 else 0.0
+        if num_used == 0:
+            continue
+        view, p = solver.views[num_views], solver.image_from_world[c]
+        num_views += 1
         p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
         p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
         p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
         for k in range(weights.shape[1]):
-            view.px[0, k], view.px[1, k] = points_px[c, k, 0], points_px[c, k, 1]
+            view.px[0, k], view.px[1, k] = flat_px[c, 2 * k], flat_px[c, 2 * k + 1]
             view.weight[k] = weights[c, k]
         for k in range(view.weight.shape[0]):
             u, v, w = view.px[0, k], view.px[1, k], view.weight[k]
-            used = (w > 0) & (w >= min_weight) & (u + v == u + v)
+            used = (w > 0) & (w >= solver.min_weight) & (u + v == u + v)
             w = w if used else 0.0
             u, v = u if used else 0.0, v if used else 0.0
             a0, a1, a2, a3 = u * p20 - p00, u * p21 - p01, u * p22 - p02, u * p23 - p03
@@ -112,6 +133,7 @@ def _fill_rows(image_from_world, points_px, weights, min_weight, views):
             view.normal[6, k] = -(over_a2 * a0 * a3 + over_b2 * b0 * b3)
             view.normal[7, k] = -(over_a2 * a1 * a3 + over_b2 * b1 * b3)
             view.normal[8, k] = -(over_a2 * a2 * a3 + over_b2 * b2 * b3)
+    return num_views
 
 
 @kernel
@@ -195,22 +217,21 @@ def _measure_cost(views, point, scale_m):
 
 @kernel
 @no_type_check
-def _median_around(xyz_m, frame, joint, axis, reach, workspace):
+def _median_around(xyz_m, frame, joint, axis, reach, window):
     """Median of a coordinate over a frame and its neighbours, NaN where the joint is unknown in all of them."""
     count = 0
     for other in range(max(frame - reach, 0), min(frame + reach + 1, xyz_m.shape[0])):
-        is_past = other < frame
-        value = workspace.before_m[other % (reach + 1), joint, axis] if is_past else xyz_m[other, joint, axis]
+        value = xyz_m[other, joint, axis]
         if value == value:
             place = count
-            while place > 0 and workspace.window[place - 1] > value:
-                workspace.window[place] = workspace.window[place - 1]
+            while place > 0 and window[place - 1] > value:
+                window[place] = window[place - 1]
                 place -= 1
-            workspace.window[place] = value
+            window[place] = value
             count += 1
     if count == 0:
         return np.nan
-    return 0.5 * (workspace.window[(count - 1) // 2] + workspace.window[count // 2])
+    return 0.5 * (window[(count - 1) // 2] + window[count // 2])
 
 
 @kernel
@@ -260,52 +281,72 @@ def _anneal(views, point, scales_m):
 
 @kernel
 @no_type_check
-def triangulate_alone(
-    image_from_world, points_px, weights, min_weight, scales_m, disputed_m, workspace, xyz_m, disputed
-):
-    """Triangulate all frames by ``triangulation.triangulate_robust`` without a guess.
+def triangulate_frame(solver, flat_px, weights, xyz_m, disputed):
+    """Triangulate a frame by ``triangulation.triangulate_robust`` without a guess.
 
     Parameters
     ----------
-    image_from_world
-        Projection matrices to undistorted pixels, (cameras, 3, 4).
-    points_px
-        Undistorted pixels, (frames, cameras, joints, 2); NaN where unseen.
-    weights, min_weight
-        Factors of a view's rows, (frames, cameras, joints); 0, or less than ``min_weight``, leaves the view out.
-    scales_m, disputed_m
-        ``triangulation.SCALES_M`` and ``triangulation.DISPUTED_M``.
-    workspace
-        See ``make_workspace``.
+    flat_px
+        Undistorted pixels, x and y of each joint in turn, (cameras, 2 * joints); NaN where unseen. A last axis of two
+        would prevent vectorised loops, as kernels do not know its length.
+    weights
+        Factors of a view's rows, (cameras, joints).
     xyz_m
-        Output: world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the point.
+        Output: world coordinates in metres, (joints, 3), NaN where fewer than two cameras see the point.
     disputed
-        Output: whether the views of a joint disagree, (frames, joints).
+        Output: whether the views of a joint disagree, (joints,).
     """
-    views, here = workspace.views, workspace.points[0]
-    for frame in range(len(points_px)):
-        _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, views)
-        _triangulate_alone(views, here, scales_m, disputed_m)
-        for k in range(points_px.shape[2]):
-            disputed[frame, k] = here.num_far[k] > 0
-            for axis in range(3):
-                xyz_m[frame, k, axis] = here.xyz_m[axis, k]
+    here, num_views = solver.points[0], _fill_rows(solver, flat_px, weights)
+    _triangulate_alone(solver.views[:num_views], here, solver.scales_m, solver.disputed_m)
+    for k in range(weights.shape[1]):
+        disputed[k] = here.num_far[k] > 0
+        for axis in range(3):
+            xyz_m[k, axis] = here.xyz_m[axis, k]
 
 
 @kernel
 @no_type_check
-def _neighbours_object(xyz_m, frame, disputed, disputed_m, reach, workspace):
-    """Keep a dispute only if the median of neighbouring frames, ``workspace.guess_m``, is far from the joint."""
-    any_disputed = False
-    for k in range(xyz_m.shape[1]):
-        if disputed[k]:
+def _middle(a, b, c, d, e):
+    """Median of five numbers."""
+    low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
+    return max(min(low, high), min(max(low, high), e))
+
+
+@kernel
+@no_type_check
+def guess_from_neighbours(solver, xyz_m, disputed, guess_m):
+    """Compute the medians of disputed joints over neighbouring frames, and end the disputes that these do not support.
+
+    Parameters
+    ----------
+    xyz_m
+        Positions by ``triangulate_frame``, (frames, joints, 3).
+    disputed
+        Disputes by ``triangulate_frame``, (frames, joints), changed in place: a dispute remains only if the median is
+        far from the joint.
+    guess_m
+        Output: medians at disputed joints, (frames, joints, 3).
+    """
+    num_frames, reach = xyz_m.shape[0], solver.reach
+    for frame in range(num_frames):
+        for k in range(xyz_m.shape[1]):
+            if not disputed[frame, k]:
+                continue
+            total = np.nan
+            if reach == 2 and 2 <= frame < num_frames - 2:
+                total = 0.0
+                for other in range(frame - 2, frame + 3):
+                    total += xyz_m[other, k, 0] + xyz_m[other, k, 1] + xyz_m[other, k, 2]
             apart2 = 0.0
             for axis in range(3):
-                workspace.guess_m[k, axis] = _median_around(xyz_m, frame, k, axis, reach, workspace)
-                apart2 += (workspace.guess_m[k, axis] - xyz_m[frame, k, axis]) ** 2
-            disputed[k] = apart2 > disputed_m * disputed_m
-            any_disputed |= disputed[k]
-    return any_disputed
+                if total == total:  # almost always five positions are known
+                    a, b = xyz_m[frame - 2, k, axis], xyz_m[frame - 1, k, axis]
+                    d, e = xyz_m[frame + 1, k, axis], xyz_m[frame + 2, k, axis]
+                    guess_m[frame, k, axis] = _middle(a, b, xyz_m[frame, k, axis], d, e)
+                else:
+                    guess_m[frame, k, axis] = _median_around(xyz_m, frame, k, axis, reach, solver.window)
+                apart2 += (guess_m[frame, k, axis] - xyz_m[frame, k, axis]) ** 2
+            disputed[frame, k] = apart2 > solver.disputed_m * solver.disputed_m
 
 
 @kernel
@@ -333,24 +374,23 @@ def _from_guess(views, here, scales_m, disputed, guess_m, xyz_m):
 
 @kernel
 @no_type_check
-def settle_disputes(
-    image_from_world, points_px, weights, min_weight, scales_m, disputed_m, reach, workspace, xyz_m, disputed
-):
-    """Triangulate disputed joints again from the median of neighbouring frames; the lower robust cost wins.
+def settle_frame(solver, flat_px, weights, disputed, guess_m, xyz_m):
+    """Triangulate a frame's disputed joints again from their guesses; the lower robust cost wins.
 
-    This is ``triangulation.triangulate_robust`` with the running median over ``reach`` frames on each side as guess.
-
-    Parameters
-    ----------
-    xyz_m, disputed
-        Outputs of ``triangulate_alone``, changed in place: positions where the guess wins, and remaining disputes.
+    This is ``triangulation.triangulate_robust`` with a guess, after ``triangulate_frame`` and
+    ``guess_from_neighbours``. ``xyz_m`` is changed in place where the guess wins.
     """
-    for frame in range(len(points_px)):
-        for k in range(xyz_m.shape[1]):
-            for axis in range(3):
-                workspace.before_m[frame % (reach + 1), k, axis] = xyz_m[frame, k, axis]
-        if _neighbours_object(xyz_m, frame, disputed[frame], disputed_m, reach, workspace):
-            _fill_rows(image_from_world, points_px[frame], weights[frame], min_weight, workspace.views)
-            _from_guess(
-                workspace.views, workspace.points[0], scales_m, disputed[frame], workspace.guess_m, xyz_m[frame]
-            )
+    num_views = _fill_rows(solver, flat_px, weights)
+    _from_guess(solver.views[:num_views], solver.points[0], solver.scales_m, disputed, guess_m, xyz_m)
+
+
+@kernel
+@no_type_check
+def triangulate_all(solver, flat_px, weights, xyz_m, disputed, guess_m):
+    """Triangulate consecutive frames; the parameters are those of the functions above with a leading axis of frames."""
+    for frame in range(len(flat_px)):
+        triangulate_frame(solver, flat_px[frame], weights[frame], xyz_m[frame], disputed[frame])
+    guess_from_neighbours(solver, xyz_m, disputed, guess_m)
+    for frame in range(len(flat_px)):
+        if np.any(disputed[frame]):
+            settle_frame(solver, flat_px[frame], weights[frame], disputed[frame], guess_m[frame], xyz_m[frame])

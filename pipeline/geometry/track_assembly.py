@@ -16,6 +16,7 @@ _MAX_GAP_S = 0.2
 _MIN_LIFE_S = 0.15
 
 Person = tuple[Track3D, Observations]
+Errors = tuple[Float[np.ndarray, "frames joints"], Float[np.ndarray, "frames joints"], Int[np.ndarray, "frames joints"]]
 
 
 def record_life(
@@ -48,24 +49,67 @@ def record_life(
         Track and observations with number 0, from the first to the last frame with a located joint; ``None`` if these
         frames are too few for a person.
     """
+    life = find_life(timebase, xyz_m)
+    if life is None:
+        return None
+    xyz_m, seen_px, score = xyz_m[life], seen_px[life], score[life]
+    source = close_gaps(timebase, xyz_m)
+    errors = reproject(cameras, xyz_m, seen_px, score, min_score)
+    return make_person(
+        start_frame + life.start,
+        xyz_m,
+        source,
+        errors,
+        seen_px,
+        score,
+        None if detection is None else detection[life],
+    )
+
+
+def find_life(timebase: Timebase, xyz_m: Float[np.ndarray, "frames joints 3"]) -> slice | None:
+    """Frames from the first to the last frame with a located joint; ``None`` if they are too few for a person."""
     alive = np.flatnonzero(np.isfinite(xyz_m[..., 0]).any(-1))
     if len(alive) < max(2, min(_MIN_LIFE_S * timebase.frame_rate_hz, timebase.num_frames / 2)):
         return None
-    life = slice(alive[0], alive[-1] + 1)
-    xyz_m, seen_px, score = xyz_m[life], seen_px[life], score[life]
+    return slice(int(alive[0]), int(alive[-1]) + 1)
+
+
+def close_gaps(timebase: Timebase, xyz_m: Float[np.ndarray, "frames joints 3"]) -> Int[np.ndarray, "frames joints"]:
+    """Fill short gaps of joints in place; return the source of each joint, of ``data.Source``."""
     source = np.empty(xyz_m.shape[:2], np.int8)
     fill_gaps(xyz_m, round(_MAX_GAP_S * timebase.frame_rate_hz), np.full(xyz_m.shape[1], -1), source)
-    error_px, mean_score, views = reproject(cameras, xyz_m, seen_px, score, min_score)
+    return source
+
+
+def make_person(
+    start_frame: int,
+    xyz_m: Float[np.ndarray, "frames joints 3"],
+    source: Int[np.ndarray, "frames joints"],
+    errors: Errors,
+    seen_px: Float[np.ndarray, "frames cameras joints 2"],
+    score: Float[np.ndarray, "frames cameras joints"],
+    detection: Int[np.ndarray, "recorded recorded_cameras"] | None = None,
+) -> Person:
+    """Make track and observations, with number 0, of a person's whole life.
+
+    Parameters
+    ----------
+    errors
+        Results of ``tracks.reproject``.
+    detection
+        See ``Observations``; ``None``: not recorded.
+    """
+    error_px, mean_score, views = errors
     track = Track3D(
         track_id=0,
-        start_frame=start_frame + int(alive[0]),
+        start_frame=start_frame,
         xyz_m=read_only(xyz_m),
         score=read_only(mean_score),
         source=read_only(source),
         error_px=read_only(error_px),
         views=read_only(views),
     )
-    rows = no_detections() if detection is None else read_only(detection[life])
+    rows = no_detections() if detection is None else read_only(detection)
     return track, Observations(0, read_only(seen_px), read_only(score), rows)
 
 

@@ -6,20 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.data import Camera
-from pipeline.geometry.camera import twelve_coefficients
-from pipeline.geometry.camera_kernels import reprojection_errors
-from pipeline.geometry.kernels import (
-    make_workspace,
-    point_dtype,
-    settle_disputes,
-    triangulate_alone,
-    view_dtype,
-)
-from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
-from pipeline.runtime.jit import round_up, zero_records
-
-# The guess for a joint is its median over so many frames on each side.
-_REACH = 2
+from pipeline.geometry.camera_kernels import make_lenses, reproject_all
+from pipeline.geometry.kernels import make_solver, triangulate_all
 
 
 def triangulate_frames(
@@ -49,11 +37,11 @@ def triangulate_frames(
         World coordinates in metres, NaN where fewer than two cameras see the point.
     """
     num_frames, num_cameras, num_joints = weights.shape
-    workspace = make_workspace(num_cameras, num_joints, _REACH)
-    seen, scales_m = (image_from_world, points_px, weights, min_weight), np.array(SCALES_M)
-    xyz_m, disputed = np.empty((num_frames, num_joints, 3)), np.empty((num_frames, num_joints), bool)
-    triangulate_alone(*seen, scales_m, DISPUTED_M, workspace, xyz_m, disputed)
-    settle_disputes(*seen, scales_m, DISPUTED_M, _REACH, workspace, xyz_m, disputed)
+    xyz_m, guess_m = np.empty((num_frames, num_joints, 3)), np.empty((num_frames, num_joints, 3))
+    disputed = np.empty((num_frames, num_joints), bool)
+    solver = make_solver(image_from_world, num_joints, min_weight)
+    flat_px = points_px.reshape(num_frames, num_cameras, 2 * num_joints)
+    triangulate_all(solver, flat_px, weights, xyz_m, disputed, guess_m)
     return xyz_m
 
 
@@ -85,20 +73,9 @@ def reproject(
     mean_weight, views
         Mean weight and number of these cameras; 0 where there is no error.
     """
-    shape, lanes = xyz_m.shape[:2], round_up(xyz_m.shape[1])
+    shape = xyz_m.shape[:2]
     error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)
-    reprojection_errors(
-        np.array([camera.cam_from_world.matrix for camera in cameras]),
-        np.array([camera.matrix for camera in cameras]),
-        np.array([twelve_coefficients(camera.distortion) for camera in cameras]),
-        xyz_m,
-        points_px,
-        weights,
-        min_weight,
-        zero_records(1, point_dtype(lanes)),
-        zero_records(1, view_dtype(lanes)),
-        error_px,
-        mean_weight,
-        views,
-    )
+    lenses = make_lenses(cameras, xyz_m.shape[1], min_weight)
+    flat_px = points_px.reshape(*weights.shape[:2], 2 * xyz_m.shape[1])
+    reproject_all(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views)
     return error_px, mean_weight, views

@@ -9,10 +9,16 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 from pipeline.runtime.kernel_cache import cache_folder
 
 _CACHE_LINE = 64
+_MOST_PREFETCHED = 5 * _CACHE_LINE
+_PREFETCH = ir.FunctionType(ir.VoidType(), [ir.PointerType(), *3 * [ir.IntType(32)]])
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 _FOLDER = cache_folder()
@@ -33,6 +39,42 @@ def kernel(function: _Function) -> _Function:
     """Compile a function of numbers and arrays at its first call; the function must not allocate arrays."""
     compiled: _Function = numba.njit(function, **_OPTIONS)
     return compiled
+
+
+def inlined(function: _Function) -> _Function:
+    """Compile a function as ``kernel`` does, always as a part of the kernels that call it.
+
+    A kernel that is not inlined gets its arguments on the stack, one number at a time: some 60 for the arrays of the
+    tracker's targets alone. In the innermost loops this takes longer than the work itself.
+    """
+    compiled: _Function = numba.njit(function, **_OPTIONS, forceinline=True)
+    return compiled
+
+
+@intrinsic
+def prefetch_row(
+    typing_context: object, array: types.Array, row: types.Integer
+) -> tuple[object, Callable[[Any, Any, Any, Any], Any]]:
+    """Start to load a row of a contiguous array into the processor's cache; for rows that are far from each other.
+
+    A row that is out of bounds has no effect.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        view = make_array(signature.args[0])(context, builder, arguments[0])  # type: ignore[no-untyped-call]
+        start = builder.ptrtoint(view.data, ir.IntType(64))
+        row_bytes = builder.extract_value(view.strides, 0)
+        at = builder.add(start, builder.mul(row_bytes, arguments[1]))
+        pointer = ir.PointerType()
+        function = builder.module.declare_intrinsic("llvm.prefetch", (pointer,), _PREFETCH)
+        kind = [ir.Constant(ir.IntType(32), value) for value in (0, 3, 1)]  # for reading, into all caches, data
+        for line in range(0, _MOST_PREFETCHED, _CACHE_LINE):
+            builder.call(
+                function, [builder.inttoptr(builder.add(at, ir.Constant(ir.IntType(64), line)), pointer), *kind]
+            )
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64), generate
 
 
 def round_up(num_joints: int) -> int:

@@ -7,15 +7,18 @@ from jaxtyping import Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Leftovers, Observations, People, Timebase, Track3D
 from pipeline.geometry.camera import image_from_world
-from pipeline.geometry.track_assembly import number_people, record_life
-from pipeline.geometry.tracks import triangulate_frames
+from pipeline.geometry.camera_kernels import make_lenses
+from pipeline.geometry.kernels import make_solver
+from pipeline.geometry.track_assembly import close_gaps, find_life, make_person, number_people
 from pipeline.progress import OnShare, ignore, part_of
+from pipeline.tracking.kernels.observation_kernels import Sampling, locate, record
 from pipeline.tracking.observations import (
     Bodies,
     detections_at,
     gather,
-    observations_at,
     rows_by_person,
+    sampled_in,
+    sampling_of,
     undistorted,
 )
 from pipeline.tracking.parameters import TrackingParameters
@@ -63,9 +66,10 @@ def locate_people(
         that are left.
     """
     bodies = gather(cameras, times, detections)
-    person_rows = list(rows_by_person(bodies, np.concatenate([identities[camera.name] for camera in cameras])))
-    xyz_m = _triangulate(cameras, bodies, undistorted(cameras, bodies), person_rows, timebase, parameters, ignore)
-    return _record(cameras, bodies, person_rows, xyz_m, timebase, parameters, ignore)
+    identity = np.concatenate([identities[camera.name] for camera in cameras])
+    samplings = _samplings(cameras, bodies, identity, timebase, parameters)
+    xyz_m = _triangulate(cameras, bodies, undistorted(cameras, bodies), samplings, parameters, ignore)
+    return _record(cameras, bodies, samplings, xyz_m, timebase, parameters, ignore)
 
 
 def reconstruct_tracks(
@@ -98,14 +102,12 @@ def track_bodies(
     on_approximate
         See ``Tracker.run``.
     """
-    # Distorted and undistorted joints are sampled one after the other: both at once, for all people, would take half as
-    # much memory again as the result.
     ideal_px = undistorted(cameras, bodies)
     identity = _identify(cameras, times, bodies, ideal_px, parameters, part_of(on_share, 0.0, 0.5), on_approximate)
-    person_rows = list(rows_by_person(bodies, identity))
-    xyz_m = _triangulate(cameras, bodies, ideal_px, person_rows, timebase, parameters, part_of(on_share, 0.5, 0.75))
+    samplings = _samplings(cameras, bodies, identity, timebase, parameters)
+    xyz_m = _triangulate(cameras, bodies, ideal_px, samplings, parameters, part_of(on_share, 0.5, 0.75))
     del ideal_px
-    return _record(cameras, bodies, person_rows, xyz_m, timebase, parameters, part_of(on_share, 0.75, 1.0))
+    return _record(cameras, bodies, samplings, xyz_m, timebase, parameters, part_of(on_share, 0.75, 1.0))
 
 
 def _identify(
@@ -122,45 +124,80 @@ def _identify(
     return Tracker(cameras, frames, parameters).run(on_share, on_approximate)
 
 
+def _samplings(
+    cameras: Sequence[Camera],
+    bodies: Bodies,
+    identity: Int[np.ndarray, " detections"],
+    timebase: Timebase,
+    parameters: TrackingParameters,
+) -> list[Sampling]:
+    """Prepare the sampling of each person's observations."""
+    return [
+        sampling_of(timebase, bodies, rows, len(cameras), parameters.lambda_t_hz)
+        for rows in rows_by_person(bodies, identity)
+    ]
+
+
 def _triangulate(
     cameras: Sequence[Camera],
     bodies: Bodies,
     ideal_px: Float[np.ndarray, "detections joints 2"],
-    person_rows: Sequence[Int[np.ndarray, " _"]],
-    timebase: Timebase,
+    samplings: Sequence[Sampling],
     parameters: TrackingParameters,
     on_share: OnShare,
 ) -> list[Float[np.ndarray, "_ joints 3"]]:
-    """Triangulate each person at the output instants, robustly; ``person_rows`` holds the rows of each person."""
-    projections = np.array([image_from_world(camera) for camera in cameras])
+    """Triangulate each person at the output instants, robustly."""
+    num_joints = bodies.score.shape[1]
+    solver = make_solver(np.array([image_from_world(camera) for camera in cameras]), num_joints, parameters.min_score)
+    flat_px = ideal_px.reshape(len(ideal_px), 2 * num_joints)
+    room = np.empty((len(cameras), 2 * num_joints)), np.empty((len(cameras), num_joints))
 
-    def located_m(rows: Int[np.ndarray, " _"]) -> Float[np.ndarray, "frames joints 3"]:
-        sampled = observations_at(timebase, bodies, ideal_px, rows, len(cameras), parameters)
-        return triangulate_frames(projections, sampled.points_px, sampled.score, parameters.min_score)
+    def located_m(sampling: Sampling) -> Float[np.ndarray, "frames joints 3"]:
+        shape = len(sampling.instants_s), num_joints
+        xyz_m, disputed, guess_m = np.empty((*shape, 3)), np.empty(shape, bool), np.empty((*shape, 3))
+        locate(sampling, bodies, flat_px, solver, *room, xyz_m, disputed, guess_m)
+        return xyz_m
 
-    return [located_m(rows) for rows in _reported(person_rows, on_share)]
+    return [located_m(sampling) for sampling in _reported(samplings, on_share)]
 
 
 def _record(
     cameras: Sequence[Camera],
     bodies: Bodies,
-    person_rows: Sequence[Int[np.ndarray, " _"]],
+    samplings: Sequence[Sampling],
     xyz_m: Sequence[Float[np.ndarray, "_ joints 3"]],
     timebase: Timebase,
     parameters: TrackingParameters,
     on_share: OnShare,
 ) -> People:
     """Make each person's track, and the observations behind it in distorted pixels."""
-    recorded, is_left = [], np.ones(len(bodies.camera), bool)
-    for rows, person_m in zip(_reported(person_rows, on_share), xyz_m, strict=True):
-        seen = observations_at(timebase, bodies, bodies.seen_px, rows, len(cameras), parameters)
-        detection = detections_at(timebase, bodies, rows, seen) if bodies.colour.size else None
-        person = record_life(
-            cameras, timebase, seen.start_frame, person_m, seen.points_px, seen.score, parameters.min_score, detection
+    num_cameras, num_joints = len(cameras), bodies.score.shape[1]
+    lenses = make_lenses(cameras, num_joints, parameters.min_score)
+    lives = [find_life(timebase, person_m) for person_m in xyz_m]
+    # One array for all people: its memory consists of larger pages, and its first use takes a fifth of the time.
+    num_frames = sum(life.stop - life.start for life in lives if life is not None)
+    seen_px = np.empty((num_frames, num_cameras, num_joints, 2))
+    score = np.empty((num_frames, num_cameras, num_joints))
+    flat_px = (
+        bodies.seen_px.reshape(len(bodies.seen_px), 2 * num_joints),
+        seen_px.reshape(num_frames, num_cameras, 2 * num_joints),
+    )
+    recorded, num_done = [], 0
+    is_left = np.ones(len(bodies.camera), bool)
+    for sampling, whole_m, life in zip(_reported(samplings, on_share), xyz_m, lives, strict=True):
+        if life is None:
+            continue
+        person_m, sampled = whole_m[life], sampled_in(life, sampling)
+        source = close_gaps(timebase, person_m)
+        ours = slice(num_done, num_done + len(person_m))
+        errors = np.empty(source.shape), np.empty(source.shape), np.empty(source.shape, np.int64)
+        record(sampled, bodies, flat_px[0], lenses, person_m, flat_px[1][ours], score[ours], *errors)
+        detection = detections_at(timebase, bodies, sampled) if bodies.colour.size else None
+        recorded.append(
+            make_person(sampled.start_frame, person_m, source, errors, seen_px[ours], score[ours], detection)
         )
-        if person is not None:
-            recorded.append(person)
-            is_left[rows] = False
+        is_left[sampling.rows] = False
+        num_done += len(person_m)
     return People(*number_people(recorded), leftovers=_leftovers(bodies, np.flatnonzero(is_left), timebase))
 
 
@@ -172,10 +209,10 @@ def _leftovers(bodies: Bodies, rows: Int[np.ndarray, " n"], timebase: Timebase) 
     return Leftovers(frame, bodies.camera[rows], bodies.seen_px[rows], bodies.score[rows])
 
 
-def _reported(person_rows: Sequence[Int[np.ndarray, " _"]], on_share: OnShare) -> Iterator[Int[np.ndarray, " rows"]]:
-    """Yield each person's rows, and report the share of all rows after each person."""
-    num_all, num_done = sum(map(len, person_rows)), 0
-    for rows in person_rows:
-        yield rows
-        num_done += len(rows)
+def _reported(samplings: Sequence[Sampling], on_share: OnShare) -> Iterator[Sampling]:
+    """Yield each person's sampling, and report the share of all detections after each person."""
+    num_all, num_done = sum(len(sampling.rows) for sampling in samplings), 0
+    for sampling in samplings:
+        yield sampling
+        num_done += len(sampling.rows)
         on_share(num_done / num_all)

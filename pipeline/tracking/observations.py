@@ -9,8 +9,7 @@ from jaxtyping import Float, Int, UInt8
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.tracking.kernels.observation_kernels import clear_unfound, sample_observations
-from pipeline.tracking.parameters import TrackingParameters
+from pipeline.tracking.kernels.observation_kernels import Sampling, clear_unfound
 
 NOBODY = -1
 """Identity of a detection that belongs to no person."""
@@ -99,7 +98,9 @@ def rows_by_person(bodies: Bodies, identity: Int[np.ndarray, " detections"]) -> 
     identity
         Identity of each detection; rows with ``NOBODY`` are left out.
     """
-    by_person = np.argsort(identity, kind="stable")
+    # NumPy sorts integers of 16 bits in linear time.
+    is_small = identity.max(initial=NOBODY) <= np.iinfo(np.int16).max
+    by_person = np.argsort(identity.astype(np.int16) if is_small else identity, kind="stable")
     for rows in np.split(by_person, np.flatnonzero(np.diff(identity[by_person])) + 1):
         if len(rows) and identity[rows[0]] != NOBODY:
             yield _best_in_frame(bodies, rows)
@@ -114,86 +115,53 @@ def _best_in_frame(bodies: Bodies, rows: Int[np.ndarray, " rows"]) -> Int[np.nda
     return rows[ranked[is_first]]
 
 
-class Sampled(NamedTuple):
-    """One person's observations at consecutive output instants.
+def sampling_of(
+    timebase: Timebase, bodies: Bodies, rows: Int[np.ndarray, " rows"], num_cameras: int, lambda_t_hz: float
+) -> Sampling:
+    """Prepare the sampling of a person's observations at the output instants.
+
+    Instants go from half a period before the first observation to half a period after the last one.
 
     Parameters
     ----------
-    start_frame
-        Output frame of the first row.
-    points_px
-        Joints in pixels, (frames, cameras, joints, 2); NaN where a camera has no observation.
-    score
-        The detector's confidence, (frames, cameras, joints); 0 where a camera has no observation.
-    """
-
-    start_frame: int
-    points_px: np.ndarray
-    score: np.ndarray
-
-
-def observations_at(
-    timebase: Timebase,
-    bodies: Bodies,
-    points_px: Float[np.ndarray, "detections joints 2"],
-    rows: Int[np.ndarray, " rows"],
-    num_cameras: int,
-    parameters: TrackingParameters,
-) -> Sampled:
-    """Sample a person's observations in every camera at the output instants.
-
-    An output instant between two consecutive frames of a camera takes their linear interpolation, so that cameras that
-    are not synchronised agree on the instant. Its score falls with the distance to the nearer frame as the weight of
-    old observations does, ``exp(-lambda_t |t - t_i|)`` (Chen et al. 2020, eq. 11). Where a neighbour is missing, a
-    frame within half a period stands for the instant. Missed frames are not interpolated.
-
-    Parameters
-    ----------
-    points_px
-        Joints of ``bodies``, as seen or undistorted.
     rows
         Rows of the person's detections, ascending, at most one a camera and frame.
     num_cameras
         Number of cameras of the session.
     """
     half_s = 0.5 / timebase.frame_rate_hz
-    instants_s = _instants_s(timebase, bodies.time_s[rows], half_s)
-    shape = (len(instants_s), num_cameras, bodies.score.shape[1])
-    sampled_px, score = np.empty((*shape, 2)), np.empty(shape)
-    sample_observations(rows, bodies, points_px, instants_s, half_s, parameters.lambda_t_hz, sampled_px, score)
-    start_frame = (
-        round(float((instants_s[0] - timebase.start_time_s) * timebase.frame_rate_hz)) if len(instants_s) else 0
+    seen_s = bodies.time_s[rows]
+    start = max(0, int(np.ceil((seen_s.min() - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
+    stop = int(np.floor((seen_s.max() + half_s - timebase.start_time_s) * timebase.frame_rate_hz)) + 1
+    instants_s = timebase.start_time_s + np.arange(start, min(stop, timebase.num_frames)) / timebase.frame_rate_hz
+    first = np.searchsorted(bodies.camera[rows], np.arange(num_cameras + 1))
+    return Sampling(start, rows, seen_s, bodies.frame[rows], first, first[:-1].copy(), instants_s, half_s, lambda_t_hz)
+
+
+def sampled_in(life: slice, sampling: Sampling) -> Sampling:
+    """Keep the instants of a slice of frames."""
+    return sampling._replace(
+        start_frame=sampling.start_frame + life.start, instants_s=sampling.instants_s[life.start : life.stop]
     )
-    return Sampled(start_frame, sampled_px, score)
 
 
-def detections_at(
-    timebase: Timebase, bodies: Bodies, rows: Int[np.ndarray, " rows"], sampled: Sampled
-) -> Int[np.ndarray, "frames cameras"]:
+def detections_at(timebase: Timebase, bodies: Bodies, sampling: Sampling) -> Int[np.ndarray, "frames cameras"]:
     """Rows of a person's detections by nearest output frame and camera.
 
     Parameters
     ----------
-    rows
-        Rows of the person's detections, ascending.
-    sampled
-        Observations at the output frames.
+    sampling
+        The person's detections and output instants.
 
     Returns
     -------
         Rows of ``bodies``; the last one of several that are nearest to the same frame, -1 where there is none.
     """
-    num_frames, num_cameras = sampled.score.shape[:2]
+    rows = sampling.rows
+    num_frames, num_cameras = len(sampling.instants_s), len(sampling.first) - 1
     nearest = np.rint((bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)
-    nearest -= sampled.start_frame
+    nearest -= sampling.start_frame
     is_inside = (nearest >= 0) & (nearest < num_frames)
     detection = np.full((num_frames, num_cameras), -1, np.int32)
     detection[nearest[is_inside], bodies.camera[rows[is_inside]]] = rows[is_inside]
     return detection
-
-
-def _instants_s(timebase: Timebase, seen_s: Float[np.ndarray, " rows"], half_s: float) -> Float[np.ndarray, " frames"]:
-    """Output instants from half a period before the first observation to half a period after the last observation."""
-    start = max(0, int(np.ceil((seen_s.min() - half_s - timebase.start_time_s) * timebase.frame_rate_hz)))
-    stop = int(np.floor((seen_s.max() + half_s - timebase.start_time_s) * timebase.frame_rate_hz)) + 1
-    return timebase.start_time_s + np.arange(start, min(stop, timebase.num_frames)) / timebase.frame_rate_hz

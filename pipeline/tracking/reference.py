@@ -3,6 +3,9 @@
 Each frame comes from one camera at its own time: no synchronisation is assumed. The frame's detections are matched to
 targets in 3D space. Unmatched detections start new targets together with those of the other cameras' most recent
 frames. Tests compare the compiled tracker (``kernels``) with this module; the benchmark compares their speed.
+
+The compiled tracker skips pairs of target and detection that are too far apart for a positive affinity
+(``pruning_kernels``). Only pairs with a positive affinity are ever matched, so skipping them changes no result.
 """
 
 from collections.abc import Sequence

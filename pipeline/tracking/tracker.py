@@ -12,6 +12,7 @@ from pipeline.geometry.tracks import triangulate_frames
 from pipeline.progress import OnShare, ignore
 from pipeline.tracking.initialization import Lost, Unmatched, find_returning, group_unmatched, is_body, spread_m
 from pipeline.tracking.kernels import tracking_kernels as kernels
+from pipeline.tracking.kernels.observation_kernels import keep_used
 from pipeline.tracking.kernels.state import Frames, Limits, Outcome, Pool, Rig, make_targets, make_workspace
 from pipeline.tracking.observations import NOBODY, Bodies
 from pipeline.tracking.parameters import TrackingParameters
@@ -63,13 +64,16 @@ def make_frames(
     time_s = np.concatenate([frames.time_s for frames in times])
     camera = np.repeat(np.arange(len(times)), [len(frames.time_s) for frames in times])
     in_time = np.argsort(time_s, kind="stable")
+    score = np.empty_like(bodies.score)
+    keep_used(bodies.score, min_score, score)
     return Frames(
         time_s[in_time],
         camera[in_time],
         np.concatenate(first)[in_time],
         np.concatenate(last)[in_time],
         points_px=ideal_px,
-        score=np.where(bodies.score >= min_score, bodies.score, 0.0),
+        score=score,
+        flat_px=ideal_px.reshape(len(ideal_px), 2 * ideal_px.shape[1]),
     )
 
 

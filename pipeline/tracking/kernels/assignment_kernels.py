@@ -4,10 +4,10 @@ from typing import no_type_check
 
 import numpy as np
 
-from pipeline.runtime.jit import kernel
+from pipeline.runtime.jit import inlined
 
 
-@kernel
+@inlined
 @no_type_check
 def hungarian(num_rows, num_columns, room):
     """Assign rows to columns for the largest total ``room.gain``, by shortest augmenting paths.
@@ -49,7 +49,7 @@ def hungarian(num_rows, num_columns, room):
             column = before[column]
 
 
-@kernel
+@inlined
 @no_type_check
 def assign(num_rows, num_columns, room):
     """Match ``room.rows`` to ``room.columns`` for the largest total affinity; each pair has a positive affinity.

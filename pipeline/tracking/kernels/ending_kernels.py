@@ -4,11 +4,11 @@ from typing import no_type_check
 
 import numpy as np
 
-from pipeline.runtime.jit import kernel
+from pipeline.runtime.jit import inlined
 from pipeline.tracking.kernels.state import MIN_JOINTS
 
 
-@kernel
+@inlined
 @no_type_check
 def bury(targets, time_s, limits):
     """End targets that no two cameras have seen for longer than their limit."""
@@ -23,7 +23,7 @@ def bury(targets, time_s, limits):
     targets.alive[0] = kept
 
 
-@kernel
+@inlined
 @no_type_check
 def _same_place(one, other, duplicate_m):
     count, x, y, z = 0.0, 0.0, 0.0, 0.0
@@ -53,7 +53,7 @@ def _same_place(one, other, duplicate_m):
     return total_m < duplicate_m * count
 
 
-@kernel
+@inlined
 @no_type_check
 def _is_better(one, other, time_s, limits):
     """Whether the first of two duplicates stays: by recent support, then by number of supports, then by age."""
@@ -66,7 +66,7 @@ def _is_better(one, other, time_s, limits):
     return one.target_id < other.target_id
 
 
-@kernel
+@inlined
 @no_type_check
 def merge_duplicates(targets, time_s, limits, replaced_by, room):
     """Merge targets at the same place; see ``reference.Tracker``."""

@@ -18,6 +18,10 @@ NUM_RECENT = 8
 # Six entries of a symmetric 3x3 matrix, and three of the right-hand side of the normal equations.
 NUM_NORMAL = 9
 _NUM_SUMS = 9
+# Lanes of a vector of doubles; the number of a record's lanes is a multiple of it.
+LANES = 4
+# Detections in a record of planes.
+FENCED = 8
 
 
 @cache
@@ -31,12 +35,15 @@ def target_dtype(lanes: int) -> np.dtype:
         ("offset_m", np.float64, (3, lanes)),  # predicted joints minus the centre of the current camera
         ("squared_m2", np.float64, (lanes,)),  # squared length of offset_m
         ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
+        ("low_m", np.float64, (3, LANES)),  # least and largest offset_m, by lane
+        ("high_m", np.float64, (3, LANES)),
         ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
         ("views", np.float64, (lanes,)),  # number of views in normal_sum
         ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
         ("recent_s", np.float64, (NUM_RECENT,)),
         ("target_id", np.int64),
         ("sum_s", np.float64),
+        ("oldest_s", np.float64),  # no view in normal_sum is older
         ("recent_since_s", np.float64),  # time at which the newest entry of recent_m was created
         ("num_recent", np.int64),
         ("is_fitted", np.bool_),
@@ -57,7 +64,11 @@ def view_dtype(lanes: int) -> np.dtype:
 def body_dtype(lanes: int) -> np.dtype:
     """Record of a detection in the current frame."""
     return record_dtype(
-        ("points_px", np.float64, (2, lanes)), ("rays", np.float64, (3, lanes)), ("score", np.float64, (lanes,))
+        ("points_px", np.float64, (2, lanes)),
+        ("rays", np.float64, (3, lanes)),
+        ("score", np.float64, (lanes,)),
+        ("low_px", np.float64, (2, LANES)),  # least and largest points_px of used joints, by lane
+        ("high_px", np.float64, (2, LANES)),
     )
 
 
@@ -65,6 +76,16 @@ def body_dtype(lanes: int) -> np.dtype:
 def sums_dtype(lanes: int) -> np.dtype:
     """Record of the sums of the least-squares fit of velocities."""
     return record_dtype(("fit", np.float64, (_NUM_SUMS, lanes)))
+
+
+@cache
+def fence_dtype() -> np.dtype:
+    """Record of the planes around the rays of some detections."""
+    return record_dtype(
+        ("border_px", np.float64, (4, FENCED)),  # right, left, lower and upper border of the box around the joints
+        ("normal", np.float64, (4, 3, FENCED)),
+        ("is_far", np.float64, (FENCED,)),  # 1 where the detection is far from the current target, else 0
+    )
 
 
 class Rig(NamedTuple):
@@ -77,7 +98,7 @@ class Rig(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """Frames of all cameras in time order; rows ``first:last`` of the last two arrays are a frame's detections."""
+    """Frames of all cameras in time order; rows ``first:last`` of the last arrays are a frame's detections."""
 
     time_s: np.ndarray
     camera: np.ndarray
@@ -85,6 +106,7 @@ class Frames(NamedTuple):
     last: np.ndarray
     points_px: np.ndarray  # (detections, joints, 2), undistorted
     score: np.ndarray  # (detections, joints), 0 where a joint is not used
+    flat_px: np.ndarray  # points_px as (detections, 2 * joints), for vectorised loops
 
 
 class Limits(NamedTuple):
@@ -128,7 +150,13 @@ class Workspace(NamedTuple):
     columns: np.ndarray  # (most detections,)
     free: np.ndarray  # (most detections,)
     gone: np.ndarray  # (slots,)
+    fences: np.ndarray  # (most detections / FENCED,) of fence_dtype
     wanted: np.ndarray  # (most detections,)
+    decay_2d: np.ndarray  # (slots,): w2D exp(-lambda_a (t - t''))
+    scale_2d: np.ndarray  # (slots,): 1 / (alpha2D (t - t''))
+    pair_target: np.ndarray  # (slots * most detections,): pairs that may have a positive affinity
+    pair_detection: np.ndarray
+    pair_affinity: np.ndarray
     gain: np.ndarray  # (side, side), where side is the larger of slots and most detections
     row_price: np.ndarray  # (side + 1,), as the arrays that follow
     column_price: np.ndarray
@@ -180,7 +208,13 @@ def make_workspace(num_slots: int, most_detections: int) -> Workspace:
         columns=np.empty(most_detections, np.int64),
         free=np.empty(most_detections, bool),
         gone=np.empty(num_slots, bool),
+        fences=zero_records(-(-most_detections // FENCED), fence_dtype()),
         wanted=np.empty(most_detections, np.int64),
+        decay_2d=np.empty(num_slots),
+        scale_2d=np.empty(num_slots),
+        pair_target=np.empty(num_slots * most_detections + 1, np.int64),
+        pair_detection=np.empty(num_slots * most_detections + 1, np.int64),
+        pair_affinity=np.empty(num_slots * most_detections + 1),
         gain=np.empty((side, side)),
         row_price=np.empty(side + 1),
         column_price=np.empty(side + 1),

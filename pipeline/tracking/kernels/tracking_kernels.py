@@ -8,10 +8,11 @@ from typing import no_type_check
 
 import numpy as np
 
-from pipeline.runtime.jit import kernel
+from pipeline.runtime.jit import inlined, kernel, prefetch_row
 from pipeline.tracking.kernels.assignment_kernels import assign
 from pipeline.tracking.kernels.ending_kernels import bury, merge_duplicates
-from pipeline.tracking.kernels.state import MIN_JOINTS, NUM_NORMAL, NUM_RECENT
+from pipeline.tracking.kernels.pruning_kernels import MARGIN, bound_rays, find_far, spare_undecided
+from pipeline.tracking.kernels.state import FENCED, MIN_JOINTS, NUM_NORMAL, NUM_RECENT
 
 _MIN_DETERMINANT = 1e-5
 
@@ -28,6 +29,7 @@ def clear(targets, slot, target_id):
     target.normal_sum[:] = 0.0
     target.views[:] = 0.0
     target.sum_s = -np.inf
+    target.oldest_s = np.inf
     target.num_recent = 0
     target.is_fitted = True
     target.moved_s = -np.inf
@@ -40,13 +42,19 @@ def clear(targets, slot, target_id):
         targets.views[slot, camera].last_px[:] = np.nan
 
 
-@kernel
+@inlined
 @no_type_check
 def _drop_old_views(targets, slot, time_s, limits):
     """Subtract views that are too old from the normal equations; set those of a joint without views to zero."""
     target = targets.state[slot]
+    if time_s - target.oldest_s < limits.velocity_window_s:
+        return
+    target.oldest_s = np.inf
     for camera in range(targets.matched_s.shape[1]):
-        if not targets.counted[slot, camera] or time_s - targets.matched_s[slot, camera] < limits.velocity_window_s:
+        if not targets.counted[slot, camera]:
+            continue
+        if time_s - targets.matched_s[slot, camera] < limits.velocity_window_s:
+            target.oldest_s = min(target.oldest_s, targets.matched_s[slot, camera])
             continue
         targets.counted[slot, camera] = False
         view = targets.views[slot, camera]
@@ -59,7 +67,7 @@ def _drop_old_views(targets, slot, time_s, limits):
                 target.normal_sum[entry, k] = total if target.views[k] > 0 else 0.0
 
 
-@kernel
+@inlined
 @no_type_check
 def observe(targets, slot, camera, time_s, body_number, image_from_world, limits):
     """Store a matched detection as the last match of its camera (eq. 6-9 and the norm of eq. 11).
@@ -127,11 +135,12 @@ def observe(targets, slot, camera, time_s, body_number, image_from_world, limits
         view.normal[7, k] = n7
         view.normal[8, k] = n8
     target.sum_s = time_s
+    target.oldest_s = min(target.oldest_s, time_s)
     targets.matched_s[slot, camera] = time_s
     targets.counted[slot, camera] = True
 
 
-@kernel
+@inlined
 @no_type_check
 def move(targets, slot, time_s, limits, earned):
     """Triangulate incrementally from the last match of every camera (eq. 10-11)."""
@@ -180,7 +189,7 @@ def move(targets, slot, time_s, limits, earned):
                 earned[target.target_id] = True
 
 
-@kernel
+@inlined
 @no_type_check
 def _newest_place(target, time_s, limits):
     """Index for the current position among the recent positions; it replaces the newest entry if that is recent."""
@@ -193,7 +202,7 @@ def _newest_place(target, time_s, limits):
     return newest
 
 
-@kernel
+@inlined
 @no_type_check
 def _fit_velocity(target, sums, window_s):
     """Fit velocities to the recent positions by linear least squares (eq. 5), 0 with fewer than three positions."""
@@ -228,10 +237,15 @@ def _fit_velocity(target, sums, window_s):
     target.is_fitted = True
 
 
-@kernel
+@inlined
 @no_type_check
 def _expect(target, sums, time_s, center_m, limits):
-    """Predict joints by linear motion (eq. 5), and their offsets, distances and decay for eq. 4 in a camera."""
+    """Predict joints by linear motion (eq. 5), and their offsets, distances and decay for eq. 4 in a camera.
+
+    Returns
+    -------
+        Least ``decay_3d`` of a located joint.
+    """
     if not target.is_fitted and time_s > target.moved_s:
         _fit_velocity(target, sums, limits.velocity_window_s)
     center_x, center_y, center_z = center_m[0], center_m[1], center_m[2]
@@ -248,15 +262,17 @@ def _expect(target, sums, time_s, center_m, limits):
         target.offset_m[1, k] = y_m
         target.offset_m[2, k] = z_m
         target.squared_m2[k] = x_m * x_m + y_m * y_m + z_m * z_m
-    known_s, decay = np.nan, 0.0
+    known_s, decay, least = np.nan, 0.0, np.inf
     for k in range(target.views.shape[0]):
         if target.updated_s[k] != known_s:  # most joints were updated together
             known_s = target.updated_s[k]
             decay = limits.weight_3d * np.exp(-limits.lambda_a_hz * (time_s - known_s))
+            least = min(least, decay) if known_s > -np.inf else least
         target.decay_3d[k] = decay
+    return least
 
 
-@kernel
+@inlined
 @no_type_check
 def _affinity(target, view, body, scale_2d, decay_2d, over_alpha_3d):
     """Affinity A of a target and a detection (eq. 1, 2 and 4); -inf where they share too few joints."""
@@ -302,7 +318,7 @@ def epipolar_affinity(fundamental, left_px, left_score, right_px, right_score, a
     return total / count if count >= MIN_JOINTS else -np.inf
 
 
-@kernel
+@inlined
 @no_type_check
 def _may_start_somebody(frames, rig, limits, pool, camera, time_s):
     """Whether an unmatched detection of this camera has a positive affinity with a recent one of another camera."""
@@ -326,7 +342,7 @@ def _may_start_somebody(frames, rig, limits, pool, camera, time_s):
     return False
 
 
-@kernel
+@inlined
 @no_type_check
 def prepare(targets, frames, first, num_detections, world_ray_from_image):
     """Copy the detections of a frame to ``targets.bodies``, and compute their viewing rays (eq. 3)."""
@@ -334,7 +350,7 @@ def prepare(targets, frames, first, num_detections, world_ray_from_image):
     for number in range(num_detections):
         body = targets.bodies[number]
         for k in range(frames.score.shape[1]):
-            u, v = frames.points_px[first + number, k, 0], frames.points_px[first + number, k, 1]
+            u, v = frames.flat_px[first + number, 2 * k], frames.flat_px[first + number, 2 * k + 1]
             score = frames.score[first + number, k]
             # A joint that is not used must not add NaN to sums.
             body.points_px[0, k] = u if score > 0 else 0.0
@@ -350,7 +366,37 @@ def prepare(targets, frames, first, num_detections, world_ray_from_image):
             body.rays[2, k] = z * over
 
 
-@kernel
+@inlined
+@no_type_check
+def find_pairs(targets, camera, time_s, num_detections, rig, limits, room):
+    """Predict the targets and list the pairs of target and detection that may have a positive affinity.
+
+    Returns
+    -------
+        Number of pairs in ``room.pair_target`` and ``room.pair_detection``.
+    """
+    gap_s, decay_2d, scale_2d, num_pairs = np.nan, 0.0, 0.0, 0
+    bound_rays(targets.bodies, num_detections, rig.image_from_world[camera], room.fences)
+    for i in range(targets.alive[0]):
+        slot = targets.order[i]
+        target = targets.state[slot]
+        least_3d = _expect(target, targets.sums[0], time_s, rig.center_m[camera], limits)
+        if time_s - targets.matched_s[slot, camera] != gap_s:  # most targets were matched together
+            gap_s = time_s - targets.matched_s[slot, camera]
+            decay_2d = limits.weight_2d * np.exp(-limits.lambda_a_hz * gap_s)
+            scale_2d = 1.0 / (limits.alpha_2d_px_s * gap_s)
+        room.decay_2d[i], room.scale_2d[i] = decay_2d, scale_2d
+        find_far(target, room.fences, num_detections, 2 * limits.alpha_3d_m)
+        if not least_3d > MARGIN * decay_2d:
+            spare_undecided(target, targets.bodies, num_detections, decay_2d, room.fences)
+        for j in range(num_detections):
+            # Without a branch, which could not be predicted: the next pair replaces a pair that is not counted.
+            room.pair_target[num_pairs], room.pair_detection[num_pairs] = i, j
+            num_pairs += 1 if room.fences[j // FENCED].is_far[j % FENCED] == 0 else 0
+    return num_pairs
+
+
+@inlined
 @no_type_check
 def _choose(targets, num_detections, room):
     """Match targets to detections, confirmed targets before tentative ones."""
@@ -372,6 +418,41 @@ def _choose(targets, num_detections, room):
                 room.free[room.match[room.rows[i]]] = False
 
 
+@inlined
+@no_type_check
+def _match(targets, camera, num_detections, num_pairs, limits, room):
+    """Match targets to detections into ``room.match`` and ``room.free``; only the listed pairs are considered.
+
+    If every target and every detection is in at most one positive pair, the positive pairs are the solution.
+    """
+    count, over_alpha_3d, num_positive = targets.alive[0], 1.0 / limits.alpha_3d_m, 0
+    room.match[:count] = -1
+    room.wanted[:num_detections] = 0
+    for pair in range(num_pairs):
+        i, j = room.pair_target[pair], room.pair_detection[pair]
+        slot = targets.order[i]
+        target, view, body = targets.state[slot], targets.views[slot, camera], targets.bodies[j]
+        affinity = _affinity(target, view, body, room.scale_2d[i], room.decay_2d[i], over_alpha_3d)
+        room.pair_affinity[pair] = affinity
+        is_positive = 1 if affinity > 0 else 0
+        room.match[i] = j if is_positive else room.match[i]
+        room.wanted[j] += is_positive
+        num_positive += is_positive
+    num_matched, num_wanted = 0, 0
+    for i in range(count):
+        num_matched += 1 if room.match[i] >= 0 else 0
+    for j in range(num_detections):
+        room.free[j] = room.wanted[j] == 0
+        num_wanted += 1 if room.wanted[j] > 0 else 0
+    if num_matched != num_positive or num_wanted != num_positive:
+        room.match[:count] = -1
+        room.free[:num_detections] = True
+        room.affinity[:count, :num_detections] = -1.0
+        for pair in range(num_pairs):
+            room.affinity[room.pair_target[pair], room.pair_detection[pair]] = room.pair_affinity[pair]
+        _choose(targets, num_detections, room)
+
+
 @kernel
 @no_type_check
 def track(start, frames, rig, limits, targets, pool, outcome, room):
@@ -381,13 +462,14 @@ def track(start, frames, rig, limits, targets, pool, outcome, room):
     -------
         Number of the first frame after which detections in the pool may start a target; the number of frames if none.
     """
-    affinity, match, free = room.affinity, room.match, room.free
-    over_alpha_3d = 1.0 / limits.alpha_3d_m
-    gap_s, decay_2d, scale_2d = np.nan, 0.0, 0.0
-
+    match, free = room.match, room.free
     for event in range(start, len(frames.time_s)):
         time_s, camera = frames.time_s[event], frames.camera[event]
         first, num_detections = frames.first[event], frames.last[event] - frames.first[event]
+        upcoming = min(event + 1, len(frames.time_s) - 1)
+        for row in range(frames.first[upcoming], frames.last[upcoming]):
+            prefetch_row(frames.flat_px, row)
+            prefetch_row(frames.score, row)
         if time_s > outcome.merged_s[0]:
             merge_duplicates(targets, time_s, limits, outcome.replaced_by, room)
             outcome.merged_s[0] = time_s
@@ -396,18 +478,8 @@ def track(start, frames, rig, limits, targets, pool, outcome, room):
         free[:num_detections] = True
         if count > 0 and num_detections > 0:
             prepare(targets, frames, first, num_detections, rig.world_ray_from_image[camera])
-            for i in range(count):
-                slot = targets.order[i]
-                target, view = targets.state[slot], targets.views[slot, camera]
-                _expect(target, targets.sums[0], time_s, rig.center_m[camera], limits)
-                if time_s - targets.matched_s[slot, camera] != gap_s:  # most targets were matched together
-                    gap_s = time_s - targets.matched_s[slot, camera]
-                    decay_2d = limits.weight_2d * np.exp(-limits.lambda_a_hz * gap_s)
-                    scale_2d = 1.0 / (limits.alpha_2d_px_s * gap_s)
-                for j in range(num_detections):
-                    affinity[i, j] = _affinity(target, view, targets.bodies[j], scale_2d, decay_2d, over_alpha_3d)
-                match[i] = -1
-            _choose(targets, num_detections, room)
+            num_pairs = find_pairs(targets, camera, time_s, num_detections, rig, limits, room)
+            _match(targets, camera, num_detections, num_pairs, limits, room)
             for i in range(count):
                 if match[i] >= 0:
                     slot = targets.order[i]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numba
 from numba.core import event
 
-from pipeline.geometry.kernels import triangulate_alone
+from pipeline.geometry.kernels import triangulate_all
 from pipeline.runtime.warm_up import _counted
 
 
@@ -16,7 +16,7 @@ def end_compilation(function: object) -> None:
 
 
 def test_compiled_functions_of_all_packages_are_counted() -> None:
-    kernel = getattr(triangulate_alone, "py_func")  # noqa: B009 - numba's attribute, unknown to type checkers
+    kernel = getattr(triangulate_all, "py_func")  # noqa: B009 - numba's attribute, unknown to type checkers
     counts: list[int] = []
     with _counted(counts.append):
         end_compilation(kernel)

@@ -101,7 +101,7 @@ def test_epipolar_affinity_is_that_of_the_reference(ring: tuple[Camera, ...]) ->
 
 def test_nothing_is_left_to_compile_after_warming_up() -> None:
     warm_up()
-    compiled = (kernels.track, kernels.observe, observation_kernels.sample_observations)
+    compiled = (kernels.track, kernels.observe, observation_kernels.locate)
     known = [len(one.signatures) for one in compiled]
     simulation = record(replace(SCENES["room"], duration_s=1.0), 0)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
