@@ -139,10 +139,8 @@ def recall_within_150_mm(scene: Scene, seed: int, num_views: int) -> tuple[float
     return scores.recall, scores.pck150
 
 
-@pytest.mark.parametrize(
-    ("name", "num_views", "least_joints"), [("crowd-3", 3, 0.95), ("noisy", 3, 0.85), ("noisy", 5, 0.97)]
-)
-def test_people_are_found_with_three_cameras_and_with_noise(name: str, num_views: int, least_joints: float) -> None:
-    recall, pck150 = recall_within_150_mm(replace(SCENES[name], duration_s=2.0), 4, num_views)
-    assert recall >= 0.95
-    assert pck150 >= least_joints
+@pytest.mark.parametrize("name", ["crowd-3", "noisy"])
+def test_people_are_found_with_three_cameras(name: str) -> None:
+    recall, pck150 = recall_within_150_mm(replace(SCENES[name], duration_s=2.0), 5, num_views=3)
+    assert recall >= 0.97
+    assert pck150 >= 0.93
