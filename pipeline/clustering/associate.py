@@ -14,6 +14,7 @@ from pipeline.clustering.instant.candidates import BodyEvidence, Instant, ViewEv
 from pipeline.clustering.instant.clusters import find_joints
 from pipeline.clustering.instant.effort import Effort
 from pipeline.clustering.instant.parsing import Poses, parse
+from pipeline.clustering.instant.people import match_people
 from pipeline.clustering.linking import link
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.skeleton import TORSO, Skeleton, skeleton_of
@@ -32,9 +33,14 @@ def find_poses(
     parameters: ClusteringParameters,
     effort: Effort,
 ) -> Poses:
-    """Find the poses of all people at one instant (sections 3.2 to 3.4)."""
-    joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, effort)
-    return parse(joints, instant.evidence, skeleton, lengths, parameters)
+    """Find the poses of all people at one instant (sections 3.2 to 3.4).
+
+    People whose bodies agree in several views come first. The paper's steps find the rest: joints that these people
+    lack, and other people.
+    """
+    whole = match_people(image_from_world, instant.candidates, skeleton, lengths, parameters, effort)
+    joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, effort, whole.joints)
+    return parse(joints, instant.evidence, skeleton, lengths, parameters, whole.joint_of)
 
 
 def sampled_frames(timebase: Timebase, parameters: ClusteringParameters) -> range:

@@ -74,6 +74,7 @@ def find_joints(
     lengths: LimbLengths,
     parameters: ClusteringParameters,
     effort: Effort,
+    known: Joints | None = None,
 ) -> Joints:
     """Find the 3D joints of all people, level by level of the skeleton (sections 3.2 and 3.3).
 
@@ -84,9 +85,12 @@ def find_joints(
         highest scores are used.
     effort
         See ``effort.Effort``.
+    known
+        Joints that were found before. They are parents like others, their candidates are not used again, and they are
+        the first joints of the result.
     """
-    joints = no_joints(len(image_from_world))
-    certain = _most_certain(candidates, effort)
+    joints = no_joints(len(image_from_world)) if known is None else known
+    certain = np.setdiff1d(_most_certain(candidates, effort), joints.candidate)
     for level in skeleton.levels:
         of_level = certain[np.isin(candidates.joint[certain], level)]
         here = candidates.where(of_level)
@@ -360,7 +364,7 @@ def _locate(
     points_px = np.append(candidates.points_px, [[0.0, 0.0]], axis=0)
     seeds_m = np.array([draft.seed_m for draft in kept])
     xyz_m = refine(image_from_world, seeds_m, points_px[chosen], confidence[chosen])
-    if _adopt(image_from_world, candidates, xyz_m, chosen, eps_m):
+    if adopt(image_from_world, candidates, xyz_m, chosen, eps_m):
         xyz_m = refine(image_from_world, xyz_m, points_px[chosen], confidence[chosen])
     body = np.append(candidates.body, NOWHERE)[chosen]
     if kept[0].parent != NOWHERE:
@@ -373,7 +377,7 @@ def _may_share(draft: _Draft, owners: list[_Draft]) -> bool:
     return all(owner.cluster == draft.cluster and owner.parent != draft.parent for owner in owners)
 
 
-def _adopt(
+def adopt(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
     candidates: Candidates,
     xyz_m: Float[np.ndarray, "joints 3"],

@@ -76,6 +76,25 @@ def length_error(
     return error
 
 
+def pose_length_error(
+    poses_m: Float[np.ndarray, "poses joints 3"], skeleton: Skeleton, lengths: LimbLengths
+) -> Float[np.ndarray, "poses joints"]:
+    """Relative error of the limb from each joint to its parent against the known bone lengths (eq. 3).
+
+    Returns
+    -------
+        Smallest error over all people; 0 if no length is known; infinite for a distance that no person's limb has; NaN
+        where either end is missing.
+    """
+    distance_m = np.linalg.norm(poses_m - poses_m[:, list(skeleton.parents)], axis=-1)
+    distance_m[:, 0] = np.nan  # the root has no limb
+    error = np.zeros(distance_m.shape)
+    for kind in np.flatnonzero(lengths.is_measured):
+        error[:, kind] = _relative_error(distance_m[:, kind], lengths.known_m[kind])
+    error[(distance_m <= _SHORTEST_M) | (distance_m >= lengths.longest_m)] = np.inf
+    return np.where(np.isnan(distance_m), np.nan, error)
+
+
 def _relative_error(
     distance_m: Float[np.ndarray, " n"], known_m: Float[np.ndarray, " people"]
 ) -> Float[np.ndarray, " n"]:

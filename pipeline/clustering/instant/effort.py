@@ -21,6 +21,12 @@ MAX_NEIGHBOURS = 8_000_000
 MAX_JOINTS = 512
 """Most 3D joints of one kind."""
 
+MAX_BODIES = 1024
+"""Most bodies of all views that are matched as a whole."""
+
+MAX_REPAIRS = 100_000
+"""Most views of changed poses that are tried in a round of the repair of people."""
+
 MAX_DENSE = 2**24
 """Most entries of a matrix over joints of all kinds; beyond it, a matrix is made for each kind."""
 

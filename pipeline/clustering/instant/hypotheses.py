@@ -78,7 +78,7 @@ def meet(
 ) -> Hypotheses:
     """Triangulate all pairs of a joint's candidates in two views; keep those with a reprojection error up to ``tau1``.
 
-    For a joint with more than ``MAX_PAIRS`` pairs, some pairs of views are left out; see ``_views_that_meet``. Of more
+    For a joint with more than ``MAX_PAIRS`` pairs, some pairs of views are left out; see ``views_that_meet``. Of more
     than ``MAX_HYPOTHESES`` hypotheses, those with the smallest errors are kept.
     """
     views = image_from_world[candidates.view]
@@ -120,11 +120,11 @@ def _pairs(
     num_pairs = np.triu(np.outer(count, count), 1)
     wanted = view[:, None] < view
     if not effort.allows(int(num_pairs.sum()), MAX_PAIRS):
-        wanted &= _views_that_meet(image_from_world, num_pairs)[view[:, None], view]
+        wanted &= views_that_meet(image_from_world, num_pairs)[view[:, None], view]
     return of_joint[np.argwhere(wanted)]
 
 
-def _views_that_meet(
+def views_that_meet(
     image_from_world: Float[np.ndarray, "cameras 3 4"], num_pairs: Int[np.ndarray, "cameras cameras"]
 ) -> Bool[np.ndarray, "cameras cameras"]:
     """Choose pairs of views with at most ``MAX_PAIRS`` pairs of candidates together, each view's best partners first.

@@ -34,21 +34,36 @@ class Poses(NamedTuple):
 
 
 def parse(
-    joints: Joints, evidence: Evidence, skeleton: Skeleton, lengths: LimbLengths, parameters: ClusteringParameters
+    joints: Joints,
+    evidence: Evidence,
+    skeleton: Skeleton,
+    lengths: LimbLengths,
+    parameters: ClusteringParameters,
+    known: Int[np.ndarray, "people joints"] | None = None,
 ) -> Poses:
     """Assemble poses from the root joints on; a joint belongs to at most one pose.
 
     Poses with fewer than ``min_joints`` of the paper's joints are left out. Of poses closer than ``duplicate_m``, the
     pose with the most observations is kept.
+
+    Parameters
+    ----------
+    known
+        Joints of people who were found before, ``NOWHERE`` where a joint is missing; only missing joints are added.
     """
+    if known is None:
+        known = np.empty((0, len(skeleton.names)), int)
+    is_free = np.ones(len(joints.points.joint), bool)
+    is_free[known[known >= 0]] = False
     is_small = len(joints.points.joint) ** 2 <= MAX_DENSE
     value = _limb_values(joints, joints, evidence, skeleton, lengths, parameters) if is_small else None
-    by_joint = [np.flatnonzero(joints.points.joint == j) for j in range(len(skeleton.names))]
-    shape = len(by_joint[0]), len(by_joint)
+    by_joint = [np.flatnonzero(is_free & (joints.points.joint == j)) for j in range(len(skeleton.names))]
+    shape = len(known) + len(by_joint[0]), len(by_joint)
     joint_of = np.full(shape, NOWHERE)
-    joint_of[:, 0] = by_joint[0]
+    joint_of[: len(known)] = known
+    joint_of[len(known) :, 0] = by_joint[0]
     for j in range(1, len(by_joint)):
-        holders = np.flatnonzero(joint_of[:, skeleton.parents[j]] >= 0)
+        holders = np.flatnonzero((joint_of[:, skeleton.parents[j]] >= 0) & (joint_of[:, j] < 0))
         held = joint_of[holders, skeleton.parents[j]]
         of_limb = (
             _limb_values(joints.where(held), joints.where(by_joint[j]), evidence, skeleton, lengths, parameters)
