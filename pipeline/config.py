@@ -92,6 +92,12 @@ Feet = (
     | Annotated[Literal["auto"], Value("Held where contact is likely")]
     | Annotated[Literal["always"], Value("Held wherever contact is possible")]
 )
+JointCenters = (
+    Annotated[Literal["auto"], Value("Offsets of the detector; none for keypoints")]
+    | Annotated[Literal["off"], Value("Joints as the detector marks them")]
+    | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
+    | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
+)
 Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
@@ -157,6 +163,14 @@ class MotionChoices:
         ),
     ] = 6.0
     feet: Annotated[Feet, About("Feet on the floor", "Which standing feet are held in place.")] = "auto"
+    joint_centers: Annotated[
+        JointCenters,
+        About(
+            "Joint centres",
+            "Offsets by which the fit moves joints from the detector's marks to the joints' centres.",
+            noun="joint_centers",
+        ),
+    ] = "auto"
 
 
 @dataclass(frozen=True, slots=True)

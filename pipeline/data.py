@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from pipeline.geometry.rigid import Rigid3
-from pipeline.joints import JointSet
+from pipeline.joints import JointOffsets, JointSet
 
 Side = Literal["left", "right"]
 
@@ -429,6 +429,8 @@ class Reconstruction:
         Number of output frames that exceeded a limit of the exact methods of association.
     damaged
         Videos with damaged frames, in the cameras' order.
+    offsets
+        Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
     """
 
     cameras: tuple[Camera, ...]
@@ -440,6 +442,7 @@ class Reconstruction:
     warnings: tuple[str, ...] = field(default=())
     num_approximate_frames: int = 0
     damaged: tuple[DamagedVideo, ...] = ()
+    offsets: JointOffsets = field(default_factory=dict)
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

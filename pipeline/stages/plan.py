@@ -184,7 +184,7 @@ STAGES = (
         "Fit skeletons",
         cut="whole",
         follows=(ASSOCIATE,),
-        choices=("smoothing", "cutoff_hz", "feet"),
+        choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="fit_skeletons",
     ),
     Stage(
@@ -305,6 +305,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     is_clustering = config.method == "clustering"
     has_no_effect = {
         "cutoff_hz": config.smoothing != "butterworth",
+        "joint_centers": config.smoothing != "fit",
         "bvh": "bvh" not in config.exports,
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}

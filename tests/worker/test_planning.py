@@ -159,6 +159,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ({"method": "clustering"}, {ASSOCIATE, FIT, EXPORT}),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
+        ({"joint_centers": "off"}, {FIT, EXPORT}),
         ({"exports": ("glb",)}, {EXPORT}),
     ],
 )

@@ -39,6 +39,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "detector": "movenet-multipose",
         "smoothing": "fit",
         "feet": "auto",
+        "joint_centers": "auto",
         "exports": ["bvh"],
         "bvh": "default",
         "cutoff_hz": 6.0,
