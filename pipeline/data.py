@@ -213,6 +213,9 @@ class Track3D:
         Mean reprojection error of a joint in pixels of the full image, NaN where it has no observation.
     views
         Number of cameras with an observation of the joint.
+    uncertainty_m
+        Standard deviation of a joint's position, root mean square over the axes; NaN where it is absent. ``None``: no
+        uncertainty was computed.
     """
 
     track_id: int
@@ -222,6 +225,7 @@ class Track3D:
     source: Int[np.ndarray, "frames joints"]
     error_px: Float[np.ndarray, "frames joints"]
     views: Int[np.ndarray, "frames joints"]
+    uncertainty_m: Float[np.ndarray, "frames joints"] | None = None
 
     @property
     def num_frames(self) -> int:

@@ -15,6 +15,7 @@ from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, refine, 
 from pipeline.skeleton.fitting.articulation import FREEDOMS, articulate
 from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
+from pipeline.skeleton.fitting.uncertainty import uncertainty_m
 from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import gaps_up_to
 from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
@@ -65,6 +66,15 @@ class _Evidence:
                 pull[:, number] += right - np.einsum("fab,fb->fa", normal, xyz_m)
         return curvature, pull
 
+    def precision(
+        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
+    ) -> Float[np.ndarray, "frames landmarks 3 3"]:
+        precision = self.strength[..., None] * np.eye(3)
+        if self.rays is not None:
+            for number, joint in enumerate(self.landmark.tolist()):
+                precision[:, number] += self.rays.precision(joint, landmark_m[:, number], SCALES_M[-1])
+        return np.asarray(precision)
+
 
 class SkeletonFit:
     """Skeleton fit of a person.
@@ -103,11 +113,17 @@ class SkeletonFit:
         self._skeleton = articulate(self._bone_length_m, joints, offsets_m, marks_m) if marks_m else self._centers
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
+        self._uncertainty_m = np.full(track.xyz_m.shape[:2], np.nan)
 
     @property
     def track(self) -> Track3D:
         """Positions at the start of the fit."""
         return self._track
+
+    @property
+    def uncertainty_m(self) -> Float[np.ndarray, "frames joints"]:
+        """Standard deviation of the joints' positions, of the motion before feet were held; NaN where unknown."""
+        return self._uncertainty_m
 
     @property
     def sees_feet(self) -> bool:
@@ -128,7 +144,10 @@ class SkeletonFit:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
             return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
-        self._fit(start, {}, _NUM_STEPS, on_share)
+        landmarks_sigma_m = np.empty((num_frames, len(self._skeleton.landmark)))
+        self._fit(start, {}, _NUM_STEPS, on_share, Blend(landmarks_sigma_m) if self._rays_of else None)
+        if self._rays_of and self.has_torso:
+            self._uncertainty_m[:, self._skeleton.landmark] = landmarks_sigma_m
         return SkeletonMotion(
             track_id=self._track.track_id,
             name=self._name,
@@ -179,6 +198,7 @@ class SkeletonFit:
         places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
         num_steps: int,
         on_share: OnShare,
+        sigma_m: Blend | None = None,
     ) -> None:
         root_m, quat = Blend(self._root_m), Blend(self._quat)
         all_rows = list(windows(self._track.num_frames))
@@ -190,6 +210,8 @@ class SkeletonFit:
                 following = start(all_rows[number + 1])
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
             refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
+            if sigma_m is not None:
+                sigma_m.add(rows, uncertainty_m(bodies, self._skeleton, evidence, self._timebase.frame_rate_hz))
             root_m.add(rows, bodies.root_m)
             quat.add(rows, _same_signs(bodies.quat_xyzw(), self._quat[rows.start] if rows.start else None))
             # Blended quaternions are not of length 1.
@@ -282,7 +304,10 @@ def follow(
             fitted.place(rows, xyz_m[rows])
         marks_m = fitted.marks_m(rows, motion, xyz_m[rows])
         error_px[rows], _, _ = reproject(cameras, marks_m, seen.points_px[rows], seen.score[rows])
-    return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
+    uncertain_m = np.where(np.isfinite(xyz_m).all(-1), fitted.uncertainty_m, np.nan)
+    return replace(
+        fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px), uncertainty_m=read_only(uncertain_m)
+    )
 
 
 def _same_signs(
