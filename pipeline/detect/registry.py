@@ -185,9 +185,9 @@ REGISTRY: dict[str, NetworkEntry] = {
             head=Head.MOVENET_MULTIPOSE,
             joints=COCO_17,
             offsets={
-                "shoulder": JointOffset(up=0.077),
-                "ear": JointOffset(outwards=-0.046, forward=0.046),
-                "nose": JointOffset(forward=-0.034),
+                "shoulder": JointOffset(up=0.075),
+                "ear": JointOffset(outwards=-0.047, forward=0.044),
+                "nose": JointOffset(forward=-0.036),
             },
         ),
         NetworkEntry(
@@ -214,9 +214,9 @@ REGISTRY: dict[str, NetworkEntry] = {
             # The network's strided convolutions pad at the end only, which shifts its maps to the right.
             fields=FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
             offsets={
-                "shoulder": JointOffset(outwards=-0.047, up=0.066),
-                "ear": JointOffset(outwards=-0.016, forward=0.031),
-                "nose": JointOffset(forward=-0.038),
+                "shoulder": JointOffset(outwards=-0.046, up=0.067),
+                "ear": JointOffset(outwards=-0.016, forward=0.032),
+                "nose": JointOffset(forward=-0.037),
             },
         ),
         NetworkEntry(

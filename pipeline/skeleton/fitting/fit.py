@@ -113,7 +113,7 @@ class SkeletonFit:
         self._skeleton = articulate(self._bone_length_m, joints, offsets_m, marks_m) if marks_m else self._centers
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
-        self._uncertainty_m = np.full(track.xyz_m.shape[:2], np.nan)
+        self._uncertainty_m: np.ndarray | None = None
 
     @property
     def track(self) -> Track3D:
@@ -121,8 +121,12 @@ class SkeletonFit:
         return self._track
 
     @property
-    def uncertainty_m(self) -> Float[np.ndarray, "frames joints"]:
-        """Standard deviation of the joints' positions, of the motion before feet were held; NaN where unknown."""
+    def uncertainty_m(self) -> Float[np.ndarray, "frames joints"] | None:
+        """Standard deviation of the joints' positions in metres, of the motion before feet were held.
+
+        NaN for joints that the skeleton does not carry. ``None`` before ``motion``, without rays, and for a person
+        without hips and shoulders.
+        """
         return self._uncertainty_m
 
     @property
@@ -144,10 +148,13 @@ class SkeletonFit:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
             return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
-        landmarks_sigma_m = np.empty((num_frames, len(self._skeleton.landmark)))
-        self._fit(start, {}, _NUM_STEPS, on_share, Blend(landmarks_sigma_m) if self._rays_of else None)
-        if self._rays_of and self.has_torso:
-            self._uncertainty_m[:, self._skeleton.landmark] = landmarks_sigma_m
+        if self._rays_of is None or not self.has_torso:
+            self._fit(start, {}, _NUM_STEPS, on_share)
+        else:
+            sigma_m = np.empty((num_frames, len(self._skeleton.landmark)))
+            self._fit(start, {}, _NUM_STEPS, on_share, Blend(sigma_m))
+            self._uncertainty_m = np.full(self._track.xyz_m.shape[:2], np.nan)
+            self._uncertainty_m[:, self._skeleton.landmark] = sigma_m
         return SkeletonMotion(
             track_id=self._track.track_id,
             name=self._name,
@@ -304,10 +311,10 @@ def follow(
             fitted.place(rows, xyz_m[rows])
         marks_m = fitted.marks_m(rows, motion, xyz_m[rows])
         error_px[rows], _, _ = reproject(cameras, marks_m, seen.points_px[rows], seen.score[rows])
-    uncertain_m = np.where(np.isfinite(xyz_m).all(-1), fitted.uncertainty_m, np.nan)
-    return replace(
-        fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px), uncertainty_m=read_only(uncertain_m)
-    )
+    sigma_m = fitted.uncertainty_m
+    if sigma_m is not None:
+        sigma_m = read_only(np.where(np.isfinite(xyz_m).all(-1), sigma_m, np.nan))
+    return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px), uncertainty_m=sigma_m)
 
 
 def _same_signs(

@@ -159,6 +159,7 @@ def test_somebody_without_a_trunk_is_fitted_without_offsets() -> None:
     ours, theirs = animate(*arguments, offsets=OFFSETS), animate(*arguments)
     np.testing.assert_array_equal(ours.tracks[0].xyz_m, theirs.tracks[0].xyz_m)
     np.testing.assert_array_equal(ours.tracks[0].error_px, theirs.tracks[0].error_px)
+    assert ours.tracks[0].uncertainty_m is None
 
 
 def test_networks_have_offsets_of_their_own_joints() -> None:
