@@ -96,6 +96,12 @@ Appearance = (
     Annotated[Literal["on"], Value("Clothes help to tell people apart")]
     | Annotated[Literal["off"], Value("No colours are measured")]
 )
+JointCenters = (
+    Annotated[Literal["auto"], Value("Offsets of the detector; none for keypoints")]
+    | Annotated[Literal["off"], Value("Joints as the detector marks them")]
+    | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
+    | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
+)
 Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
@@ -168,6 +174,14 @@ class MotionChoices:
             "Whether people in videos are told apart by the colours of their clothes too, with the method `tracking`.",
         ),
     ] = "on"
+    joint_centers: Annotated[
+        JointCenters,
+        About(
+            "Joint centres",
+            "Offsets by which the fit moves joints from the detector's marks to the joints' centres.",
+            noun="joint_centers",
+        ),
+    ] = "auto"
 
 
 @dataclass(frozen=True, slots=True)

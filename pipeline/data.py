@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from pipeline.geometry.rigid import Rigid3
-from pipeline.joints import JointSet
+from pipeline.joints import JointOffsets, JointSet
 
 Side = Literal["left", "right"]
 
@@ -227,6 +227,9 @@ class Track3D:
         Mean reprojection error of a joint in pixels of the full image, NaN where it has no observation.
     views
         Number of cameras with an observation of the joint.
+    uncertainty_m
+        Standard deviation of a joint's position, root mean square over the axes; NaN where it is absent. ``None``: no
+        uncertainty was computed.
     """
 
     track_id: int
@@ -236,6 +239,7 @@ class Track3D:
     source: Int[np.ndarray, "frames joints"]
     error_px: Float[np.ndarray, "frames joints"]
     views: Int[np.ndarray, "frames joints"]
+    uncertainty_m: Float[np.ndarray, "frames joints"] | None = None
 
     @property
     def num_frames(self) -> int:
@@ -493,6 +497,8 @@ class Reconstruction:
         Videos with damaged frames, in the cameras' order.
     doubts
         Doubts about the identity of each person, in the tracks' order; empty if nobody looked for them.
+    offsets
+        Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
     """
 
     cameras: tuple[Camera, ...]
@@ -505,6 +511,7 @@ class Reconstruction:
     num_approximate_frames: int = 0
     damaged: tuple[DamagedVideo, ...] = ()
     doubts: Sequence[Sequence[Doubt]] = ()
+    offsets: JointOffsets = field(default_factory=dict)
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -1,5 +1,6 @@
 """Joint sets of detectors: joint names in the detector's order, and the bones between them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -26,6 +27,29 @@ class JointSet:
         """Positions of joints on the joint axis; ``ValueError`` if the set lacks a joint."""
         return [self.names.index(name) for name in names]
 
+
+@dataclass(frozen=True, slots=True)
+class JointOffset:
+    """Offset of a detector's mark from the centre of a joint, in metres for each metre of the trunk's length.
+
+    The trunk reaches from the centre between the hips to the centre between the shoulders.
+
+    Parameters
+    ----------
+    outwards, forward, up
+        Component away from the body's middle, 0 for joints without a side; to the front; and up along the body. Axes
+        are those of the part of the body; see ``pipeline.skeleton.marks``.
+    """
+
+    outwards: float = 0.0
+    forward: float = 0.0
+    up: float = 0.0
+
+
+JointOffsets = Mapping[str, JointOffset]
+"""Offsets by kind of joint: the name without the side. A joint that is not named is marked at its centre."""
+MARKED_AT_CENTERS: JointOffsets = {}
+"""Offsets of a detector that marks every joint at its centre."""
 
 COCO_17 = JointSet(
     names=(

@@ -13,6 +13,7 @@ from pipeline.config import (
     Choice,
     Feet,
     JobChoices,
+    JointCenters,
     Method,
     ReconstructionConfig,
     Smoothing,
@@ -54,6 +55,7 @@ MethodOption = Annotated[str, _option(CHOICES["method"])]
 DetectorOption = Annotated[str, _option(CHOICES["detector"])]
 SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
 FeetOption = Annotated[str, _option(CHOICES["feet"])]
+JointCentersOption = Annotated[str, _option(CHOICES["joint_centers"])]
 
 
 def with_choices(command: Callable[..., None]) -> Callable[..., None]:
@@ -144,6 +146,11 @@ def known_smoothing(name: str) -> Smoothing:
 def known_feet(name: str) -> Feet:
     """Check the name of a treatment of feet; ``InputError`` if there is none of that name."""
     return cast(Feet, known(CHOICES["feet"], name))
+
+
+def known_joint_centers(name: str) -> JointCenters:
+    """Check the name of offsets of joint centres; ``InputError`` if there are none of that name."""
+    return cast(JointCenters, known(CHOICES["joint_centers"], name))
 
 
 def known_units(name: str) -> Units:

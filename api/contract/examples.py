@@ -55,6 +55,7 @@ DOCUMENTS: dict[str, Any] = {
         "smoothing": "fit",
         "cutoff_hz": 6.0,
         "feet": "auto",
+        "joint_centers": "auto",
         "frame_range": None,
         "output_rate_hz": None,
         "people": "auto",

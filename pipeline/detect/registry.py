@@ -7,13 +7,13 @@ the package, the weights and the ONNX file. A new network is a new entry, and a 
 
 import enum
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from pipeline.config import Detector
 from pipeline.detect.decoders.fields import FieldGrid
 from pipeline.errors import ModelError
-from pipeline.joints import COCO_17, COCO_18, JointSet
+from pipeline.joints import COCO_17, COCO_18, JointOffset, JointOffsets, JointSet
 from pipeline.runtime.packages.index import PinnedFile
 
 
@@ -109,6 +109,8 @@ class NetworkEntry:
         Input, kind of the outputs, and joints that the network detects.
     fields
         Grid of the part affinity fields; ``None`` for a network without fields.
+    offsets
+        Offsets of the network's marks from the centres of the joints, learnt from rendered people (docs/fit.md).
     """
 
     name: Detector
@@ -121,6 +123,7 @@ class NetworkEntry:
     head: Head
     joints: JointSet
     fields: FieldGrid | None = None
+    offsets: JointOffsets = field(default_factory=dict)
 
 
 # Conversions import onnx themselves: the import takes a quarter of a second and is needed for an installation only.
@@ -181,6 +184,11 @@ REGISTRY: dict[str, NetworkEntry] = {
             input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
             head=Head.MOVENET_MULTIPOSE,
             joints=COCO_17,
+            offsets={
+                "shoulder": JointOffset(up=0.075),
+                "ear": JointOffset(outwards=-0.047, forward=0.044),
+                "nose": JointOffset(forward=-0.036),
+            },
         ),
         NetworkEntry(
             name="openpose-mobilenet-thin",
@@ -205,6 +213,11 @@ REGISTRY: dict[str, NetworkEntry] = {
             joints=COCO_18,
             # The network's strided convolutions pad at the end only, which shifts its maps to the right.
             fields=FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
+            offsets={
+                "shoulder": JointOffset(outwards=-0.046, up=0.067),
+                "ear": JointOffset(outwards=-0.016, forward=0.032),
+                "nose": JointOffset(forward=-0.037),
+            },
         ),
         NetworkEntry(
             name="human-pose-estimation-0001",

@@ -74,6 +74,9 @@ def _track_at(track: Track3D, frames: range, ratio: float) -> Track3D:
         source=read_only(np.where(known, track.source[nearest], np.int8(Source.ABSENT))),
         error_px=read_only(np.where(known, track.error_px[nearest], np.nan)),
         views=read_only(np.where(known, track.views[nearest], 0)),
+        uncertainty_m=None
+        if track.uncertainty_m is None
+        else read_only(np.where(known, track.uncertainty_m[nearest], np.nan)),
     )
 
 

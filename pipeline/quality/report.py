@@ -23,7 +23,7 @@ A figure without data is null (``None``).
 
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.world_checks import world_checks
 from pipeline.skeleton.fitting.fit import MAX_GAP_S
 from pipeline.skeleton.fitting.windows import windows
+from pipeline.skeleton.marks import has_torso, marks_from_centers
 
 SCHEMA_VERSION = 1
 MIN_SCORE = 0.2
@@ -43,6 +44,8 @@ MIN_SCORE = 0.2
 
 _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
+
+_PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
 
 
 class _Views(NamedTuple):
@@ -70,7 +73,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
     """
     tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
-    views = [_compare(track, reconstruction.observations[number], cameras) for number, track in enumerate(tracks)]
+    views = [_compare(reconstruction, number) for number in range(len(tracks))]
     errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
@@ -174,9 +177,20 @@ def _summarise_error(
     }
 
 
-def _compare(track: Track3D, observations: Observations, cameras: tuple[Camera, ...]) -> _Views:
-    error_px = reprojection_error_px(track, observations, cameras)
+def _compare(reconstruction: Reconstruction, number: int) -> _Views:
+    track, observations = reconstruction.tracks[number], reconstruction.observations[number]
+    error_px = reprojection_error_px(track, observations, reconstruction.cameras, _marks_of(reconstruction, number))
     return _Views(error_px, _sees(observations), views_per_joint(track, observations))
+
+
+def _marks_of(reconstruction: Reconstruction, number: int) -> _PositionsOf | None:
+    """Positions of a person's marks; ``None`` if they are the joints' centres."""
+    track, joints, offsets = reconstruction.tracks[number], reconstruction.joints, reconstruction.offsets
+    # A person without hips and shoulders was fitted without offsets.
+    if not offsets or not has_torso(track.xyz_m, joints):
+        return None
+    motion = reconstruction.motions[number]
+    return lambda rows: marks_from_centers(track.xyz_m[rows], motion, rows, joints, offsets)
 
 
 def _sees(observations: Observations) -> Bool[np.ndarray, "frames cameras"]:
@@ -261,9 +275,17 @@ def mean_jitter_m_s2(tracks: Sequence[Track3D], frame_rate_hz: float) -> float:
 
 
 def reprojection_error_px(
-    track: Track3D, observations: Observations, cameras: tuple[Camera, ...]
+    track: Track3D,
+    observations: Observations,
+    cameras: tuple[Camera, ...],
+    marks_m: _PositionsOf | None = None,
 ) -> Float[np.ndarray, "frames cameras joints"]:
     """Distance of each observation to the projection of the final position, in pixels of the full image.
+
+    Parameters
+    ----------
+    marks_m
+        Returns the positions in a range of frames that observations are compared with; ``None``: the final positions.
 
     Returns
     -------
@@ -272,8 +294,9 @@ def reprojection_error_px(
     """
     error_px = np.empty(observations.score.shape, np.float32)
     for rows in windows(track.num_frames, overlap=0):
+        xyz_m = track.xyz_m[rows] if marks_m is None else marks_m(rows)
         for number, camera in enumerate(cameras):
-            projected_px = project(camera, track.xyz_m[rows])
+            projected_px = project(camera, xyz_m)
             error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
     error_px[~_counts(observations)] = np.nan
     return error_px

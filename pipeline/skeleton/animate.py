@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Animation, Camera, FootContact, Observations, Side, SkeletonMotion, Timebase, Track3D
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, ignore, split
 from pipeline.skeleton.feet import SIDES, estimate_floor, find_contacts, held_positions_m, mean_slide_m, stance_weight
 from pipeline.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
@@ -32,6 +32,7 @@ def animate(
     joints: JointSet,
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
+    offsets: JointOffsets = MARKED_AT_CENTERS,
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
@@ -48,6 +49,8 @@ def animate(
         Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
     on_share
         Called with the progress after each window of a track's frames.
+    offsets
+        Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
 
     Raises
     ------
@@ -61,7 +64,7 @@ def animate(
     fits: list[SkeletonFit] = []
     motions: list[SkeletonMotion] = []
     for track, seen in zip(tracks, observations, strict=True):
-        fits.append(_prepare(track, seen, cameras, timebase, joints, config, next(parts)))
+        fits.append(_prepare(track, seen, cameras, timebase, joints, config, offsets, next(parts)))
         motions.append(fits[-1].motion(next(parts)))
     rate_hz = timebase.frame_rate_hz
     ankles_m = [_ankles_m(motion) for motion in motions]
@@ -73,7 +76,9 @@ def animate(
         motions[number] = _hold_feet(fits[number], motions[number], ankles_m[number], contacts, next(parts))
         on_followed = next(parts)
         finals.append(
-            follow(fits[number], seen, cameras, on_followed) if config.smoothing == "fit" else fits[number].track
+            follow(fits[number], motions[number], seen, cameras, on_followed)
+            if config.smoothing == "fit"
+            else fits[number].track
         )
     on_share(1.0)
     return Animation(tuple(finals), tuple(motions), floor)
@@ -86,11 +91,12 @@ def _prepare(
     timebase: Timebase,
     joints: JointSet,
     config: ReconstructionConfig,
+    offsets: JointOffsets,
     on_share: OnShare,
 ) -> SkeletonFit:
     name = f"person-{track.track_id}"
     if config.smoothing == "fit":
-        return fit_to_rays(track, seen, cameras, timebase, joints, name, on_share)
+        return fit_to_rays(track, seen, cameras, timebase, joints, name, offsets, on_share)
     return SkeletonFit(smooth_track(track, seen, cameras, timebase, config), joints, timebase, name)
 
 

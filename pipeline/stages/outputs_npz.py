@@ -34,6 +34,7 @@ _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fi
 _POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score", "approximate")
 _TRACK_ARRAYS = ("xyz_m", "score", "source", "error_px", "views")
 _LEFTOVER_ARRAYS = ("frame", "camera", "points_px", "score")
+_UNCERTAINTY = "uncertainty_m"
 _CONTACT = np.dtype(
     [
         ("side", "U5"),
@@ -251,7 +252,11 @@ def _track_arrays(tracks: Sequence[Track3D]) -> dict[str, np.ndarray]:
         "track_id": np.array([track.track_id for track in tracks], np.int64),
         "start_frame": np.array([track.start_frame for track in tracks], np.int64),
     }
-    return arrays | {f"{name}_{k}": getattr(track, name) for k, track in enumerate(tracks) for name in _TRACK_ARRAYS}
+    for k, track in enumerate(tracks):
+        arrays |= {f"{name}_{k}": getattr(track, name) for name in _TRACK_ARRAYS}
+        if track.uncertainty_m is not None:
+            arrays[f"{_UNCERTAINTY}_{k}"] = track.uncertainty_m
+    return arrays
 
 
 def _tracks(arrays: Mapping[str, np.ndarray]) -> tuple[Track3D, ...]:
@@ -259,5 +264,7 @@ def _tracks(arrays: Mapping[str, np.ndarray]) -> tuple[Track3D, ...]:
 
 
 def _track(arrays: Mapping[str, np.ndarray], k: int) -> Track3D:
-    values = (arrays[f"{name}_{k}"] for name in _TRACK_ARRAYS)
-    return Track3D(int(arrays["track_id"][k]), int(arrays["start_frame"][k]), *values)
+    values = {name: arrays[f"{name}_{k}"] for name in _TRACK_ARRAYS}
+    # Absent for tracks without uncertainty.
+    uncertainty_m = arrays.get(f"{_UNCERTAINTY}_{k}")
+    return Track3D(int(arrays["track_id"][k]), int(arrays["start_frame"][k]), uncertainty_m=uncertainty_m, **values)

@@ -199,7 +199,7 @@ STAGES = (
         "Fit skeletons",
         cut="whole",
         follows=(IDENTIFY,),
-        choices=("smoothing", "cutoff_hz", "feet"),
+        choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="fit_skeletons",
     ),
     Stage(
@@ -326,6 +326,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     has_no_effect = {
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
+        "joint_centers": config.smoothing != "fit",
         "bvh": "bvh" not in config.exports,
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}

@@ -19,7 +19,7 @@ from pipeline.detect.detector import open_detector
 from pipeline.detect.registry import entry_of
 from pipeline.errors import PipelineError
 from pipeline.export.results import METRICS, write_results
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, in_units
 from pipeline.quality.report import all_checks
 from pipeline.skeleton.animate import animate
@@ -149,6 +149,16 @@ def wanted_session(session: Session, config: ReconstructionConfig) -> tuple[Sess
     return wanted, wanted.joints if isinstance(wanted, KeypointSession) else entry_of(config.detector).joints
 
 
+def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
+    """Offsets by which the fit moves joints from the detector's marks to their centres; none for other smoothing."""
+    if config.smoothing != "fit" or config.joint_centers == "off":
+        return MARKED_AT_CENTERS
+    if config.joint_centers != "auto":
+        return entry_of(config.joint_centers).offsets
+    # Nobody knows which program marked the joints of keypoint files.
+    return MARKED_AT_CENTERS if isinstance(session, KeypointSession) else entry_of(config.detector).offsets
+
+
 def detect(task: Task, context: Context) -> Output:
     """Find bodies in a range of a camera's frames, or the peaks and fields that clustering takes.
 
@@ -267,6 +277,7 @@ def assemble(context: Context) -> Reconstruction:
         num_approximate_frames=people.num_approximate_frames,
         damaged=decode_damaged_videos(archive),
         doubts=people.doubts,
+        offsets=used_offsets(session, context.config),
     )
 
 
@@ -320,7 +331,10 @@ def _animation(task: Task, context: Context) -> Animation:
     # Windows of all observations are asked for again and again, a track but once.
     in_memory = tuple(people.observations)
     on_share = _on_share(task, context)
-    return animate(people.tracks, in_memory, session.cameras, session.timebase, joints, context.config, on_share)
+    offsets = used_offsets(session, context.config)
+    return animate(
+        people.tracks, in_memory, session.cameras, session.timebase, joints, context.config, on_share, offsets
+    )
 
 
 def _archive_of_people(context: Context, stage: str) -> Path:

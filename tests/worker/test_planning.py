@@ -161,6 +161,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ({"method": "clustering"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
+        ({"joint_centers": "off"}, {FIT, EXPORT}),
         ({"exports": ("glb",)}, {EXPORT}),
     ],
 )

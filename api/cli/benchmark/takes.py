@@ -23,6 +23,7 @@ def longer_track(track: Track3D, num_frames: int) -> Track3D:
         source=to_and_fro(track.source, num_frames),
         error_px=to_and_fro(track.error_px, num_frames),
         views=to_and_fro(track.views, num_frames),
+        uncertainty_m=None if track.uncertainty_m is None else to_and_fro(track.uncertainty_m, num_frames),
     )
 
 

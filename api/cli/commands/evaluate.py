@@ -12,9 +12,11 @@ from api.cli.options import (
     DEFAULTS,
     DetectorOption,
     FeetOption,
+    JointCentersOption,
     MethodOption,
     SmoothingOption,
     known_feet,
+    known_joint_centers,
     known_method,
     known_smoothing,
 )
@@ -59,6 +61,7 @@ def rendered(
     detector: DetectorOption = DEFAULTS.detector,
     method: MethodOption = DEFAULTS.method,
     smoothing: SmoothingOption = DEFAULTS.smoothing,
+    joint_centers: JointCentersOption = DEFAULTS.joint_centers,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m."""
@@ -66,7 +69,10 @@ def rendered(
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
         config = ReconstructionConfig(
-            known_method(method), cast(Detector, detector), smoothing=known_smoothing(smoothing)
+            known_method(method),
+            cast(Detector, detector),
+            smoothing=known_smoothing(smoothing),
+            joint_centers=known_joint_centers(joint_centers),
         )
         reconstruction = reconstruct(session, config, bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)

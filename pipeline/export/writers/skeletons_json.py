@@ -1,7 +1,8 @@
 """``skeletons.json``: world positions of the joints of all people, frame by frame.
 
-Positions are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN becomes null. The file is strict JSON with a
-line a track. Equal reconstructions give equal bytes.
+Positions and uncertainty are rounded to 0.1 mm, scores to 0.001 and errors to 0.01 px; NaN becomes null. The
+uncertainty of a track without is null as a whole. The file is strict JSON with a line a track. Equal reconstructions
+give equal bytes.
 """
 
 import json
@@ -18,6 +19,7 @@ from pipeline.export.writers.blocks import BLOCK_FRAMES, frame_blocks
 
 SCHEMA_VERSION = 1
 
+_WITHOUT_UNCERTAINTY = ',"uncertainty_m":null}'
 _LETTERS = np.array([source.letter for source in Source])
 
 
@@ -46,12 +48,15 @@ def _track_parts(track: Track3D) -> Iterator[str]:
         "sources": lambda rows: ["".join(letters) for letters in _LETTERS[track.source[rows]]],
         "error_px": lambda rows: _joints_or_null(track.error_px[rows], 2),
     }
+    uncertainty_m = track.uncertainty_m
+    if uncertainty_m is not None:
+        series["uncertainty_m"] = lambda rows: _joints_or_null(uncertainty_m[rows], 4)
     for name, frames_of in series.items():
         yield f',"{name}":['
         for rows in frame_blocks(track.num_frames):
             yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
         yield "]"
-    yield "}"
+    yield "}" if uncertainty_m is not None else _WITHOUT_UNCERTAINTY
 
 
 def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
@@ -83,7 +88,8 @@ def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
         for line in file:
             if line.startswith("{"):
                 positions_m = [_as_array(block) for block in _blocks(line, "positions_m")]
-                for name in ("scores", "sources", "error_px"):
+                has_uncertainty = not line.rstrip(",\n").endswith(_WITHOUT_UNCERTAINTY)
+                for name in ("scores", "sources", "error_px", *(("uncertainty_m",) if has_uncertainty else ())):
                     for _ in _blocks(line, name):
                         pass
                 yield np.concatenate(positions_m)

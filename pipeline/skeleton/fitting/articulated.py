@@ -92,10 +92,10 @@ def start_from(
 
 def landmarks_of(bodies: Bodies, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
     """World positions of landmarks (metres)."""
-    return _Posed(bodies, skeleton).landmark_m
+    return Posed(bodies, skeleton).landmark_m
 
 
-class _Posed:
+class Posed:
     """World positions and orientations of all joints, and positions of landmarks."""
 
     def __init__(self, bodies: Bodies, skeleton: Articulation) -> None:
@@ -182,7 +182,7 @@ def _step(
     frame_rate_hz: float,
 ) -> Float[np.ndarray, "frames freedoms"]:
     num_frames, num_freedoms = len(bodies.root_m), skeleton.num_freedoms
-    posed = _Posed(bodies, skeleton)
+    posed = Posed(bodies, skeleton)
     jacobian = posed.jacobian()
     second_m = np.diff(posed.landmark_m, n=2, axis=0)
     tie = tie_weight(second_m, usual_m)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.joints import JointSet
+from pipeline.skeleton.marks import part_of_mark
 from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
 
 ARM_HINGES: Mapping[str, tuple[float, float, float]] = {"Left": (0.0, 0.0, -1.0), "Right": (0.0, 0.0, 1.0)}
@@ -156,6 +157,7 @@ def articulate(
     bone_length_m: Float[np.ndarray, " joints"],
     joints: JointSet,
     offsets_m: Mapping[str, Float[np.ndarray, " 3"]],
+    marks_m: Mapping[str, Float[np.ndarray, " 3"]] | None = None,
 ) -> Articulation:
     """Build the arrays of a person's skeleton.
 
@@ -168,7 +170,11 @@ def articulate(
     offsets_m
         Offsets of landmarks in head and feet, by name. Landmarks of head and feet without an offset are ignored. Feet
         can rotate only if a landmark of feet has an offset.
+    marks_m
+        Offsets of the detector's marks from the centres of joints, by name; see ``skeleton.marks``. The landmarks are
+        the marks. ``None``: no joint has one.
     """
+    marks_m = marks_m or {}
     on_foot = [name for name in offsets_m if str(joint_of_landmark(name)).endswith("Foot")]
     freedoms = (*FREEDOMS, *(FEET if on_foot else ()))
     parent = np.array([-1 if joint.parent is None else INDEX[joint.parent] for joint in SKELETON])
@@ -180,16 +186,24 @@ def articulate(
     freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
     for number, freedom in enumerate(freedoms, NUM_ROOT):
         freedom_joint[number, : len(freedom.joints)] = [INDEX[name] for name in freedom.joints]
-    moved_by = [_moved_by(INDEX[joint], name in offsets_m, parent, freedom_joint) for name, joint in carried.items()]
+    rest_m = rest_offsets_m(bone_length_m)
+    places = {name: (INDEX[joint], offsets_m.get(name, np.zeros(3))) for name, joint in carried.items()}
+    for name in carried.keys() & marks_m.keys():
+        centre, offset_m = places[name]
+        part = INDEX[part_of_mark(name)]
+        # A mark beside a joint moves with the part of the body that carries it: the joint itself or its parent.
+        places[name] = part, marks_m[name] + offset_m + (rest_m[centre] if part != centre else 0.0)
+    beside = offsets_m.keys() | marks_m.keys()
+    moved_by = [_moved_by(number, name in beside, parent, freedom_joint) for name, (number, _) in places.items()]
     most = max(map(len, moved_by), default=0)
     limits = [freedom.limits_rad or (-np.inf, np.inf) for freedom in freedoms]
     return Articulation(
         freedoms=freedoms,
         parent=parent,
-        offset_m=rest_offsets_m(bone_length_m),
+        offset_m=rest_m,
         landmark=np.array(joints.indices(tuple(carried)), dtype=int),
-        landmark_joint=np.array([INDEX[joint] for joint in carried.values()], dtype=int),
-        landmark_offset_m=np.array([offsets_m.get(name, np.zeros(3)) for name in carried]).reshape(-1, 3),
+        landmark_joint=np.array([number for number, _ in places.values()], dtype=int),
+        landmark_offset_m=np.array([offset_m for _, offset_m in places.values()]).reshape(-1, 3),
         freedom_joint=freedom_joint,
         freedom_axis=np.array([*np.zeros((NUM_ROOT, 3)), *(freedom.axis for freedom in freedoms)]),
         lowest_rad=np.array([*[-np.inf] * NUM_ROOT, *(lowest for lowest, _ in limits)]),

@@ -137,6 +137,66 @@ def assemble(jacobian, moved_by, num_moved_by, curvature, pull, tie, second_m, l
 
 @kernel
 @no_type_check
+def factorise(jacobian, moved_by, num_moved_by, precision, priors, factor):
+    """Compute Cholesky's factor of the curvature of each frame by itself; ``factor`` is the output.
+
+    The curvature of a frame's degrees of freedom is the sum of J' P J over the landmarks, with their derivatives J and
+    precisions P, plus ``priors`` on the diagonal. The factor is the lower triangle; the rest of the output is 0.
+    """
+    num_freedoms = len(priors)
+    for frame in range(len(jacobian)):
+        lower = factor[frame]
+        lower[:, :] = 0.0
+        for freedom in range(num_freedoms):
+            lower[freedom, freedom] = priors[freedom]
+        for landmark in range(len(num_moved_by)):
+            here = precision[frame, landmark]
+            for k in range(num_moved_by[landmark]):
+                one = jacobian[frame, landmark, k]
+                u = here[0, 0] * one[0] + here[0, 1] * one[1] + here[0, 2] * one[2]
+                v = here[1, 0] * one[0] + here[1, 1] * one[1] + here[1, 2] * one[2]
+                w = here[2, 0] * one[0] + here[2, 1] * one[1] + here[2, 2] * one[2]
+                for m in range(k + 1):
+                    other = jacobian[frame, landmark, m]
+                    lower[moved_by[landmark, k], moved_by[landmark, m]] += u * other[0] + v * other[1] + w * other[2]
+        for row in range(num_freedoms):
+            for column in range(row + 1):
+                total = lower[row, column]
+                for k in range(column):
+                    total -= lower[row, k] * lower[column, k]
+                lower[row, column] = np.sqrt(total) if row == column else total / lower[column, column]
+
+
+@kernel
+@no_type_check
+def spread(jacobian, moved_by, num_moved_by, factor, solved, variance):
+    """Compute the mean variance of landmarks over the axes in each frame; ``variance`` is the output.
+
+    With Cholesky's factor L of ``factorise``, the covariance of a landmark with the derivatives J is Y' Y, where
+    L Y = J'. ``solved`` is memory for Y.
+    """
+    for frame in range(len(jacobian)):
+        lower = factor[frame]
+        for landmark in range(len(num_moved_by)):
+            solved[:, :] = 0.0
+            for k in range(num_moved_by[landmark]):
+                for axis in range(3):
+                    solved[moved_by[landmark, k], axis] = jacobian[frame, landmark, k, axis]
+            square = 0.0
+            for row in range(len(solved)):
+                x, y, z = solved[row, 0], solved[row, 1], solved[row, 2]
+                for k in range(row):
+                    x -= lower[row, k] * solved[k, 0]
+                    y -= lower[row, k] * solved[k, 1]
+                    z -= lower[row, k] * solved[k, 2]
+                x, y, z = x / lower[row, row], y / lower[row, row], z / lower[row, row]
+                solved[row, 0], solved[row, 1], solved[row, 2] = x, y, z
+                square += x * x + y * y + z * z
+            variance[frame, landmark] = square / 3.0
+
+
+@kernel
+@no_type_check
 def turn(step, freedom_joint, freedom_axis, lowest_rad, highest_rad, longest_rad, root_m, angle_rad, local):
     """Apply a step to all degrees of freedom in place.
 

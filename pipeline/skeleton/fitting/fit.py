@@ -9,15 +9,23 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.data import Camera, Observations, SkeletonMotion, Source, Timebase, Track3D, read_only
 from pipeline.geometry.tracks import reproject
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.skeleton.fitting.articulated import Bodies, landmarks_of, refine, start_from
 from pipeline.skeleton.fitting.articulation import FREEDOMS, articulate
 from pipeline.skeleton.fitting.positions import SCALES_M, fit_positions, usual_step_m
 from pipeline.skeleton.fitting.rays import Rays
+from pipeline.skeleton.fitting.uncertainty import uncertainty_m
 from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import gaps_up_to
 from pipeline.skeleton.landmarks import Landmarks, bone_lengths_m
+from pipeline.skeleton.marks import (
+    centers_from_marks,
+    has_torso,
+    mark_offsets_m,
+    marks_from_centers,
+    trunk_length_m,
+)
 from pipeline.skeleton.model import INDEX, SKELETON
 from pipeline.skeleton.rigid_parts import landmark_offsets_m
 from pipeline.skeleton.rotations import continuous_quat_xyzw
@@ -58,6 +66,15 @@ class _Evidence:
                 pull[:, number] += right - np.einsum("fab,fb->fa", normal, xyz_m)
         return curvature, pull
 
+    def precision(
+        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
+    ) -> Float[np.ndarray, "frames landmarks 3 3"]:
+        precision = self.strength[..., None] * np.eye(3)
+        if self.rays is not None:
+            for number, joint in enumerate(self.landmark.tolist()):
+                precision[:, number] += self.rays.precision(joint, landmark_m[:, number], SCALES_M[-1])
+        return np.asarray(precision)
+
 
 class SkeletonFit:
     """Skeleton fit of a person.
@@ -74,22 +91,43 @@ class SkeletonFit:
         Name of the motion.
     rays_of
         Returns the rays in a window of frames, which the fit follows. ``None``: the fit follows the positions.
+    offsets
+        Offsets of the detector's marks, to which the rays lead, from the joints' centres, at which the positions are.
     """
 
     def __init__(
-        self, track: Track3D, joints: JointSet, timebase: Timebase, name: str, rays_of: _RaysOf | None = None
+        self,
+        track: Track3D,
+        joints: JointSet,
+        timebase: Timebase,
+        name: str,
+        rays_of: _RaysOf | None = None,
+        offsets: JointOffsets = MARKED_AT_CENTERS,
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
+        self._offsets = offsets
         self._bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
         offsets_m = landmark_offsets_m(track, joints, self._bone_length_m)
-        self._skeleton = articulate(self._bone_length_m, joints, offsets_m)
+        marks_m = mark_offsets_m(joints, offsets, trunk_length_m(self._bone_length_m))
+        self._centers = articulate(self._bone_length_m, joints, offsets_m)
+        self._skeleton = articulate(self._bone_length_m, joints, offsets_m, marks_m) if marks_m else self._centers
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
+        self._uncertainty_m: np.ndarray | None = None
 
     @property
     def track(self) -> Track3D:
         """Positions at the start of the fit."""
         return self._track
+
+    @property
+    def uncertainty_m(self) -> Float[np.ndarray, "frames joints"] | None:
+        """Standard deviation of the joints' positions in metres, of the motion before feet were held.
+
+        NaN for joints that the skeleton does not carry. ``None`` before ``motion``, without rays, and for a person
+        without hips and shoulders.
+        """
+        return self._uncertainty_m
 
     @property
     def sees_feet(self) -> bool:
@@ -99,8 +137,7 @@ class SkeletonFit:
     @property
     def has_torso(self) -> bool:
         """Whether a hip or a shoulder was ever located; without them, the skeleton's position is arbitrary."""
-        girdles = [index for index, name in enumerate(self._joints.names) if name.endswith(("_hip", "_shoulder"))]
-        return bool(np.isfinite(self._track.xyz_m[:, girdles]).any())
+        return has_torso(self._track.xyz_m, self._joints)
 
     def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:
         """Fit the skeleton, starting from rotations computed from the positions."""
@@ -111,7 +148,13 @@ class SkeletonFit:
             landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
             return start_from(*solve_pose(landmarks, self._bone_length_m, self._timebase.frame_rate_hz), self._skeleton)
 
-        self._fit(start, {}, _NUM_STEPS, on_share)
+        if self._rays_of is None or not self.has_torso:
+            self._fit(start, {}, _NUM_STEPS, on_share)
+        else:
+            sigma_m = np.empty((num_frames, len(self._skeleton.landmark)))
+            self._fit(start, {}, _NUM_STEPS, on_share, Blend(sigma_m))
+            self._uncertainty_m = np.full(self._track.xyz_m.shape[:2], np.nan)
+            self._uncertainty_m[:, self._skeleton.landmark] = sigma_m
         return SkeletonMotion(
             track_id=self._track.track_id,
             name=self._name,
@@ -145,10 +188,16 @@ class SkeletonFit:
 
     def place(self, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
         """Replace joint positions by those of the motion, in place; unknown joints stay NaN."""
-        bodies = start_from(self._root_m[rows], self._quat[rows], self._skeleton)
-        landmark = self._skeleton.landmark
+        bodies = start_from(self._root_m[rows], self._quat[rows], self._centers)
+        landmark = self._centers.landmark
         known = np.isfinite(xyz_m[:, landmark])
-        xyz_m[:, landmark] = np.where(known, landmarks_of(bodies, self._skeleton), np.nan)
+        xyz_m[:, landmark] = np.where(known, landmarks_of(bodies, self._centers), np.nan)
+
+    def marks_m(
+        self, rows: slice, motion: SkeletonMotion, xyz_m: Float[np.ndarray, "rows joints 3"]
+    ) -> Float[np.ndarray, "rows joints 3"]:
+        """Marks that the detector would set at joint positions of the final motion; unknown joints stay NaN."""
+        return marks_from_centers(xyz_m, motion, rows, self._joints, self._offsets)
 
     def _fit(
         self,
@@ -156,6 +205,7 @@ class SkeletonFit:
         places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
         num_steps: int,
         on_share: OnShare,
+        sigma_m: Blend | None = None,
     ) -> None:
         root_m, quat = Blend(self._root_m), Blend(self._quat)
         all_rows = list(windows(self._track.num_frames))
@@ -167,6 +217,8 @@ class SkeletonFit:
                 following = start(all_rows[number + 1])
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
             refine(bodies, self._skeleton, evidence, self._usual_m, self._timebase.frame_rate_hz, num_steps)
+            if sigma_m is not None:
+                sigma_m.add(rows, uncertainty_m(bodies, self._skeleton, evidence, self._timebase.frame_rate_hz))
             root_m.add(rows, bodies.root_m)
             quat.add(rows, _same_signs(bodies.quat_xyzw(), self._quat[rows.start] if rows.start else None))
             # Blended quaternions are not of length 1.
@@ -175,8 +227,10 @@ class SkeletonFit:
 
     def _evidence(self, rows: slice, start: Bodies, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]) -> _Evidence:
         """Evidence for the fit of a window. In gaps, the targets are the positions at the start of the fit."""
-        position_m = self._track.xyz_m[rows]
+        position_m = np.array(self._track.xyz_m[rows])
         landmark = self._skeleton.landmark
+        if self._skeleton is not self._centers:
+            position_m[:, landmark] += landmarks_of(start, self._skeleton) - landmarks_of(start, self._centers)
         xyz_m = position_m[:, landmark]
         start_m = landmarks_of(start, self._skeleton)
         known = np.isfinite(xyz_m)
@@ -203,6 +257,7 @@ def fit_to_rays(
     timebase: Timebase,
     joints: JointSet,
     name: str,
+    offsets: JointOffsets = MARKED_AT_CENTERS,
     on_share: OnShare = ignore,
 ) -> SkeletonFit:
     """Prepare the fit of a person to the rays of all views.
@@ -217,32 +272,49 @@ def fit_to_rays(
         Joint set of the track.
     name
         Name of the motion.
+    offsets
+        Offsets of the detector's marks from the joints' centres; unused for a person without hips and shoulders.
     """
     xyz_m = fit_positions(track, seen, cameras, timebase, joints, on_share)
     measured = track.source == Source.MEASURED
     known = measured | gaps_up_to(measured, round(MAX_GAP_S * timebase.frame_rate_hz))
     xyz_m[~known] = np.nan
     source = np.where(known, np.where(measured, Source.MEASURED, Source.PREDICTED), Source.ABSENT)
+    offsets = offsets if has_torso(xyz_m, joints) else MARKED_AT_CENTERS
+    if offsets:
+        marked_length_m = bone_lengths_m(Landmarks(xyz_m, source, joints))
+        for rows in windows(len(xyz_m), overlap=0):
+            xyz_m[rows] = centers_from_marks(Landmarks(xyz_m[rows], source[rows], joints), offsets, marked_length_m)
     positions = replace(track, xyz_m=read_only(xyz_m), source=read_only(source.astype(track.source.dtype)))
 
     def rays_of(rows: slice) -> Rays:
         return Rays(cameras, seen.points_px[rows], seen.score[rows], joints)
 
-    return SkeletonFit(positions, joints, timebase, name, rays_of)
+    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets)
 
 
-def follow(fitted: SkeletonFit, seen: Observations, cameras: Sequence[Camera], on_share: OnShare = ignore) -> Track3D:
+def follow(
+    fitted: SkeletonFit,
+    motion: SkeletonMotion,
+    seen: Observations,
+    cameras: Sequence[Camera],
+    on_share: OnShare = ignore,
+) -> Track3D:
     """Track with the joint positions of the fitted motion; unknown joints stay unknown.
 
     If hips and shoulders were never located, the motion's position is arbitrary, and the joint positions stay
-    unchanged.
+    unchanged. Observations are compared with the detector's marks.
     """
     xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
     for rows in windows(len(xyz_m), overlap=0, on_share=on_share):
         if fitted.has_torso:
             fitted.place(rows, xyz_m[rows])
-        error_px[rows], _, _ = reproject(cameras, xyz_m[rows], seen.points_px[rows], seen.score[rows])
-    return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px))
+        marks_m = fitted.marks_m(rows, motion, xyz_m[rows])
+        error_px[rows], _, _ = reproject(cameras, marks_m, seen.points_px[rows], seen.score[rows])
+    sigma_m = fitted.uncertainty_m
+    if sigma_m is not None:
+        sigma_m = read_only(np.where(np.isfinite(xyz_m).all(-1), sigma_m, np.nan))
+    return replace(fitted.track, xyz_m=read_only(xyz_m), error_px=read_only(error_px), uncertainty_m=sigma_m)
 
 
 def _same_signs(

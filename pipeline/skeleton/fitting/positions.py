@@ -26,14 +26,14 @@ from pipeline.skeleton.fitting.windows import Blend, windows
 from pipeline.skeleton.gaps import filled_linearly
 
 # Scales c of the rays, in order of the steps; the last scale is kept.
-SCALES_M = (0.20, 0.12, 0.08, 0.05)
+SCALES_M = (0.20, 0.12, 0.10)
 _NUM_STEPS = 12
 # Usual accelerations of joints in lively movement, and the factor at which Cauchy's function becomes heavy-tailed.
 _USUAL_M_S2 = {
-    "shoulder": 10.0, "elbow": 18.0, "wrist": 28.0, "hip": 8.0, "knee": 16.0, "ankle": 20.0, "toe": 24.0, "heel": 24.0,
-    "neck": 10.0,
+    "shoulder": 7.0, "elbow": 13.0, "wrist": 20.0, "hip": 5.5, "knee": 11.0, "ankle": 14.0, "toe": 17.0, "heel": 17.0,
+    "neck": 7.0,
 }  # fmt: skip
-_USUAL_ELSE_M_S2 = 12.0
+_USUAL_ELSE_M_S2 = 8.5
 _HEAVY_TAIL = 3.0
 # Standard deviation of a limb's length between frames, caused by the detector.
 _BONE_SIGMA_M = 0.010

@@ -13,6 +13,8 @@ from pipeline.joints import JointSet
 # Noise of a detector across a ray.
 _SIGMA_M = 0.015
 _MIN_SCORE = 0.1
+# Number of observations that the noise promised by scores counts for.
+_NUM_PROMISED = 50
 # Parts of limbs that detectors confuse with the other side, and the improvement of the fit (in observations with score
 # 1) that an exchange of sides requires.
 _EXCHANGEABLE = (
@@ -72,6 +74,24 @@ class Rays:
             np.einsum("fc,fcab->fab", robust, across),
             np.einsum("fc,fcab,cb->fa", robust, across, self._centers_m),
         )
+
+    def precision(
+        self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
+    ) -> Float[np.ndarray, "frames 3 3"]:
+        """Inverse covariance of a joint by the rays of each frame, in 1 / m2.
+
+        The noise of the detector is that of the joint's own residuals in frames that two views see, in relation to
+        what the scores promise. For joints with few observations, it is closer to the promise.
+        """
+        across, weight = self._across[:, :, joint], self._weight[:, :, joint]
+        off_m2 = (np.einsum("fcab,fcb->fca", across, xyz_m[:, None] - self._centers_m) ** 2).sum(-1)
+        robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
+        is_seen = weight > 0
+        counted = is_seen & (is_seen.sum(1, keepdims=True) > 1)
+        # Of the squared distance to a ray, each of two axes has a half.
+        residual = float((robust * off_m2)[counted].sum()) / 2
+        noise = (residual + _NUM_PROMISED) / (int(counted.sum()) + _NUM_PROMISED)
+        return np.asarray(np.einsum("fc,fcab->fab", robust, across) / noise)
 
     def exchange_sides(self, xyz_m: Float[np.ndarray, "frames joints 3"], scale_m: float) -> None:
         """Exchange the left and right limb of a view in frames in which they clearly fit better when exchanged."""

@@ -40,6 +40,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "smoothing": "fit",
         "feet": "auto",
         "appearance": "on",
+        "joint_centers": "auto",
         "exports": ["bvh"],
         "bvh": "default",
         "cutoff_hz": 6.0,

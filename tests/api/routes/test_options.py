@@ -14,7 +14,7 @@ def test_options_describe_every_choice_of_a_job(live: Live) -> None:
     listed = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     properties = live.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
     assert list(listed) == [name for name in properties if name != "callback_url"]
-    for name in ("method", "detector", "smoothing", "feet", "bvh"):
+    for name in ("method", "detector", "smoothing", "feet", "joint_centers", "bvh"):
         assert [value["name"] for value in listed[name]["values"]] == properties[name]["enum"]
         assert listed[name]["default"] == properties[name]["default"]
     assert [value["name"] for value in listed["exports"]["values"]] == properties["exports"]["items"]["enum"]

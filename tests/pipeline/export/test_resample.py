@@ -44,6 +44,10 @@ def test_of_a_multiple_each_second_or_third_frame_is_the_session_s(take: Reconst
     for one, other in zip(take.tracks, fine.tracks, strict=True):
         assert other.start_frame == factor * one.start_frame
         np.testing.assert_allclose(other.xyz_m[::factor], one.xyz_m, atol=1e-12)
+        assert one.uncertainty_m is not None
+        assert other.uncertainty_m is not None
+        np.testing.assert_array_equal(other.uncertainty_m[::factor], one.uncertainty_m)
+        np.testing.assert_array_equal(np.isfinite(other.uncertainty_m), np.isfinite(other.xyz_m[..., 0]))
     for mine, theirs in zip(take.motions, fine.motions, strict=True):
         np.testing.assert_allclose(forward_kinematics(theirs)[::factor], forward_kinematics(mine), atol=1e-9)
         assert theirs.frame_rate_hz == factor * mine.frame_rate_hz
@@ -77,7 +81,8 @@ def test_everybody_is_where_they_are_between_two_frames(take: Reconstruction, ra
 
 def test_who_lives_between_two_frames_is_left_out(take: Reconstruction) -> None:
     short = replace(take.tracks[0], start_frame=1, **{
-        name: getattr(take.tracks[0], name)[:2] for name in ("xyz_m", "score", "source", "error_px", "views")
+        name: getattr(take.tracks[0], name)[:2]
+        for name in ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
     })  # fmt: skip
     motion = take.motions[0]
     motion = replace(

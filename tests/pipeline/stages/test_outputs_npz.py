@@ -8,6 +8,7 @@ from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data import (
+    Animation,
     Camera,
     DamagedVideo,
     Detections,
@@ -17,16 +18,19 @@ from pipeline.data import (
     PafFields,
     People,
     Poses3D,
+    SkeletonMotion,
     Track3D,
     no_detections,
 )
 from pipeline.geometry.rigid import Rigid3
 from pipeline.stages.outputs_npz import (
+    decode_animation,
     decode_damaged_videos,
     decode_detections,
     decode_fields,
     decode_lengths,
     decode_poses,
+    encode_animation,
     encode_colours,
     encode_detections,
     encode_fields,
@@ -148,6 +152,27 @@ def test_people_come_back_one_by_one(tmp_path: Path) -> None:
     for seen, back_seen in zip(people.observations, back.observations, strict=True):
         assert_equal(seen, back_seen)
     assert [one.track_id for one in back.tracks[-1:]] == [back.observations[-1].track_id] == [2]
+
+
+def test_uncertainty_comes_back_where_there_is_any() -> None:
+    first, second = people_of_two_lengths().tracks
+    certain = replace(first, uncertainty_m=np.where(first.source > 0, RNG.uniform(size=first.score.shape), np.nan))
+    motions = tuple(
+        SkeletonMotion(
+            track.track_id,
+            "",
+            track.start_frame,
+            25.0,
+            np.ones(22),
+            np.zeros((track.num_frames, 3)),
+            np.zeros((track.num_frames, 22, 4)),
+            (),
+        )
+        for track in (certain, second)
+    )
+    back = decode_animation(encode_animation(Animation((certain, second), motions, None)))
+    assert_equal(certain, back.tracks[0])
+    assert back.tracks[1].uncertainty_m is None
 
 
 def test_equal_people_are_equal_bytes(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,9 +52,24 @@ def test_everything_stands_where_the_contract_says() -> None:
                 "scores": [[0.93, 0.0], [0.5, 0.0]],
                 "sources": ["m-", "ip"],
                 "error_px": [[3.14, None], [None, None]],
+                "uncertainty_m": None,
             }
         ],
     }
+
+
+def test_uncertainty_is_in_tenths_of_a_millimetre(tmp_path: Path) -> None:
+    certain = replace(track(), uncertainty_m=np.array([[0.01234, np.nan], [0.2, 0.00004]]))
+    content = encoded(reconstruction(certain, track()))
+    first, second = json.loads(content)["tracks"]
+    assert first["uncertainty_m"] == [[0.0123, None], [0.2, 0.0]]
+    assert second["uncertainty_m"] is None
+    path = tmp_path / "skeletons.json"
+    path.write_bytes(content)
+    assert [xyz_m.shape for xyz_m in skeletons_json.read_xyz_m(path)] == [(2, 2, 3), (2, 2, 3)]
+    path.write_bytes(content.replace(b"[0.0123,null]", b"[0.0123,nu]"))
+    with pytest.raises(json.JSONDecodeError):
+        list(skeletons_json.read_xyz_m(path))
 
 
 def test_bytes_are_strict_json_and_always_the_same() -> None:

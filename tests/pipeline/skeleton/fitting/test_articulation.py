@@ -42,7 +42,7 @@ def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> Bodies:
 def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
     skeleton = skeleton_of(joints)
     bodies = anybody(skeleton, 2)
-    posed = articulated._Posed(bodies, skeleton)
+    posed = articulated.Posed(bodies, skeleton)
     jacobian = posed.jacobian()
     assert len(skeleton.landmark) == len(joints.names)
     for freedom in range(skeleton.num_freedoms):

@@ -1,0 +1,36 @@
+"""Offsets of joint centres that a session is fitted with."""
+
+import pytest
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import CaptureSession
+from pipeline.config import JointCenters, ReconstructionConfig
+from pipeline.data import Timebase
+from pipeline.detect.registry import REGISTRY
+from pipeline.joints import COCO_17
+from pipeline.stages.run import used_offsets
+
+VIDEOS = CaptureSession((), (), {}, ())
+KEYPOINTS = KeypointSession((), {}, Timebase(0.0, 25.0, 1), {}, COCO_17, {}, ())
+
+
+@pytest.mark.parametrize(
+    ("choice", "of_videos", "of_keypoints"),
+    [
+        ("auto", "movenet-multipose", None),
+        ("off", None, None),
+        ("openpose-mobilenet-thin", "openpose-mobilenet-thin", "openpose-mobilenet-thin"),
+    ],
+)
+def test_offsets_are_those_of_the_detector_or_those_that_are_chosen(
+    choice: JointCenters, of_videos: str | None, of_keypoints: str | None
+) -> None:
+    config = ReconstructionConfig(joint_centers=choice)
+    for session, name in ((VIDEOS, of_videos), (KEYPOINTS, of_keypoints)):
+        assert used_offsets(session, config) == (REGISTRY[name].offsets if name else {})
+
+
+def test_smoothing_other_than_the_fit_moves_nothing_and_a_network_without_offsets_has_none() -> None:
+    assert REGISTRY["movenet-multipose"].offsets
+    assert used_offsets(VIDEOS, ReconstructionConfig(smoothing="none")) == {}
+    assert used_offsets(VIDEOS, ReconstructionConfig(detector="human-pose-estimation-0001")) == {}
