@@ -97,8 +97,8 @@ Appearance = (
     | Annotated[Literal["off"], Value("No colours are measured")]
 )
 JointCenters = (
-    Annotated[Literal["auto"], Value("Offsets of the detector; none for keypoints")]
-    | Annotated[Literal["off"], Value("Joints as the detector marks them")]
+    Annotated[Literal["auto"], Value("Offsets of the network; none for keypoints")]
+    | Annotated[Literal["off"], Value("Joints as they are marked")]
     | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
     | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
 )

@@ -16,7 +16,7 @@ from pipeline.data import Camera, Observations, Timebase
 from pipeline.geometry.track_assembly import Person
 
 # Expected number of coincidences in a session below which a track is a person.
-_MAX_FALSE_ALARMS = 0.01
+_MAX_FALSE_ALARMS = 0.1
 _MOMENT_S = 0.2
 _MIN_JOINTS = 3
 # Radius in mean reprojection errors, and least error as a share of the image's shorter side.

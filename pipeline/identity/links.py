@@ -15,6 +15,8 @@ _NOISE_M, _WANDER_M_S, _FARTHEST_M = 0.15, 1.2, 3.0
 # Standard deviation along each axis of the change of a person's velocity at once and for each second, and of the
 # difference of the velocities of unrelated people.
 _CHANGE_M_S, _ACCELERATION_M_S2, _UNRELATED_M_S = 0.6, 2.0, 1.2
+# Longest absence of a person who is known again. Tracks hold every frame in between.
+_LONGEST_ABSENCE_S = 600.0
 # Nobody is faster on average, beside the noise of both ends.
 _FASTEST_M_S, _FASTEST_NOISE_M = 6.0, 0.6
 # Time after which the place says little of the person, and share of bodies that are anywhere even at once.
@@ -124,7 +126,9 @@ def link_scores(last: Ends, first: Ends, area_m2: float) -> Float[np.ndarray, "*
     between_m = (first.xyz_m - ahead_s * first.velocity_m_s) - (last.xyz_m + ahead_s * last.velocity_m_s)
     squared_m2 = (between_m[..., :2] ** 2).sum(-1)
     apart_m = np.linalg.norm(first.xyz_m - last.xyz_m, axis=-1)
-    possible: Bool[np.ndarray, "*batch"] = (gap_s > 0) & (apart_m <= _FASTEST_NOISE_M + _FASTEST_M_S * gap_s)
+    possible: Bool[np.ndarray, "*batch"] = (
+        (gap_s > 0) & (gap_s <= _LONGEST_ABSENCE_S) & (apart_m <= _FASTEST_NOISE_M + _FASTEST_M_S * gap_s)
+    )
     variance_m2 = np.minimum(_NOISE_M + _WANDER_M_S * np.maximum(gap_s, 0.0), _FARTHEST_M) ** 2
     near = np.exp(-0.5 * squared_m2 / variance_m2) / (2 * np.pi * variance_m2) * area_m2
     recent = np.exp(-np.maximum(gap_s, 0.0) / _FORGOTTEN_S) * (1 - _ANYWHERE)

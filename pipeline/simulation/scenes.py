@@ -165,9 +165,9 @@ SCENES: Mapping[str, Scene] = {
     "crowd": _crowd(7),
     **{f"crowd-{num_people}": _crowd(num_people) for num_people in (2, 3, 5)},
     "exchange": Scene(
-        Rig(Layout.RING, 8, (4.5, 4.0), 2.4, (1920, 1080), 1000.0),
+        Rig(Layout.RING, 6, (4.0, 4.0), 2.4, focal_px=760.0),
         Exchange(7, gap_m=0.5),
-        detector=Detector(faults=Faults(miss_joint=0.05, miss_body=0.15, mix=0.2, memory_s=0.2)),
+        detector=Detector(noise_m=0.015, faults=Faults(miss_joint=0.05, miss_body=0.2, mix=0.3, memory_s=0.3)),
         duration_s=20.0,
     ),
     "contact": Scene(

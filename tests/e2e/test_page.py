@@ -81,6 +81,7 @@ def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served
         ("smoothing", "Smoothing"),
         ("feet", "Feet on the floor"),
         ("appearance", "Colours of clothes"),
+        ("joint_centers", "Joint centres"),
         ("bvh", "Application for BVH files"),
     ):
         options = page.get_by_label(label).get_by_role("option").evaluate_all("all => all.map(one => one.value)")

@@ -73,7 +73,7 @@ def run_side_by_side(bench: Bench, num_workers: int) -> None:
 
 def test_a_job_runs_to_its_results(bench: Bench) -> None:
     job = bench.create_job()
-    assert bench.runner().work(60.0) == 4 + 3
+    assert bench.runner().work(60.0) == 4 + 4
     job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
@@ -217,7 +217,7 @@ def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(
 
 
 def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: Bench) -> None:
-    damages = iter([DETECT, ASSOCIATE])
+    damages = iter([ASSOCIATE, IDENTIFY])
 
     def damaging(work: Work) -> Output:
         for stage in damages:
@@ -229,7 +229,7 @@ def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(benc
     bench.runner().work(60.0)
     assert bench.result(job.id) == RESULT
     (attempt,) = bench.store.jobs.attempts(job.id)
-    assert [failure.stage for failure in attempt.failures] == [ASSOCIATE, DETECT]
+    assert [failure.stage for failure in attempt.failures] == [IDENTIFY, ASSOCIATE]
 
 
 def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(bench: Bench) -> None:

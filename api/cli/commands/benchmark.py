@@ -14,6 +14,7 @@ from api.cli.benchmark.cancel import cancel
 from api.cli.benchmark.clustering import clustering
 from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
+from api.cli.benchmark.identity import identity
 from api.cli.benchmark.load import load
 from api.cli.benchmark.queue import queue
 from api.cli.benchmark.takes import peak_rss_mib
@@ -42,6 +43,7 @@ app.command()(cancel)
 app.command()(clustering)
 app.command()(export)
 app.command()(fit)
+app.command()(identity)
 app.command()(load)
 app.command()(queue)
 app.command()(tracking)

@@ -104,6 +104,7 @@ def test_nobody_is_as_fast_and_time_does_not_run_back() -> None:
 
     assert np.isneginf(link_scores(end(1.0, 0.0), end(1.1, 5.0), 20.0)).all()
     assert np.isneginf(link_scores(end(1.0, 0.0), end(0.9, 0.0), 20.0)).all()
+    assert np.isneginf(link_scores(end(1.0, 0.0), end(602.0, 0.0), 20.0)).all()
     near, far, late = (link_scores(end(1.0, 0.0), end(*at), 20.0)[0] for at in ((1.2, 0.1), (1.2, 1.0), (9.0, 0.1)))
     assert near > far > -np.inf
     assert near > late > -np.inf

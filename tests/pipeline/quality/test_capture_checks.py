@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data import Camera, DamagedVideo, Observations
+from pipeline.data import Camera, DamagedVideo, Doubt, Observations
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
 from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
@@ -90,3 +90,12 @@ def test_damaged_videos_are_named_with_what_is_damaged() -> None:
     assert check["message"].startswith("A video is damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s).")
     (check,) = quality_report(replace(take, damaged=(one, replace(one, file="right.mp4"))))["capture_checks"]
     assert check["message"].startswith("2 videos are damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s), right.mp4 ")
+
+
+def test_only_people_whose_identity_is_uncertain_are_named() -> None:
+    certain = replace(reconstruction(TRACK, observations=(observe(TRACK),)), doubts=[(Doubt(5, 0.95, 0),)])
+    assert all_checks(quality_report(certain)) == []
+    uncertain = replace(certain, doubts=[(Doubt(5, 0.95, 0), Doubt(20, 0.6, 2))])
+    ((code, message),) = ((check["code"], check["message"]) for check in all_checks(quality_report(uncertain)))
+    assert code == "uncertain_identity"
+    assert f"person-{TRACK.track_id} (frame 20)" in message

@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.data import Animation, Camera, Observations, Reconstruction, Source, Timebase, Track3D
+from pipeline.data import Animation, Camera, Doubt, Observations, Reconstruction, Source, Timebase, Track3D
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17
@@ -76,6 +76,20 @@ def test_a_perfect_walk_has_perfect_figures() -> None:
             "slide_after_cm": None,
             "contacts": [],
         },
+        "identity": {"confidence": 1.0, "doubts": []},
+    }
+
+
+def test_doubts_about_identity_are_listed_with_their_product() -> None:
+    doubts = (Doubt(12, 0.9, 2), Doubt(30, 0.8, 0))
+    found = dataclasses.replace(reconstruction(track_of(walker(40))), doubts=[doubts])
+    (person,) = quality_report(found)["people"]
+    assert person["identity"] == {
+        "confidence": 0.72,
+        "doubts": [
+            {"frame": 12, "confidence": 0.9, "other": 2},
+            {"frame": 30, "confidence": 0.8, "other": None},
+        ],
     }
 
 

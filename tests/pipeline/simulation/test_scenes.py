@@ -14,7 +14,7 @@ from pipeline.simulation.views.detector import NOBODY, PERFECT
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
-    "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports",
+    "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports", "exchange",
 )  # fmt: skip
 HIPS = (11, 12)
 
@@ -183,3 +183,14 @@ def test_bad_requests_are_named_together() -> None:
 def test_casts_are_as_large_as_asked_for() -> None:
     scene = replace(SCENES["room"], cast=Cast(5, (4.0, 4.0)), duration_s=2.0)
     assert record(scene, 1, 1).truth_m.shape[0] == 5
+
+
+def test_people_who_exchange_places_stay_close_and_walk() -> None:
+    simulation = record(replace(SCENES["exchange"], duration_s=12.0), 2)
+    hips_m = simulation.truth_m[:, :, simulation.joints.indices(("left_hip", "right_hip"))].mean(2)[..., :2]
+    assert len(hips_m) == 7
+    assert np.linalg.norm(hips_m, axis=-1).max() < 0.9
+    apart_m = np.linalg.norm(hips_m[:, None] - hips_m, axis=-1) + 9 * np.eye(7)[..., None]
+    assert np.median(apart_m.min(1)) == pytest.approx(0.5, abs=0.05)
+    assert (np.linalg.norm(hips_m[:, -1] - hips_m[:, 0], axis=-1) > 0.4).sum() >= 2
+    assert simulation.truth_m.tobytes() == record(replace(SCENES["exchange"], duration_s=12.0), 2).truth_m.tobytes()
