@@ -30,13 +30,15 @@ def mean_bodies(observations: Iterable[Observations], timebase: Timebase) -> flo
 
 
 def is_chance(person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float) -> bool:
-    """Whether a track may be chance.
+    """Whether a track may be chance; never if it lasts for half of the session, which may be too short to tell.
 
     Parameters
     ----------
     num_bodies
         Mean number of bodies in a picture.
     """
+    if 2 * person[0].num_frames >= timebase.num_frames:
+        return False
     return log_false_alarms(person, cameras, timebase, num_bodies) > math.log(_MAX_FALSE_ALARMS)
 
 

@@ -80,7 +80,7 @@ def test_the_same_files_as_without_the_service(
     assert job["state"] == "succeeded", job
     assert any("evidence" in warning for warning in job["warnings"]) == (method == "clustering")
     before = ["lengths", "poses"] if method == "clustering" else []
-    assert [stage["name"] for stage in job["stages"]] == [*before, "associate", "fit", "export"]
+    assert [stage["name"] for stage in job["stages"]] == [*before, "associate", "identify", "fit", "export"]
     assert len(json.loads((tmp_path / "metrics.json").read_bytes())["people"]) >= 2
     assert served.downloads(job["id"]) == digests(tmp_path)
 
