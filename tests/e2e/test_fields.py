@@ -23,7 +23,9 @@ from tests.e2e.serving import Served, digests
 pytestmark = pytest.mark.xdist_group("sample")
 
 NUM_FRAMES = 12
-CONFIG = ReconstructionConfig("clustering", "openpose-mobilenet-thin", chunk_frames=NUM_FRAMES)
+CONFIG = ReconstructionConfig(
+    "clustering", "openpose-mobilenet-thin", joint_centers="off", chunk_frames=NUM_FRAMES
+)  # joints where they are marked: their distance from the marks is measured
 BODY = COCO_18.indices(tuple(name for name in COCO_18.names if not name.endswith(("eye", "ear"))))
 
 
@@ -59,7 +61,7 @@ def test_both_main_people_are_found_by_many_views(clustered: Reconstruction) -> 
         found = track.views[:, BODY]
         assert (found > 0).sum(1).mean() >= 9
         assert found[found > 0].mean() >= 2.8
-        assert np.nanmedian(errors_px[:, :, BODY]) <= 12
+        assert np.nanmedian(errors_px[:, :, BODY]) <= 13
     # The bystander may be found as a third person.
     assert len(tracks) <= 3
     assert clustered.warnings == ()
@@ -80,12 +82,20 @@ def test_the_service_gives_the_same_files(
     write_results(clustered, tmp_path)
     files = [("videos", (path.name, path.read_bytes())) for path in sorted(clips.iterdir())]
     files.append(("calibration", (sample.calibration.name, sample.calibration.read_bytes())))
-    spec = {"method": CONFIG.method, "detector": CONFIG.detector}
+    spec = {"method": CONFIG.method, "detector": CONFIG.detector, "joint_centers": CONFIG.joint_centers}
     answer = served.client.post("/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded", job
-    assert [stage["name"] for stage in job["stages"]] == ["detect", "lengths", "poses", "associate", "fit", "export"]
+    assert [stage["name"] for stage in job["stages"]] == [
+        "detect",
+        "lengths",
+        "poses",
+        "associate",
+        "identify",
+        "fit",
+        "export",
+    ]
     assert all(stage["done"] == stage["total"] for stage in job["stages"])
     metrics = json.loads((tmp_path / "metrics.json").read_bytes())
     assert job["warnings"] == [check["message"] for check in all_checks(metrics)]

@@ -11,13 +11,13 @@ import pytest
 
 from pipeline.capture.keypoints import MAX_PEOPLE, KeypointSession
 from pipeline.clustering.instant.effort import Effort
-from pipeline.config import ReconstructionConfig
+from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import People
 from pipeline.simulation.clocks import Clock
 from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig
 from pipeline.simulation.scenes import Scene, record
-from pipeline.stages.association import link, locate_people, measure_bones, track
+from pipeline.stages.association import link, locate_people, measure_bones, tell_apart, track
 from pipeline.tracking.observations import Bodies, gather
 from tests.hostile.crowds import hostile_crowds
 
@@ -45,18 +45,19 @@ def cluster(session: KeypointSession) -> People:
     return link(session, [poses], session.joints, CLUSTERING)
 
 
-def reconstruct(method: str, name: str, num_cameras: int, num_frames: int) -> tuple[float, int, int]:
+def reconstruct(method: Method, name: str, num_cameras: int, num_frames: int) -> tuple[float, int, int]:
     """Reconstruct; return seconds, number of approximate frames, and the process's peak memory in KiB."""
     session = hostile_crowds(MAX_PEOPLE, num_cameras, num_frames)[name]()
     started_s = time.monotonic()
     people = track(session, gathered(session)) if method == "tracking" else cluster(session)
+    tell_apart(session, people, session.joints, ReconstructionConfig(method))
     taken_s = time.monotonic() - started_s
     return taken_s, people.num_approximate_frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_a_frame_of_a_hostile_crowd_is_bounded(child: ProcessPoolExecutor, method: str, name: str) -> None:
+def test_a_frame_of_a_hostile_crowd_is_bounded(child: ProcessPoolExecutor, method: Method, name: str) -> None:
     num_frames = 3 if method == "tracking" else 1
     taken_s, _, peak_kib = child.submit(reconstruct, method, name, 4, num_frames).result()
     assert taken_s < 2 * num_frames * MAX_FRAME_S
@@ -64,7 +65,7 @@ def test_a_frame_of_a_hostile_crowd_is_bounded(child: ProcessPoolExecutor, metho
 
 
 @pytest.mark.parametrize(("method", "name"), [("tracking", "cameras are the same"), ("clustering", "in one place")])
-def test_frames_that_are_approximate_are_counted(child: ProcessPoolExecutor, method: str, name: str) -> None:
+def test_frames_that_are_approximate_are_counted(child: ProcessPoolExecutor, method: Method, name: str) -> None:
     _, num_approximate, _ = child.submit(reconstruct, method, name, 4, 2).result()
     assert num_approximate > 0
 
