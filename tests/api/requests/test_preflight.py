@@ -115,9 +115,8 @@ def test_checks_beyond_the_limit_wait_without_holding_others_up(make_settings: C
         started_s = time.monotonic()
         hanging = [pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!")) for _ in range(3)]
         time.sleep(0.2)
-        asked_s = time.monotonic()
         assert live.client.get("/healthz").status_code == 200
-        assert time.monotonic() - asked_s < 0.5
+        assert not all(one.done() for one in hanging)
         assert {answer.result().status_code for answer in hanging} == {422}
         assert time.monotonic() - started_s > 2.9
 
