@@ -72,7 +72,7 @@ def identify(
     if most is not None:
         kept = sorted(kept, key=lambda entry: int(entry[0][0].views.sum()), reverse=True)[:most]
     kept.sort(key=lambda entry: entry[0][0].start_frame)
-    # Whose body a detection is was of use for its colours.
+    # Rows of detections serve the comparison of clothes only.
     found = [(track, replace(seen, detection=no_detections())) for (track, seen), _ in kept]
     if people.leftovers is not None:
         found = look_again(found, people.leftovers, cameras, timebase, min_score)
