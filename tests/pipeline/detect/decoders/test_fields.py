@@ -11,7 +11,8 @@ from pipeline.detect.decoders.fields import FieldGrid, find_peaks
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detect.detector import Detector
-from pipeline.detect.registry import REGISTRY, Head, NetworkInput
+from pipeline.detect.entries import REGISTRY
+from pipeline.detect.registry import Head, NetworkInput
 from pipeline.joints import COCO_18
 
 # In the last three, rounded sizes make the axes' scales differ.

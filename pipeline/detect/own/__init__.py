@@ -1,0 +1,1 @@
+"""Networks of the user's own: ONNX files of known kinds, checked, stored and run."""

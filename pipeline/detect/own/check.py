@@ -1,0 +1,90 @@
+"""Check of a stranger's ONNX file in a process of its own, with limits: ``python -m ... FILE WIDTH HEIGHT``.
+
+The process prints one JSON object: ``problem``, or ``input`` (the shape, null for an open axis) and ``outputs``, the
+shapes that the network gives for a black image.
+"""
+
+import json
+import resource
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+
+_MAX_MEMORY_BYTES = 6 * 2**30
+_MAX_CPU_S = 120
+_DOMAINS = {"", "ai.onnx"}
+
+
+def main(path: str, width: str, height: str) -> None:
+    """Limit this process, check a file, and print the result."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S))
+    try:
+        result = check(Path(path), (int(width), int(height)))
+    except Exception as error:
+        first = (str(error).strip() or type(error).__name__).splitlines()[0]
+        result = {"problem": f"it is damaged or can't be run ({first[:200]})"}
+    sys.stdout.write(json.dumps(result))
+
+
+def check(path: Path, input_px: tuple[int, int]) -> dict[str, Any]:
+    """Check a file, and run the network on a black image of a size, unless its own input has a fixed size."""
+    model = onnx.load(path, load_external_data=False)
+    if problem := _problem(model):
+        return {"problem": problem}
+    onnx.checker.check_model(model)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    inputs = session.get_inputs()
+    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
+        return {"problem": "it must have one input of float32: (1, 3, height, width)"}
+    shape = [size if isinstance(size, int) else None for size in inputs[0].shape]
+    asked = (1, 3, input_px[1], input_px[0])
+    image = np.zeros([size or other for size, other in zip(shape, asked, strict=True)], np.float32)
+    names = [output.name for output in session.get_outputs()]
+    values = session.run(names, {inputs[0].name: image})
+    return {"input": shape, "outputs": {name: list(value.shape) for name, value in zip(names, values, strict=True)}}
+
+
+def _problem(model: onnx.ModelProto) -> str | None:
+    if model.functions:
+        return "it has functions of its own; export it with standard operators only"
+    for node in _nodes(model.graph):
+        if node.domain not in _DOMAINS:
+            return f"it needs the operator {node.op_type} of {node.domain}; export it with standard operators only"
+    if any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in _tensors(model.graph)):
+        return "its weights are in another file; export it as one file"
+    return None
+
+
+def _graphs(graph: onnx.GraphProto) -> Iterator[onnx.GraphProto]:
+    """Graph, and the graphs inside its nodes."""
+    yield graph
+    for node in graph.node:
+        for attribute in node.attribute:
+            for inner in (*([attribute.g] if attribute.HasField("g") else ()), *attribute.graphs):
+                yield from _graphs(inner)
+
+
+def _nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
+    for inner in _graphs(graph):
+        yield from inner.node
+
+
+def _tensors(graph: onnx.GraphProto) -> Iterator[onnx.TensorProto]:
+    for inner in _graphs(graph):
+        yield from inner.initializer
+    for node in _nodes(graph):
+        for attribute in node.attribute:
+            yield from (*([attribute.t] if attribute.HasField("t") else ()), *attribute.tensors)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
