@@ -1,0 +1,93 @@
+"""Static quantization of a network: activations and weights as unsigned integers of 8 bits, a scale a channel.
+
+Signed weights would be a little faster on processors with VNNI instructions. On other processors, the products of
+signed weights saturate in 16 bits, and the network's outputs become useless; unsigned weights give the same outputs on
+both.
+"""
+
+import logging
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import ModelProto
+
+_OPERATORS = ["Conv", "Add", "Resize", "Relu", "Clip"]
+
+STEPS_PER_OCTAVE = 16
+"""Ends of ranges are powers of two to multiples of 1/16."""
+
+Steps = tuple[int | None, int | None]
+"""Least and greatest value as powers of two, in steps: -2^(first / 16) and 2^(second / 16); ``None`` for zero."""
+
+
+def quantize(content: bytes, ranges: Mapping[str, Steps], float_values: Collection[str]) -> bytes:
+    """Quantize a network.
+
+    Parameters
+    ----------
+    content
+        ONNX file of the float network, with one output a node.
+    ranges
+        Ranges of the values that nodes give, by the name of the value, and of the network's input.
+    float_values
+        Values whose nodes stay in floating point.
+
+    Returns
+    -------
+        ONNX file of the quantized network, with the same input and outputs. Equal arguments give equal bytes.
+
+    Raises
+    ------
+    ValueError
+        If the range of a value is missing.
+    """
+    # Imported here, as its import takes a second and is needed for an installation only.
+    from onnxruntime.quantization import QuantType  # noqa: PLC0415
+    from onnxruntime.quantization.calibrate import CalibrationMethod, TensorsData  # noqa: PLC0415
+    from onnxruntime.quantization.qdq_quantizer import QDQQuantizer  # noqa: PLC0415
+
+    model = onnx.load_model_from_string(content)
+    for number, node in enumerate(model.graph.node):
+        node.name = f"{node.op_type}_{number}"
+    values = [graph_input.name for graph_input in model.graph.input]
+    values += [name for node in model.graph.node for name in node.output]
+    if missing := [name for name in values if name not in ranges]:
+        message = f"Ranges of values are missing: {', '.join(missing)}."
+        raise ValueError(message)
+    limits = {name: (np.float32(-end(low)), np.float32(end(high))) for name, (low, high) in ranges.items()}
+    quantizer: Any = QDQQuantizer(
+        model,
+        per_channel=True,
+        reduce_range=False,
+        weight_qType=QuantType.QUInt8,
+        activation_qType=QuantType.QUInt8,
+        tensors_range=TensorsData(CalibrationMethod.MinMax, limits),
+        nodes_to_quantize=[],
+        nodes_to_exclude=[node.name for node in model.graph.node if node.output[0] in float_values],
+        op_types_to_quantize=_OPERATORS,
+        extra_options={"ActivationSymmetric": False},
+    )
+    with _without_advice():
+        quantizer.quantize_model()
+    quantized: ModelProto = quantizer.model.model
+    return quantized.SerializeToString(deterministic=True)
+
+
+def end(steps: int | None) -> float:
+    """End of a range from its number of steps; 0 for ``None``."""
+    return 0.0 if steps is None else float(2.0 ** (steps / STEPS_PER_OCTAVE))
+
+
+@contextmanager
+def _without_advice() -> Iterator[None]:
+    """Silence the advice that ONNX Runtime logs for users of its own tools."""
+    root = logging.getLogger()
+    level = root.level
+    root.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        root.setLevel(level)
