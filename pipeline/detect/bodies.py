@@ -1,9 +1,12 @@
 """Bodies that a detector finds in one image."""
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
+
+from pipeline.joints import JointSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,3 +29,15 @@ class Bodies:
     score: Float[np.ndarray, "n joints"]
     box_px: Float[np.ndarray, "n 4"]
     center_score: Float[np.ndarray, " n"]
+
+
+@runtime_checkable
+class BodyDetector(Protocol):
+    """Detector of bodies in single images."""
+
+    @property
+    def joints(self) -> JointSet:
+        """Joints of the bodies."""
+
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+        """Detect the bodies in an image, in pixels of the image."""

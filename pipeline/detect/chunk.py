@@ -1,6 +1,6 @@
 """Detection in one range of a camera's frames, and concatenation of such ranges."""
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
 
@@ -13,6 +13,7 @@ from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.detector import Bodies, Detector
+from pipeline.detect.profiles.detection import BodyDetector
 from pipeline.errors import InputError
 from pipeline.joints import JointSet
 from pipeline.runtime.memory import give_pictures_back
@@ -24,7 +25,7 @@ def detect_chunk(
     session: CaptureSession,
     camera: str,
     span_s: tuple[float, float],
-    detector: Detector,
+    detector: BodyDetector,
     on_frame: Callable[[], None] = lambda: None,
     measures_colours: bool = False,
 ) -> Detections:
@@ -122,11 +123,36 @@ def _images(
     on_damaged: Callable[[int], None],
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Decode a range of frames with their numbers; ``on_frame`` is called when the next frame is requested."""
+    frames = frames_in(session.times[camera], *span_s)
+    return camera_images(session, camera, frames, on_frame, on_damaged)
+
+
+def camera_images(
+    session: CaptureSession,
+    camera: str,
+    frames: range,
+    on_frame: Callable[[], None] = lambda: None,
+    on_damaged: Callable[[int], object] = lambda _: None,
+    only: Collection[int] | None = None,
+) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
+    """Decode frames of a camera with their numbers.
+
+    Parameters
+    ----------
+    frames, on_damaged, only
+        Range of frame numbers, and so on; see ``decode``.
+    on_frame
+        Called when the frame after each frame is requested.
+
+    Raises
+    ------
+    InputError, ChildError
+        See ``decode``; problems name the camera.
+    """
     give_pictures_back()
     video = session.videos[[known.name for known in session.cameras].index(camera)]
-    frames = frames_in(session.times[camera], *span_s)
     try:
-        with closing(decode(video, frames.start, frames.stop, on_damaged)) as images:
+        with closing(decode(video, frames.start, frames.stop, on_damaged, only)) as images:
             for frame, image_rgb in images:
                 yield frame, image_rgb
                 on_frame()

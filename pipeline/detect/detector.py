@@ -12,10 +12,12 @@ from pipeline.detect.decoders.fields import FieldGrid, ImageFields
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.decoders.movenet import decode_movenet
 from pipeline.detect.decoders.openpose import LIMBS, decode_openpose
+from pipeline.detect.entries import entry_of
 from pipeline.detect.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detect.models import verify
-from pipeline.detect.registry import Head, NetworkInput, entry_of
+from pipeline.detect.registry import Head, NetworkInput
 from pipeline.detect.session import Network, open_network
+from pipeline.errors import ModelError
 from pipeline.joints import JointSet
 
 __all__ = ["Bodies", "Detector", "open_detector"]
@@ -89,7 +91,9 @@ def open_detector(name: str = "movenet-multipose") -> Detector:
     Raises
     ------
     ModelError
-        If the network is unknown or not installed, or its file was changed.
+        If the network is unknown or not installed, its file was changed, or it reads crops.
     """
     entry = entry_of(name)
+    if entry.head.reads_crops or entry.own is not None:
+        raise ModelError(f"{name} reads landmarks in crops, which other networks find: it is no detector alone.")
     return Detector(open_network(verify(name)), entry.input, entry.head, entry.joints, entry.fields)

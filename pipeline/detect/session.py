@@ -1,6 +1,9 @@
 """ONNX Runtime sessions on a single CPU thread, with reproducible outputs."""
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,34 @@ from pipeline.errors import ModelError
 
 # Function from an image tensor to named outputs.
 Network = Callable[[Float32[np.ndarray, "1 3 height width"]], Mapping[str, np.ndarray]]
+
+
+@dataclass(slots=True)
+class NetworkClock:
+    """Clock of the time that this process has spent in networks.
+
+    Parameters
+    ----------
+    total_s
+        Seconds in all networks so far.
+    num_passes
+        Number of passes so far.
+    """
+
+    total_s: float = 0.0
+    num_passes: int = 0
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Count the time of a block as one pass of a network."""
+        started_s = time.perf_counter()
+        yield
+        self.total_s += time.perf_counter() - started_s
+        self.num_passes += 1
+
+
+NETWORK_CLOCK = NetworkClock()
+"""Clock of this process; benchmarks read it."""
 
 
 def open_network(path: Path) -> Network:
@@ -38,6 +69,7 @@ def open_network(path: Path) -> Network:
     output_names = [output.name for output in session.get_outputs()]
 
     def run(tensor: Float32[np.ndarray, "1 3 height width"]) -> dict[str, np.ndarray]:
-        return dict(zip(output_names, session.run(output_names, {network_input.name: tensor}), strict=True))
+        with NETWORK_CLOCK.running():
+            return dict(zip(output_names, session.run(output_names, {network_input.name: tensor}), strict=True))
 
     return run

@@ -1,0 +1,122 @@
+"""Detector of a reconstruction: the networks of a profile, at the image sizes of a camera."""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal
+
+from pipeline.config import Networks
+from pipeline.detect.bodies import BodyDetector
+from pipeline.detect.detector import Detector, open_detector
+from pipeline.detect.entries import entry_of
+from pipeline.detect.models import verify
+from pipeline.detect.own.detectors import open_own
+from pipeline.detect.profiles.sizes import CameraSizes
+from pipeline.detect.profiles.two_sizes import TwoSizes
+from pipeline.detect.session import Network, open_network
+from pipeline.detect.topdown.detector import TopDown
+from pipeline.errors import ModelError
+from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
+
+__all__ = [
+    "BodyDetector",
+    "joints_of",
+    "load_detector",
+    "load_landmarks",
+    "load_own",
+    "open_detection",
+    "open_landmarks",
+    "sized",
+]
+
+_JOINT_SETS: Mapping[str, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
+
+# Network that finds people for a network of crops of the user's own.
+_FINDER = "movenet-multipose"
+
+load_detector = functools.cache(open_detector)
+"""``open_detector``, once a process for each network."""
+
+
+def open_landmarks(name: str) -> Network:
+    """Open an installed network of the registry that reads landmarks in crops.
+
+    Raises
+    ------
+    ModelError
+        If the network is unknown, not installed or reads no crops, or its file was changed.
+    """
+    if not entry_of(name).head.reads_crops:
+        raise ModelError(f"The network {name} reads no crops.")
+    return open_network(verify(name))
+
+
+load_landmarks = functools.cache(open_landmarks)
+"""``open_landmarks``, once a process for each network."""
+
+
+@functools.cache
+def load_own(name: str) -> BodyDetector:
+    """Open a network of the user's own, once a process; MultiPose finds the people for networks of crops."""
+    own = entry_of(name).own
+    if own is None:
+        raise ModelError(f"{name} is a network of the registry.")
+    body = load_detector(_FINDER) if own.reads_crops else None
+    return open_own(open_network(verify(name)), own, body)
+
+
+def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
+    """Joints of the detections of a reconstruction.
+
+    Parameters
+    ----------
+    networks
+        Networks of the reconstruction.
+    joints
+        Joints that are asked for; see ``pipeline.config.detected_joints``. Networks without crops have their own.
+    """
+    return entry_of(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
+
+
+def open_detection(
+    networks: Networks, joints: Literal["body", "feet", "whole"], sizes: CameraSizes | None = None
+) -> BodyDetector:
+    """Open the networks of a reconstruction for the images of one camera.
+
+    Parameters
+    ----------
+    networks
+        Networks by name; each is loaded once a process.
+    joints
+        Joints to detect; see ``pipeline.config.detected_joints``.
+    sizes
+        Image sizes of the camera; ``None``: the usual size of the network.
+
+    Raises
+    ------
+    ModelError
+        If a network is unknown or not installed, or its file was changed.
+    """
+    if entry_of(networks.body).own is not None:
+        return load_own(networks.body)
+    body = sized(load_detector(networks.body), sizes)
+    if networks.near is None:
+        return body
+    return TopDown(
+        body,
+        load_landmarks(networks.near),
+        None if networks.hand is None else load_landmarks(networks.hand),
+        networks.refines_body,
+        joints_of(networks, joints),
+    )
+
+
+def sized(detector: Detector, sizes: CameraSizes | None) -> Detector | TwoSizes:
+    """Detector at the image sizes of a camera: one pass, or two merged passes; ``None``: the detector as it is."""
+    if sizes is None:
+        return detector
+    passes = [replace(detector, input=replace(detector.input, scaled_px=px)) for px in sizes.scaled_px]
+    if sizes.border_px is None:
+        return passes[0]
+    coarse, fine = passes
+    return TwoSizes(coarse, fine, sizes.border_px)

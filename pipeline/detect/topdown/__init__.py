@@ -1,0 +1,1 @@
+"""Landmarks in crops of bodies and hands: refined joints, heels, toes and fingers (docs/detectors.md)."""

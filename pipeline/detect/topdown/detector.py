@@ -1,0 +1,105 @@
+"""Detector of bodies in two steps: bodies in the whole image, then landmarks in the crops of bodies and hands."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from pipeline.data import read_only
+from pipeline.detect.bodies import Bodies, BodyDetector
+from pipeline.detect.session import Network
+from pipeline.detect.topdown import blazepose, hands
+from pipeline.detect.topdown.feet import FOOT_JOINTS, read_feet
+from pipeline.detect.topdown.fusion import fuse
+from pipeline.detect.topdown.regions import crop
+from pipeline.joints import COCO_17, SIDES, JointSet, finger_joints
+
+_MIN_SCORE = 0.2
+_ANKLES, _WRISTS = (COCO_17.indices((f"left_{kind}", f"right_{kind}")) for kind in ("ankle", "wrist"))
+
+
+@dataclass(frozen=True, slots=True)
+class TopDown:
+    """Detector that adds landmarks in crops to the bodies of another detector.
+
+    Parameters
+    ----------
+    body
+        Detector of the joints ``COCO_17`` in whole images.
+    near
+        BlazePose, for crops of 256 x 256 pixels.
+    hand
+        Hand network for crops of 224 x 224 pixels; ``None`` for joint sets without fingers.
+    refines_body
+        Whether the joints of the body are averaged with BlazePose's, at the common marks of both; see ``joint_maps``.
+    joints
+        Joints to detect: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``.
+    """
+
+    body: BodyDetector
+    near: Network
+    hand: Network | None
+    refines_body: bool
+    joints: JointSet
+
+    def __post_init__(self) -> None:
+        if self.body.joints.names != COCO_17.names:
+            raise ValueError("Crops need bodies with the joints of COCO-17.")
+
+    def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Bodies:
+        """Detect the bodies in an image, in pixels of the image; boxes are those around the body's joints."""
+        bodies = self.body.detect(image_rgb)
+        keypoints_px = np.full((len(bodies.score), len(self.joints.names), 2), np.nan)
+        score = np.zeros(keypoints_px.shape[:2])
+        num_body = len(COCO_17.names)
+        keypoints_px[:, :num_body], score[:, :num_body] = bodies.keypoints_px, bodies.score
+        found: list[hands.Hand] = []
+        for number in range(len(score)):
+            pose = self._pose(image_rgb, bodies.keypoints_px[number], bodies.score[number])
+            if self.refines_body:
+                fused = fuse(bodies.keypoints_px[number], bodies.score[number], pose)
+                keypoints_px[number, :num_body], score[number, :num_body] = fused
+            if pose is None:
+                continue
+            joints_px = keypoints_px[number, :num_body]
+            if FOOT_JOINTS[0] in self.joints.names:
+                size_px = blazepose.body_size_px(joints_px, bodies.score[number] >= _MIN_SCORE)
+                feet = self.joints.indices(FOOT_JOINTS)
+                keypoints_px[number, feet], score[number, feet] = read_feet(pose, joints_px[_ANKLES], size_px)
+            found += self._hands(image_rgb, number, pose, joints_px[_WRISTS])
+        for one in hands.without_doubles(found):
+            fingers = self.joints.indices(finger_joints(SIDES[one.side]))
+            keypoints_px[one.body, fingers], score[one.body, fingers] = one.points_px[1:], one.score
+        return replace(bodies, keypoints_px=read_only(keypoints_px), score=read_only(score))
+
+    def _pose(
+        self,
+        image_rgb: UInt8[np.ndarray, "height width 3"],
+        keypoints_px: Float[np.ndarray, "joints 2"],
+        score: Float[np.ndarray, " joints"],
+    ) -> blazepose.PoseOutputs | None:
+        """BlazePose's outputs for a body; ``None`` for a body without a region."""
+        region = blazepose.body_region(keypoints_px, score)
+        if region is None:
+            return None
+        return blazepose.decode_pose(self.near(crop(image_rgb, region, blazepose.CROP_PX)), region)
+
+    def _hands(
+        self,
+        image_rgb: UInt8[np.ndarray, "height width 3"],
+        body: int,
+        pose: blazepose.PoseOutputs,
+        wrists_px: Float[np.ndarray, "sides 2"],
+    ) -> list[hands.Hand]:
+        """Hands in the crops of a body."""
+        if self.hand is None:
+            return []
+        landmarks_px, _ = pose.refined()
+        found = []
+        for side, wrist_px in enumerate(wrists_px):
+            region = hands.hand_region(landmarks_px, side)
+            if region is not None:
+                outputs = self.hand(crop(image_rgb, region, hands.CROP_PX))
+                hand = hands.decode_hand(outputs, region, body, side, wrist_px)
+                found += [] if hand is None else [hand]
+        return found
