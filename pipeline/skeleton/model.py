@@ -6,17 +6,21 @@ rotations are the identity.
 
 Shares of stature are from Drillis and Contini (1966) as printed in Winter, "Biomechanics and Motor Control of Human
 Movement" (2009), fig. 4.1; shoulders and hips are at the joint centres, which are closer together than the printed
-breadths.
+breadths. Lengths of fingers are shares of the hand's length after Buchholz, Armstrong and Goldstein, "Anthropometric
+data for describing the kinematics of the human hand" (1992).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, radians, sin
+from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from pipeline.data import SkeletonMotion
+from pipeline.joints import FINGERS
 
 _UP = (0.0, 0.0, 1.0)
 _DOWN = (0.0, 0.0, -1.0)
@@ -28,6 +32,28 @@ _TOES = (0.0, -cos(radians(22.0)), -sin(radians(22.0)))
 TRUNK = ("Spine", "Chest", "Neck")
 """Bones from the centre of the hips to the centre of the shoulders: 0.288 of stature."""
 _TRUNK_SHARES = (0.058, 0.130, 0.100)
+
+# Length of the hand from the wrist to the tip of the middle finger.
+_HAND_SHARE = 0.108
+# Lengths of a finger's bones as shares of the hand's length: from the wrist to the finger's base, then to the tip.
+_FINGER_SHARES = {
+    "thumb": (0.14, 0.251, 0.196, 0.158),
+    "index": (0.463, 0.245, 0.143, 0.097),
+    "middle": (0.446, 0.266, 0.170, 0.108),
+    "ring": (0.421, 0.244, 0.165, 0.107),
+    "pinky": (0.414, 0.204, 0.117, 0.093),
+}
+# Directions from the wrist to the bases of the fingers, in degrees: to the front, so that bases are about 20 mm
+# apart, and down.
+_BASE_DEG = {
+    "thumb": (40.0, 20.0),
+    "index": (14.0, 0.0),
+    "middle": (1.0, 0.0),
+    "ring": (-12.0, 0.0),
+    "pinky": (-24.0, 4.0),
+}
+# Direction of the thumb's bones, in the same angles; the other fingers continue the forearm.
+_THUMB_DEG = (40.0, 20.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +95,34 @@ def _arm(side: str, outwards: tuple[float, float, float]) -> tuple[SkeletonJoint
         SkeletonJoint(f"{side}Arm", f"{side}Shoulder", outwards, 0.105, (f"{prefix}_shoulder",)),
         SkeletonJoint(f"{side}ForeArm", f"{side}Arm", outwards, 0.186, (f"{prefix}_elbow",)),
         SkeletonJoint(f"{side}Hand", f"{side}ForeArm", outwards, 0.146, (f"{prefix}_wrist",)),
-        SkeletonJoint(f"{side}HandEnd", f"{side}Hand", outwards, 0.108),
+        SkeletonJoint(f"{side}HandEnd", f"{side}Hand", outwards, _HAND_SHARE),
     )
+
+
+def _in_front(outwards: tuple[float, float, float], forward_deg: float, down_deg: float) -> tuple[float, float, float]:
+    """Unit vector that points outwards, turned to the front and then down."""
+    forward, down = radians(forward_deg), radians(down_deg)
+    return (outwards[0] * cos(forward) * cos(down), -sin(forward) * cos(down), -sin(down))
+
+
+def _fingers(side: str, outwards: tuple[float, float, float]) -> tuple[SkeletonJoint, ...]:
+    """Joints of a hand's fingers, thumb first, each from its base to its end."""
+    joints = []
+    for finger, landmarks in FINGERS.items():
+        along = _in_front(outwards, *_THUMB_DEG) if finger == "thumb" else outwards
+        base = f"{side}Hand{finger.capitalize()}"
+        names = (f"{side}Hand", f"{base}1", f"{base}2", f"{base}3", f"{base}3End")
+        for place, (landmark, share) in enumerate(zip(landmarks, _FINGER_SHARES[finger], strict=True)):
+            joints.append(
+                SkeletonJoint(
+                    names[place + 1],
+                    names[place],
+                    along if place else _in_front(outwards, *_BASE_DEG[finger]),
+                    round(_HAND_SHARE * share, 5),
+                    (f"{side.lower()}_{finger}_{landmark}",),
+                )
+            )
+    return tuple(joints)
 
 
 def _leg(side: str, outwards: tuple[float, float, float]) -> tuple[SkeletonJoint, ...]:
@@ -95,26 +147,65 @@ SKELETON: tuple[SkeletonJoint, ...] = (
     *_leg("Left", _LEFT),
     *_leg("Right", _RIGHT),
 )
-"""All joints, parents before their children, root first."""
+"""Joints of a body without fingers, parents before their children, root first."""
 
-INDEX: dict[str, int] = {joint.name: position for position, joint in enumerate(SKELETON)}
-"""Position of each joint on the joint axis of a ``SkeletonMotion``."""
+WHOLE_SKELETON: tuple[SkeletonJoint, ...] = (*SKELETON, *_fingers("Left", _LEFT), *_fingers("Right", _RIGHT))
+"""The 24 joints of ``SKELETON``, then 20 joints of the fingers of the left hand and 20 of the right hand."""
 
-CHILDREN: dict[str, tuple[str, ...]] = {
-    joint.name: tuple(child.name for child in SKELETON if child.parent == joint.name) for joint in SKELETON
-}
-"""Names of each joint's children; empty for the ends of bones."""
+INDEX: Mapping[str, int] = MappingProxyType({joint.name: position for position, joint in enumerate(WHOLE_SKELETON)})
+"""Position of each joint on the joint axis of a ``SkeletonMotion``, with and without fingers."""
+
+_PARENTS = np.array([INDEX[joint.parent] if joint.parent else 0 for joint in WHOLE_SKELETON])
+
+
+def skeleton_of(num_joints: int) -> tuple[SkeletonJoint, ...]:
+    """Skeleton with a number of joints: ``SKELETON`` or ``WHOLE_SKELETON``.
+
+    Raises
+    ------
+    ValueError
+        If no skeleton has this number of joints.
+    """
+    for skeleton in (SKELETON, WHOLE_SKELETON):
+        if len(skeleton) == num_joints:
+            return skeleton
+    raise ValueError(f"no skeleton has {num_joints} joints")
+
+
+def parents_of(num_joints: int) -> Int[np.ndarray, " joints"]:
+    """Index of each joint's parent in the skeleton with a number of joints; 0 for the root."""
+    return _PARENTS[: len(skeleton_of(num_joints))]
+
+
+def children_of(num_joints: int) -> Mapping[str, tuple[str, ...]]:
+    """Names of the children of each joint in the skeleton with a number of joints; empty for the ends of bones."""
+    return _CHILDREN[len(skeleton_of(num_joints))]
+
+
+def _children(skeleton: tuple[SkeletonJoint, ...]) -> Mapping[str, tuple[str, ...]]:
+    return MappingProxyType(
+        {joint.name: tuple(child.name for child in skeleton if child.parent == joint.name) for joint in skeleton}
+    )
+
+
+_CHILDREN = {len(skeleton): _children(skeleton) for skeleton in (SKELETON, WHOLE_SKELETON)}
 
 
 def rest_offsets_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "joints 3"]:
-    """Offsets of all joints from their parents in the rest pose, world axes; 0 for the root."""
-    directions = np.array([joint.rest_direction for joint in SKELETON])
+    """Offsets of all joints from their parents in the rest pose, world axes; 0 for the root.
+
+    Raises
+    ------
+    ValueError
+        If no skeleton has this number of joints.
+    """
+    directions = np.array([joint.rest_direction for joint in skeleton_of(len(bone_length_m))])
     return directions * bone_length_m[:, None]
 
 
 def joint_pose(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "frames 3"], Rotation]:
-    """World position (metres) and orientation of a joint of ``SKELETON``; only its ancestors are computed."""
-    joint = SKELETON[INDEX[name]]
+    """World position (metres) and orientation of a joint of the motion; only its ancestors are computed."""
+    joint = WHOLE_SKELETON[INDEX[name]]
     rotation = Rotation.from_quat(motion.parent_from_joint[:, INDEX[name]])
     if joint.parent is None:
         return motion.root_m, rotation
@@ -124,11 +215,12 @@ def joint_pose(motion: SkeletonMotion, name: str) -> tuple[Float[np.ndarray, "fr
 
 
 def forward_kinematics(motion: SkeletonMotion) -> Float[np.ndarray, "frames joints 3"]:
-    """World positions (metres) of all joints of ``SKELETON``, ends of bones included."""
+    """World positions (metres) of all joints of the motion's skeleton, ends of bones included."""
+    skeleton = skeleton_of(len(motion.bone_length_m))
     offsets_m = rest_offsets_m(motion.bone_length_m)
-    positions_m = np.empty((len(motion.root_m), len(SKELETON), 3))
+    positions_m = np.empty((len(motion.root_m), len(skeleton), 3))
     world_from_joint: list[Rotation] = []
-    for index, joint in enumerate(SKELETON):
+    for index, joint in enumerate(skeleton):
         rotation = Rotation.from_quat(motion.parent_from_joint[:, index])
         if joint.parent is None:
             positions_m[:, index] = motion.root_m

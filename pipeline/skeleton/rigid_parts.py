@@ -32,6 +32,9 @@ _EARS_FROM_NECK_M = np.array([0.0, 0.0, 0.2])
 # Positions of landmarks in a left foot that points to -Y, from the ankle (adult means, metres).
 _FOOT_M = {"heel": (0.0, 0.050, -0.060), "big_toe": (-0.030, -0.170, -0.066), "small_toe": (0.045, -0.140, -0.066)}
 _MIRRORED = np.array([-1.0, 1.0, 1.0])
+# A foot is flat on the floor where all its marks are this close to their lowest heights, a quantile of the frames. From
+# as many such frames, its own pitch on the floor is learnt, up to a limit.
+_FLAT_M, _LOWEST_SHARE, _FEWEST_FLAT, _MAX_PITCH_RAD = 0.02, 0.2, 10, np.radians(30.0)
 # Number of frames, evenly spaced over the track, for the medians of a person's own proportions.
 _NUM_SAMPLES = 400
 
@@ -95,28 +98,57 @@ def landmark_offsets_m(
 ) -> Mapping[str, Float[np.ndarray, " 3"]]:
     """Median offsets of a person's landmarks in head and feet, by name, in metres.
 
-    Landmarks that were never known together with others of the same part are missing.
+    Both feet have the same offsets, mirrored; a foot that stands flat is level. Landmarks that were never known
+    together with others of the same part are missing.
     """
     sampled = np.unique(np.linspace(0, track.num_frames - 1, _NUM_SAMPLES).round().astype(int))
     landmarks = Landmarks(track.xyz_m[sampled], track.source[sampled], joints)
     head = solve_head(landmarks, solve_torso(landmarks, bone_length_m))
-    offsets_m = dict(_offsets_m(landmarks, tuple(_FACE_M), head.center_m, head.world_from_head, head.valid))
-    for side in ("left", "right"):
+    inside_m = dict(_inside_m(landmarks, tuple(_FACE_M), head.center_m, head.world_from_head, head.valid))
+    return {**{name: np.median(face_m, axis=0) for name, face_m in inside_m.items()}, **_foot_offsets_m(landmarks)}
+
+
+def _foot_offsets_m(landmarks: Landmarks) -> Mapping[str, Float[np.ndarray, " 3"]]:
+    inside_m: dict[str, list[np.ndarray]] = {}
+    pitch_rad = [np.zeros(0)]
+    for side, mirrored in (("left", np.ones(3)), ("right", _MIRRORED)):
         foot = solve_foot(landmarks, side)
         names = tuple(f"{side}_{name}" for name in _FOOT_M)
-        offsets_m |= _offsets_m(landmarks, names, landmarks[f"{side}_ankle"], foot.world_from_foot, foot.valid)
-    return offsets_m
+        for name, points_m in _inside_m(landmarks, names, landmarks[f"{side}_ankle"], foot.world_from_foot, foot.valid):
+            inside_m.setdefault(name.removeprefix(f"{side}_"), []).append(points_m * mirrored)
+        pitch_rad.append(_flat_pitch_rad(landmarks, names, foot))
+    flat_rad = np.concatenate(pitch_rad)
+    tilt_rad = float(np.median(flat_rad)) if len(flat_rad) >= _FEWEST_FLAT else 0.0
+    level = Rotation.from_rotvec([np.clip(tilt_rad, -_MAX_PITCH_RAD, _MAX_PITCH_RAD), 0.0, 0.0])
+    found = {name: level.apply(np.median(np.concatenate(points_m), axis=0)) for name, points_m in inside_m.items()}
+    return {
+        f"{side}_{name}": offset_m * mirrored
+        for side, mirrored in (("left", np.ones(3)), ("right", _MIRRORED))
+        for name, offset_m in found.items()
+        if f"{side}_{name}" in landmarks.joints.names
+    }
 
 
-def _offsets_m(
+def _flat_pitch_rad(landmarks: Landmarks, names: tuple[str, ...], foot: Foot) -> Float[np.ndarray, " flat"]:
+    """Angle between sole and floor, about the foot's X axis, in the frames in which a foot is flat on the floor."""
+    heights_m = [landmarks[name][:, 2] for name in names if np.isfinite(landmarks[name]).any()]
+    flat = foot.valid.copy()
+    for height_m in heights_m:
+        flat &= np.nan_to_num(height_m, nan=np.inf) <= np.nanquantile(height_m, _LOWEST_SHARE) + _FLAT_M
+    ahead = foot.world_from_foot.apply([0.0, -1.0, 0.0])[flat]
+    return np.asarray(-np.arcsin(np.clip(ahead[:, 2], -1.0, 1.0)))
+
+
+def _inside_m(
     landmarks: Landmarks,
     names: tuple[str, ...],
     origin_m: Float[np.ndarray, "frames 3"],
     world_from_part: Rotation,
     valid: Bool[np.ndarray, " frames"],
-) -> Iterator[tuple[str, Float[np.ndarray, " 3"]]]:
+) -> Iterator[tuple[str, Float[np.ndarray, "known 3"]]]:
+    """Known positions of landmarks in the axes of a part of the body, by name."""
     for name in names:
         inside_m = world_from_part.inv().apply(landmarks[name] - origin_m)
         known = valid & np.isfinite(inside_m).all(-1)
         if known.any():
-            yield name, np.median(inside_m[known], axis=0)
+            yield name, inside_m[known]

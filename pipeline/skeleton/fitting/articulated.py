@@ -20,7 +20,7 @@ from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 from threadpoolctl import ThreadpoolController
 
-from pipeline.skeleton.fitting.articulation import NUM_ROOT, TWISTS, Articulation
+from pipeline.skeleton.fitting.articulation import NUM_ROOT, Articulation
 from pipeline.skeleton.fitting.articulation_kernels import assemble, differentiate, pose, turn
 from pipeline.skeleton.fitting.positions import tie_weight
 from pipeline.skeleton.model import INDEX, SKELETON
@@ -209,11 +209,16 @@ def _draw_to_rest(
 ) -> None:
     """Add the priors for the rest pose, in place."""
     drawn = [(n, freedom) for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if np.isfinite(freedom.usual_rad)]
-    joints = sorted({INDEX[freedom.joints[0]] for _, freedom in drawn})
+    turning = {n: int(skeleton.freedom_joint[n, 0]) for n, freedom in drawn if freedom.limits_rad is None}
+    joints = sorted(set(turning.values()))
     local = bodies.local[:, joints]
     rotvec = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(*local.shape[:2], 3)
     for number, freedom in drawn:
-        angle_rad = rotvec[:, joints.index(INDEX[freedom.joints[0]])] @ np.array(freedom.axis)
+        angle_rad = (
+            rotvec[:, joints.index(turning[number])] @ np.array(freedom.axis)
+            if number in turning
+            else bodies.angle_rad[:, number] - freedom.rest_rad
+        )
         lower[:, number, 0] += 1.0 / freedom.usual_rad**2
         force[:, number] -= angle_rad / freedom.usual_rad**2
 
@@ -228,7 +233,7 @@ def _steady_twist(
     """Add the priors for the twist of upper arms and thighs, in place."""
     num_freedoms = force.shape[1]
     usual_change_rad = _TWIST_RAD_S / frame_rate_hz
-    for twist in TWISTS:
+    for twist in skeleton.twists:
         joint = INDEX[twist.joint]
         first = next(n for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if freedom.joints == (twist.joint,))
         bone = np.array(SKELETON[INDEX[twist.child]].rest_direction)

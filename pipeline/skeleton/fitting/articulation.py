@@ -1,7 +1,8 @@
 """Articulation of the skeleton for the fit: degrees of freedom, their limits, and landmarks on joints."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -34,12 +35,15 @@ class Freedom:
         Standard deviation of the prior for the rest pose; infinite without a prior.
     limits_rad
         Smallest and largest angle of a hinge; ``None`` for other rotations.
+    rest_rad
+        Angle of a hinge in the prior; other rotations rest at 0.
     """
 
     joints: tuple[str, ...]
     axis: tuple[float, float, float]
     usual_rad: float = np.inf
     limits_rad: tuple[float, float] | None = None
+    rest_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +114,37 @@ def joint_of_landmark(name: str) -> str | None:
 _BY_LANDMARK = {joint.landmarks[0]: joint.name for joint in SKELETON if len(joint.landmarks) == 1}
 
 
+class Carried(NamedTuple):
+    """Landmark on a joint.
+
+    Parameters
+    ----------
+    landmark
+        Index of the landmark in the joint set of the detector.
+    joint
+        Number of the joint that carries it.
+    offset_m
+        Offset in the frame of the joint.
+    beside
+        True if the landmark may be off the joint's centre, so that the joint's own rotation moves it.
+    """
+
+    landmark: int
+    joint: int
+    offset_m: Float[np.ndarray, " 3"]
+    beside: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Articulation:
-    """A person's skeleton as arrays, for ``articulation_kernels``.
+    """A person's skeleton, or a part of it, as arrays for ``articulation_kernels``.
 
     Parameters
     ----------
     freedoms
         All rotations; the position of the root comes before them.
+    twists
+        Ball joints whose twist has a prior of its own.
     parent
         Number of each joint's parent, -1 for the root.
     offset_m
@@ -135,6 +162,7 @@ class Articulation:
     """
 
     freedoms: tuple[Freedom, ...]
+    twists: tuple[Twist, ...]
     parent: Int[np.ndarray, " joints"]
     offset_m: Float[np.ndarray, "joints 3"]
     landmark: Int[np.ndarray, " landmarks"]
@@ -183,9 +211,6 @@ def articulate(
         for name in joints.names
         if (joint := joint_of_landmark(name)) and (name in offsets_m or not (name in _FACE or name.endswith(_FOOT)))
     }
-    freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
-    for number, freedom in enumerate(freedoms, NUM_ROOT):
-        freedom_joint[number, : len(freedom.joints)] = [INDEX[name] for name in freedom.joints]
     rest_m = rest_offsets_m(bone_length_m)
     places = {name: (INDEX[joint], offsets_m.get(name, np.zeros(3))) for name, joint in carried.items()}
     for name in carried.keys() & marks_m.keys():
@@ -194,16 +219,41 @@ def articulate(
         # A mark beside a joint moves with the part of the body that carries it: the joint itself or its parent.
         places[name] = part, marks_m[name] + offset_m + (rest_m[centre] if part != centre else 0.0)
     beside = offsets_m.keys() | marks_m.keys()
-    moved_by = [_moved_by(number, name in beside, parent, freedom_joint) for name, (number, _) in places.items()]
+    landmarks = [Carried(joints.index(name), *place, name in beside) for name, place in places.items()]
+    return build(INDEX, freedoms, TWISTS, parent, rest_m, landmarks)
+
+
+def build(
+    index: Mapping[str, int],
+    freedoms: tuple[Freedom, ...],
+    twists: tuple[Twist, ...],
+    parent: Int[np.ndarray, " joints"],
+    offset_m: Float[np.ndarray, "joints 3"],
+    landmarks: Sequence[Carried],
+) -> Articulation:
+    """Build the arrays of any tree of joints.
+
+    Parameters
+    ----------
+    index
+        Number of each joint that the degrees of freedom name.
+    parent, offset_m
+        See ``Articulation``.
+    """
+    freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
+    for number, freedom in enumerate(freedoms, NUM_ROOT):
+        freedom_joint[number, : len(freedom.joints)] = [index[name] for name in freedom.joints]
+    moved_by = [_moved_by(one.joint, one.beside, parent, freedom_joint) for one in landmarks]
     most = max(map(len, moved_by), default=0)
     limits = [freedom.limits_rad or (-np.inf, np.inf) for freedom in freedoms]
     return Articulation(
         freedoms=freedoms,
+        twists=twists,
         parent=parent,
-        offset_m=rest_m,
-        landmark=np.array(joints.indices(tuple(carried)), dtype=int),
-        landmark_joint=np.array([number for number, _ in places.values()], dtype=int),
-        landmark_offset_m=np.array([offset_m for _, offset_m in places.values()]).reshape(-1, 3),
+        offset_m=offset_m,
+        landmark=np.array([one.landmark for one in landmarks], dtype=int),
+        landmark_joint=np.array([one.joint for one in landmarks], dtype=int),
+        landmark_offset_m=np.array([one.offset_m for one in landmarks]).reshape(-1, 3),
         freedom_joint=freedom_joint,
         freedom_axis=np.array([*np.zeros((NUM_ROOT, 3)), *(freedom.axis for freedom in freedoms)]),
         lowest_rad=np.array([*[-np.inf] * NUM_ROOT, *(lowest for lowest, _ in limits)]),

@@ -108,6 +108,7 @@ class SkeletonFit:
         self._offsets = offsets
         self._bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints))
         offsets_m = landmark_offsets_m(track, joints, self._bone_length_m)
+        self._offsets_m = offsets_m
         marks_m = mark_offsets_m(joints, offsets, trunk_length_m(self._bone_length_m))
         self._centers = articulate(self._bone_length_m, joints, offsets_m)
         self._skeleton = articulate(self._bone_length_m, joints, offsets_m, marks_m) if marks_m else self._centers
@@ -133,6 +134,10 @@ class SkeletonFit:
     def sees_feet(self) -> bool:
         """Whether toes or heels determine the rotation of feet."""
         return len(self._skeleton.freedoms) > len(FREEDOMS)
+
+    def offset_m(self, name: str) -> Float[np.ndarray, " 3"] | None:
+        """Offset of a landmark of head or foot in its part's axes (metres); ``None`` if it was never known."""
+        return self._offsets_m.get(name)
 
     @property
     def has_torso(self) -> bool:

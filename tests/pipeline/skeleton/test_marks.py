@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.config import ReconstructionConfig, Smoothing
 from pipeline.data import Animation, Observations, Reconstruction, Source, Timebase, Track3D
-from pipeline.detect.registry import REGISTRY
+from pipeline.detect.entries import REGISTRY
 from pipeline.geometry.camera import project
 from pipeline.joints import COCO_17, LIMBS, MARKED_AT_CENTERS, JointOffset, JointOffsets
 from pipeline.quality.report import quality_report

@@ -5,7 +5,9 @@ import pytest
 
 from pipeline.config import Feet
 from pipeline.data import Floor, FootContact
-from pipeline.skeleton.feet import ANKLE_HEIGHT_M, estimate_floor, find_contacts, held_positions_m, stance_weight
+from pipeline.skeleton.feet.contacts import find_contacts
+from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M, estimate_floor
+from pipeline.skeleton.feet.holding import held_positions_m, stance_weight
 
 RATE_HZ = 50.0
 LEVEL = Floor(0.0, 0.0, 0.0)

@@ -1,0 +1,167 @@
+"""Stances of a person's feet: points that stand, their contacts, and feet held in place."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.config import Feet
+from pipeline.data import Floor, FootContact, Side, SkeletonMotion, Track3D
+from pipeline.joints import JointSet
+from pipeline.progress import OnShare
+from pipeline.skeleton.feet.contacts import find_contacts, mean_slide_m
+from pipeline.skeleton.feet.floor import SIDES
+from pipeline.skeleton.feet.holding import PARTS, held_parts_m, held_positions_m, stance_weight
+from pipeline.skeleton.fitting.fit import SkeletonFit
+from pipeline.skeleton.model import joint_pose
+from pipeline.skeleton.rotations import from_axes
+
+_LEFT, _UP, _HORIZONTAL = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
+# Limit on the bend of an ankle from the right angle with the shin.
+_MAX_BEND_RAD = np.radians(45.0)
+_MARKS: Mapping[str, str] = {"heel": "heel", "toe": "big_toe"}
+# Share of the frames with a known ankle in which heel and toe must be known, so that a foot stands by its parts.
+_KNOWN_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FootPoints:
+    """Points of both feet (left, right) in a person's motion, and the frames in which they were located.
+
+    Parameters
+    ----------
+    ankles_m, ankles_known
+        Ankles.
+    parts_m, parts_known
+        Heel and toe of each foot. All frames are unknown for a foot whose parts were not known often enough: it stands
+        as a whole.
+    """
+
+    ankles_m: Float[np.ndarray, "frames 2 3"]
+    ankles_known: Bool[np.ndarray, "frames 2"]
+    parts_m: Float[np.ndarray, "frames 2 2 3"]
+    parts_known: Bool[np.ndarray, "frames 2 2"]
+
+    @property
+    def by_parts(self) -> Bool[np.ndarray, " 2"]:
+        """Feet that stand by heel and toe."""
+        return np.asarray(self.parts_known.any(axis=(0, 2)))
+
+    def of(self, contact: FootContact) -> Float[np.ndarray, "rows 3"]:
+        """Positions of the point of a contact during the contact (metres)."""
+        foot = SIDES.index(contact.side)
+        if contact.part == "foot":
+            return self.ankles_m[contact.rows, foot]
+        return self.parts_m[contact.rows, foot, PARTS.index(contact.part)]
+
+
+def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -> FootPoints:
+    """Points of a person's feet, from the current motion."""
+    ankles_m, parts_m = _positions_m(fitted, motion)
+    ankles_known = np.stack([_known(fitted.track, joints, f"{side}_ankle") for side in SIDES], axis=1)
+    parts_known = np.stack(
+        [
+            np.stack([_known(fitted.track, joints, f"{side}_{_MARKS[part]}") for part in PARTS], axis=1)
+            for side in SIDES
+        ],
+        axis=1,
+    )
+    often = parts_known.all(-1).sum(0) >= np.maximum(_KNOWN_SHARE * ankles_known.sum(0), 1.0)
+    return FootPoints(ankles_m, ankles_known, parts_m, parts_known & often[:, None])
+
+
+def _positions_m(
+    fitted: SkeletonFit, motion: SkeletonMotion
+) -> tuple[Float[np.ndarray, "frames 2 3"], Float[np.ndarray, "frames 2 2 3"]]:
+    """Positions of ankles, and of heels and toes; NaN for parts without an offset from the ankle."""
+    ankles_m = np.empty((len(motion.root_m), len(SIDES), 3))
+    parts_m = np.full((len(motion.root_m), len(SIDES), len(PARTS), 3), np.nan)
+    for foot, side in enumerate(SIDES):
+        ankles_m[:, foot], world_from_foot = joint_pose(motion, f"{side.capitalize()}Foot")
+        for number, part in enumerate(PARTS):
+            offset_m = fitted.offset_m(f"{side}_{_MARKS[part]}")
+            if offset_m is not None:
+                parts_m[:, foot, number] = ankles_m[:, foot] + world_from_foot.apply(offset_m)
+    return ankles_m, parts_m
+
+
+def _known(track: Track3D, joints: JointSet, name: str) -> Bool[np.ndarray, " frames"]:
+    if name not in joints.names:
+        return np.zeros(track.num_frames, dtype=bool)
+    return np.asarray(np.isfinite(track.xyz_m[:, joints.index(name)]).all(-1))
+
+
+def contacts_of(points: FootPoints, floor: Floor | None, frame_rate_hz: float, feet: Feet) -> tuple[FootContact, ...]:
+    """Find the contacts of both feet, by heel and toe where they are known, sorted by start."""
+    whole = points.ankles_known & ~points.by_parts
+    contacts = [*find_contacts(points.ankles_m, whole, floor, frame_rate_hz, feet)]
+    for number, part in enumerate(PARTS):
+        known = points.parts_known[:, :, number]
+        if known.any():
+            here_m = np.nan_to_num(points.parts_m[:, :, number])
+            contacts += find_contacts(here_m, known, floor, frame_rate_hz, feet, part)
+    return tuple(sorted(contacts, key=lambda contact: (contact.start_frame, contact.side)))
+
+
+def hold_feet(
+    fitted: SkeletonFit,
+    motion: SkeletonMotion,
+    points: FootPoints,
+    contacts: tuple[FootContact, ...],
+    on_share: OnShare,
+) -> SkeletonMotion:
+    """Hold standing feet in place; level them if neither toes nor heels are known.
+
+    Parameters
+    ----------
+    motion
+        Motion of the fit, which is changed in place.
+    points
+        Points of the feet before they are held.
+    contacts
+        Contacts of the feet; the result has them with their slide after they were held.
+    """
+    places_m = _places_m(points, contacts, motion.frame_rate_hz)
+    if any(np.isfinite(place_m).any() for place_m in places_m.values()):
+        fitted.pin(places_m, on_share)
+        ankles_m, parts_m = _positions_m(fitted, motion)
+        points = replace(points, ankles_m=ankles_m, parts_m=parts_m)
+    slid = (replace(contact, slide_after_m=mean_slide_m(points.of(contact))) for contact in contacts)
+    motion = replace(motion, contacts=tuple(slid))
+    if not fitted.sees_feet:
+        for side in SIDES:
+            fitted.turn(f"{side.capitalize()}Foot", _foot_without_toes(motion, side))
+    return motion
+
+
+def _places_m(
+    points: FootPoints, contacts: tuple[FootContact, ...], frame_rate_hz: float
+) -> Mapping[str, Float[np.ndarray, "frames 3"]]:
+    """Positions at which landmarks of the feet are held, NaN where and along which they are free."""
+    ankles_m = held_positions_m(points.ankles_m, contacts, frame_rate_hz)
+    parts_m = held_parts_m(points.parts_m, contacts, frame_rate_hz)
+    places_m = {f"{side}_ankle": ankles_m[:, foot] for foot, side in enumerate(SIDES) if not points.by_parts[foot]}
+    return places_m | {
+        f"{side}_{_MARKS[part]}": parts_m[:, foot, number]
+        for foot, side in enumerate(SIDES)
+        if points.by_parts[foot]
+        for number, part in enumerate(PARTS)
+    }
+
+
+def _foot_without_toes(motion: SkeletonMotion, side: Side) -> Rotation:
+    """Rotation from foot to shin where only the ankle is known.
+
+    The foot is at a right angle to the shin in the air, and level on the floor. A standing foot points in the direction
+    that the shin faces. Both orientations are blended before and after a stance.
+    """
+    share = stance_weight(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
+    _, world_from_shin = joint_pose(motion, f"{side.capitalize()}Leg")
+    left = world_from_shin.apply(_LEFT) * _HORIZONTAL
+    level, is_known = from_axes(left, np.broadcast_to(_UP, left.shape))
+    bend = (world_from_shin.inv() * level).as_rotvec()
+    angle_rad = np.linalg.norm(bend, axis=-1)
+    share = share * is_known * np.minimum(1.0, _MAX_BEND_RAD / np.maximum(angle_rad, 1e-9))
+    return Rotation.from_rotvec(bend * share[:, None])

@@ -1,0 +1,1 @@
+"""Hands: fingers fitted on the wrists of a body that was fitted before."""
