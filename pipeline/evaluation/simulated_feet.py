@@ -9,7 +9,7 @@ from pipeline.data import SkeletonMotion, Track3D
 from pipeline.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.joints import JointSet
 from pipeline.simulation.scenes import Simulation
-from pipeline.skeleton.feet import SIDES
+from pipeline.skeleton.feet.floor import SIDES
 from pipeline.skeleton.model import joint_pose
 
 # A true foot stands while its ankle is slower than this speed and closer than this distance to its lowest height; the

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal, cast, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.data import Camera, Detections, FrameTimes, Timebase, read_only
 from pipeline.errors import InputError, Problem
-from pipeline.joints import COCO_17, JointSet
+from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast, improvise
 from pipeline.simulation.motion.exchange import Exchange, exchange
@@ -16,9 +17,15 @@ from pipeline.simulation.motion.performance import joints_at, perform
 from pipeline.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.simulation.rigs import Layout, Rig, build_cameras, choose_views
 from pipeline.simulation.views.detector import Detector, detect
+from pipeline.simulation.views.extremities import detect_extremities
 from pipeline.simulation.views.faults import Faults
 from pipeline.simulation.views.fields import Sketch, sketch
 from pipeline.simulation.views.occlusion import Box
+
+Joints = Literal["body", "feet", "whole"]
+"""Joints that are simulated: those of the body, with heels and big toes, or with fingers too."""
+JOINT_SETS: Mapping[Joints, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
+"""Joints of the detections and of the truth by choice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +122,12 @@ def _to_and_fro(y: float, far_m: float, speed_m_s: float, num_ways: int) -> Role
     return Role((-far_m, y), 0.0, tuple(ways))
 
 
+def _showing_hands(x: float, facing_rad: float) -> Role:
+    """A person shows postures of the fingers, talks, and rests the hands in between."""
+    acts = Stay(5.5, Gesture.HANDS), Stay(1.5), Stay(4.0, Gesture.TALK), Stay(1.0)
+    return Role((x, 0.0), facing_rad, (Stay(0.5), *acts, *acts))
+
+
 _ACTIVE = (
     Gesture.IDLE, Gesture.TALK, Gesture.WAVE, Gesture.POINT, Gesture.CROUCH, Gesture.JUMP, Gesture.PUNCH,
     Gesture.SWING,
@@ -189,6 +202,11 @@ SCENES: Mapping[str, Scene] = {
         (_to_and_fro(-0.8, 2.5, 1.2, 8), _to_and_fro(0.8, 2.5, 0.9, 8)),
         duration_s=20.0,
     ),
+    "hands": Scene(
+        Rig(Layout.RING, 6, (3.2, 3.2), 1.8, (1920, 1080), 1200.0, target_height_m=1.05),
+        (_showing_hands(-0.6, 0.0), _showing_hands(0.6, np.pi)),
+        duration_s=20.0,
+    ),
     "sports": Scene(
         Rig(Layout.RING, 8, (8.5, 6.5), 2.6, (1920, 1080), 1100.0),
         (
@@ -233,7 +251,27 @@ def find_scene(name: str) -> Scene:
     return SCENES[name]
 
 
-def simulate(scene_name: str, seed: int, num_views: int | None = None) -> Simulation:
+def known_joints(name: str) -> Joints:
+    """Look up a choice of joints by name.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+    """
+    for joints in get_args(Joints):
+        if joints == name:
+            return cast(Joints, joints)
+    problem = Problem(
+        "unknown_joints",
+        f"There are no joints {name!r}.",
+        field="joints",
+        hint=f"Known are {', '.join(get_args(Joints))}.",
+    )
+    raise InputError([problem])
+
+
+def simulate(scene_name: str, seed: int, num_views: int | None = None, joints: Joints = "body") -> Simulation:
     """Simulate a named scene.
 
     Parameters
@@ -245,13 +283,16 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None) -> Simula
     num_views
         Number of the scene's cameras to keep, evenly spread; ``None`` for all. A camera's recording does not depend on
         the other cameras.
+    joints
+        Joints of the detections and of the truth. The body's joints differ between the choices only in the knees and
+        ankles of rolling feet.
 
     Raises
     ------
     InputError
         If the scene is unknown or has fewer cameras, or the seed is negative.
     """
-    return record(find_scene(scene_name), seed, num_views)
+    return record(find_scene(scene_name), seed, num_views, joints)
 
 
 def _roles(scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:
@@ -264,7 +305,7 @@ def _roles(scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:
             return scene.cast
 
 
-def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
+def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints = "body") -> Simulation:
     """Simulate a scene; see ``simulate``."""
     num_cameras = scene.rig.num_cameras
     num_views = num_cameras if num_views is None else num_views
@@ -280,8 +321,9 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
     # Separate random streams for the cast, each person, the rig and each camera: none depends on draws of another.
     cast_seed, people_seed, rig_seed, cameras_seed = np.random.SeedSequence(seed).spawn(4)
     roles = _roles(scene, np.random.default_rng(cast_seed))
+    joint_set = JOINT_SETS[joints]
     people = [
-        perform(role, scene.duration_s, np.random.default_rng(person_seed))
+        perform(role, scene.duration_s, np.random.default_rng(person_seed), joint_set)
         for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)
     ]
 
@@ -300,9 +342,14 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
         times[camera.name] = frame_times(scene.clock, number, scene.duration_s, rng)
         time_s = times[camera.name].time_s
         period_s = float(np.median(np.diff(time_s)))
-        seen = camera, period_s, truth_at(time_s), scene.boxes, scene.detector, rng
-        detections[camera.name], identities[camera.name] = detect(*seen)
-        sketches.append(sketch(*seen))
+        people_m = truth_at(time_s)
+        body = camera, period_s, people_m[:, :, : len(COCO_17.names)], scene.boxes, scene.detector, rng
+        if joints == "body":
+            detections[camera.name], identities[camera.name] = detect(*body)
+        else:
+            whole = camera, period_s, people_m, scene.boxes, scene.detector, rng, joint_set
+            detections[camera.name], identities[camera.name] = detect_extremities(*whole)
+        sketches.append(sketch(*body))
     rate_hz = scene.clock.frame_rate_hz
     timebase = Timebase(0.0, rate_hz, round(scene.duration_s * rate_hz))
     truth_m = truth_at(np.arange(timebase.num_frames) / rate_hz)
@@ -311,7 +358,7 @@ def record(scene: Scene, seed: int, num_views: int | None = None) -> Simulation:
         times=times,
         detections=detections,
         identities=identities,
-        joints=COCO_17,
+        joints=joint_set,
         timebase=timebase,
         truth_m=read_only(truth_m),
         present=read_only(np.isfinite(truth_m).all((2, 3))),

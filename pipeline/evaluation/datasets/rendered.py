@@ -17,6 +17,8 @@ from pipeline.joints import JointSet
 
 _TRUTH_FILE = "gt.npz"
 _KEYS = ("joints", "names", "time")
+_BONE_KEYS = ("bones", "bone_names")
+_FOOT_BONES = (("LeftFoot", "LeftToeBase"), ("RightFoot", "RightToeBase"))
 # Limit of the arrays' size: an hour of ten people at 50 frames a second.
 _MAX_BYTES = 1 << 30
 
@@ -33,11 +35,14 @@ class RenderedTruth:
         Times of the truth on the session's clock, ascending.
     xyz_m
         World positions of the joints, NaN where a person is absent.
+    feet_m
+        World positions of ankle and toe base of the left and of the right foot; ``None`` if the truth has no bones.
     """
 
     names: tuple[str, ...]
     time_s: Float[np.ndarray, " frames"]
     xyz_m: Float[np.ndarray, "people frames joints 3"]
+    feet_m: Float[np.ndarray, "people frames 2 2 3"] | None = None
 
 
 def load_rendered(folder: Path) -> RenderedTruth:
@@ -67,6 +72,7 @@ def load_rendered(folder: Path) -> RenderedTruth:
         names=tuple(str(name) for name in arrays["names"]),
         time_s=read_only(arrays["time"].astype(np.float64)),
         xyz_m=read_only(arrays["joints"].astype(np.float64)),
+        feet_m=_feet_m(arrays),
     )
 
 
@@ -98,10 +104,11 @@ def _read_arrays(path: Path) -> tuple[dict[str, np.ndarray], list[Problem]]:
         missing = [_truth_problem(f"The truth has no array {key!r}.", key) for key in _KEYS if key not in sizes]
         if missing:
             return {}, missing
-        if sum(sizes[key] for key in _KEYS) > _MAX_BYTES:
+        keys = (*_KEYS, *(_BONE_KEYS if set(_BONE_KEYS) <= sizes.keys() else ()))
+        if sum(sizes[key] for key in keys) > _MAX_BYTES:
             return {}, [_truth_problem("The truth's arrays are larger than 1 GiB.")]
         with np.load(path, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in _KEYS}, []
+            return {key: arrays[key] for key in keys}, []
     except (OSError, EOFError, ValueError, MemoryError, zipfile.BadZipFile, zlib.error, NotImplementedError):
         return {}, [_truth_problem("The truth can't be read as a NumPy archive of plain arrays.")]
 
@@ -116,6 +123,8 @@ def _contradictions(arrays: Mapping[str, np.ndarray]) -> list[Problem]:
         problems.append(_truth_problem("Names must be a list of words.", "names"))
     if time.ndim != 1 or time.dtype.kind != "f" or not np.isfinite(time).all() or (np.diff(time) <= 0).any():
         problems.append(_truth_problem("Times must be finite seconds and ascend.", "time"))
+    if "bones" in arrays:
+        problems += _contradictions_of_bones(arrays)
     if problems:
         return problems
     if xyz.shape[1:3] != (len(time), len(names)):
@@ -130,6 +139,23 @@ def _contradictions(arrays: Mapping[str, np.ndarray]) -> list[Problem]:
     if lacking:
         problems.append(_truth_problem(f"The truth lacks {', '.join(lacking)}.", "names"))
     return problems
+
+
+def _contradictions_of_bones(arrays: Mapping[str, np.ndarray]) -> list[Problem]:
+    bones, names = (arrays[key] for key in _BONE_KEYS)
+    if names.ndim != 1 or names.dtype.kind != "U":
+        return [_truth_problem("Names of bones must be a list of words.", "bone_names")]
+    if bones.dtype.kind != "f" or np.isinf(bones).any() or bones.shape != (*arrays["joints"].shape[:2], len(names), 3):
+        return [_truth_problem("Bones must be positions (people, frames, bones, 3) in metres.", "bones")]
+    return []
+
+
+def _feet_m(arrays: Mapping[str, np.ndarray]) -> Float[np.ndarray, "people frames 2 2 3"] | None:
+    names = arrays["bone_names"].tolist() if "bones" in arrays else []
+    if not {bone for foot in _FOOT_BONES for bone in foot} <= set(names):
+        return None
+    columns = [[names.index(bone) for bone in foot] for foot in _FOOT_BONES]
+    return read_only(arrays["bones"][:, :, columns].astype(np.float64))
 
 
 def _truth_problem(message: str, field: str | None = None) -> Problem:

@@ -98,6 +98,10 @@ def overlay(
             return Overlay(wrists, _share(slow, np.ones(2)), depth * slow, zero, 0.6 * slow, zero)
         case Gesture.JUMP:
             return _jump(time_s, blend, rng)
+        case Gesture.HANDS:
+            # Hands in front of the chest, apart from each other, that show postures of the fingers.
+            arms = np.ones(2)
+            wrists = _both(0.5 + zero, 0.1 + zero, -0.1 + zero) + 0.07 * smooth_noise(time_s, (2, 3), 0.2, 0.9, rng)
     return Overlay(wrists, _share(blend, arms), zero, zero, zero, zero)
 
 

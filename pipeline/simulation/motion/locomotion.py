@@ -1,4 +1,4 @@
-"""Locomotion: routes of people on the floor, and positions of their ankles.
+"""Locomotion: routes of people on the floor, and steps of their feet.
 
 A route counts steps. The count is a whole number when a person stands: both feet are on the floor then. A foot lands
 where the body will be in the middle of the foot's stance, or where the walk ends, and stays there until it is lifted.
@@ -128,14 +128,54 @@ def lay_out(role: Role, duration_s: float) -> tuple[Route, Float[np.ndarray, " r
     return smooth, rests, [slice(*rows) for rows in pairwise(borders)]
 
 
-def ankles(route: Route, rests: Float[np.ndarray, " rests"], body: Proportions) -> Float[np.ndarray, "times 2 3"]:
-    """Positions of the left and the right ankle on a route."""
-    return np.stack([_ankle(route, rests, body, side) for side in (0, 1)], axis=1)
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Steps of one foot.
+
+    Parameters
+    ----------
+    share
+        Share of the stride since the foot landed, from 0 to 1.
+    stance
+        Share of the stride for which the foot stands.
+    run
+        Share of running in the gait, from 0 (walking) to 1 (running).
+    xy_m
+        Position of the level foot's ankle on the floor.
+    yaw_rad
+        Heading of the body at the footprint, blended from one footprint to the next while the foot swings.
+    """
+
+    share: Float[np.ndarray, " times"]
+    stance: Float[np.ndarray, " times"]
+    run: Float[np.ndarray, " times"]
+    xy_m: Float[np.ndarray, "times 2"]
+    yaw_rad: Float[np.ndarray, " times"]
 
 
-def _ankle(
-    route: Route, rests: Float[np.ndarray, " rests"], body: Proportions, side: int
-) -> Float[np.ndarray, "times 3"]:
+def follow_steps(route: Route, rests: Float[np.ndarray, " rests"], body: Proportions) -> tuple[Steps, Steps]:
+    """Steps of the left and of the right foot on a route."""
+    left, right = (_steps(route, rests, body, side) for side in (0, 1))
+    return left, right
+
+
+def ankles(steps: tuple[Steps, Steps], body: Proportions) -> Float[np.ndarray, "times 2 3"]:
+    """Positions of the left and the right ankle of feet whose joints are not simulated."""
+    return np.stack([_ankle(of_foot, body) for of_foot in steps], axis=1)
+
+
+def lift_m(run: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """Largest height of a swinging foot's ankle above the standing foot's ankle."""
+    return _LIFT_WALKING_M + run * (_LIFT_RUNNING_M - _LIFT_WALKING_M)
+
+
+def _ankle(steps: Steps, body: Proportions) -> Float[np.ndarray, "times 3"]:
+    rising = np.clip((steps.share - steps.stance + _HEEL_SHARE) / (1 - steps.stance + _HEEL_SHARE), 0.0, 1.0)
+    height_m = body.ankle_height_m + lift_m(steps.run) * np.sin(np.pi * rising) ** 2
+    return np.column_stack([steps.xy_m, height_m])
+
+
+def _steps(route: Route, rests: Float[np.ndarray, " rests"], body: Proportions, side: int) -> Steps:
     # The right foot is half a stride, one step, behind the left foot.
     strides = route.steps / 2 + side / 2
     number = np.floor(strides).astype(int)
@@ -150,11 +190,16 @@ def _ankle(
     middle_steps = np.minimum(landing_steps + landing_stance, rest)
     row = np.interp(middle_steps, route.steps, np.arange(len(route.steps)))
     footprint_m = _beside(route, row, body.hip_width_m * (0.5 - side))
-    here_m, next_m = footprint_m[number - numbers[0]], footprint_m[number - numbers[0] + 1]
-    moved = smoothstep((share - stance) / (1 - stance))[:, None]
-    rising = np.clip((share - stance + _HEEL_SHARE) / (1 - stance + _HEEL_SHARE), 0.0, 1.0)
-    lift_m = (_LIFT_WALKING_M + run * (_LIFT_RUNNING_M - _LIFT_WALKING_M)) * np.sin(np.pi * rising) ** 2
-    return np.column_stack([here_m + moved * (next_m - here_m), body.ankle_height_m + lift_m])
+    heading_rad = np.interp(row, np.arange(len(route.steps)), route.yaw_rad)
+    here, following = number - numbers[0], number - numbers[0] + 1
+    moved = smoothstep((share - stance) / (1 - stance))
+    return Steps(
+        share,
+        stance,
+        run,
+        footprint_m[here] + moved[:, None] * (footprint_m[following] - footprint_m[here]),
+        heading_rad[here] + moved * (heading_rad[following] - heading_rad[here]),
+    )
 
 
 def _running(route: Route) -> Float[np.ndarray, " times"]:

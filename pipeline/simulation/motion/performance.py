@@ -1,31 +1,46 @@
 """Performance of scripts: body and motion of a person, and joint positions at any time."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
+from pipeline.joints import COCO_17, FINGER_JOINTS, JointSet
 from pipeline.simulation.motion.body import STANDING_LEG, Pose, Proportions, joints_of, random_proportions, turned
+from pipeline.simulation.motion.feet import Feet, heels_and_toes, random_foot_shape, roll
 from pipeline.simulation.motion.gestures import Overlay, overlay, smooth_noise
-from pipeline.simulation.motion.locomotion import GRID_HZ, Route, ankles, lay_out
+from pipeline.simulation.motion.hand_postures import finger_motion
+from pipeline.simulation.motion.hands import Hands, fingers, random_scale
+from pipeline.simulation.motion.locomotion import GRID_HZ, Route, ankles, follow_steps, lay_out
 from pipeline.simulation.motion.script import Gesture, Role, Stay
 
 # Wrists of relaxed arms relative to the shoulders, in lengths of the arm (ahead, left, up).
 _HANGING = np.array([[0.06, 0.16, -0.95], [0.06, -0.16, -0.95]])
 _SIDES = np.array([1.0, -1.0])
+_PAIRS = [COCO_17.indices((f"left_{joint}", f"right_{joint}")) for joint in ("shoulder", "elbow", "wrist", "ankle")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Person:
-    """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on."""
+    """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on.
+
+    Parameters
+    ----------
+    body, pose, present
+        Body, its pose, and whether the person is present.
+    feet, hands
+        Orientation of the feet, and motion of the hands; ``None`` if their joints are not simulated.
+    """
 
     body: Proportions
     pose: Pose
     present: Bool[np.ndarray, " times"]
+    feet: Feet | None = None
+    hands: Hands | None = None
 
 
-def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
+def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: JointSet = COCO_17) -> Person:
     """Perform a role: draw a body and compute its motion.
 
     Parameters
@@ -33,11 +48,16 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
     duration_s
         Length of the motion; later cues are cut off.
     rng
-        Source of the body and of all variation that the role leaves open.
+        Source of the body and of all variation that the role leaves open. Feet and hands have a stream of their own:
+        the rest of the body moves as without them, except for shins and ankles of feet that roll.
+    joints
+        Joints to simulate: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``.
     """
+    (own,) = rng.spawn(1)
     body = random_proportions(rng)
     route, rests, cue_rows = lay_out(role, duration_s)
-    feet_m = ankles(route, rests, body)
+    steps = follow_steps(route, rests, body)
+    feet_m = ankles(steps, body)
     acting = _overlays(role, route, cue_rows, body, rng)
     time_s = np.arange(len(route.steps)) / GRID_HZ
     # Strides a second: arms swing in proportion, and hang while standing.
@@ -48,7 +68,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
     twist_rad = acting.twist_rad + 0.1 * pace * np.cos(stride) + 0.03 * smooth_noise(time_s, (), 0.05, 0.3, rng)
     gaze_rad = np.array([0.3, 0.1]) * smooth_noise(time_s, (2,), 0.05, 0.3, rng)
     feet_m[..., 2] += acting.hop_m[:, None]
-    return Person(
+    person = Person(
         body=body,
         pose=Pose(
             hips_m=_hips(route, feet_m, body, acting, pace),
@@ -61,10 +81,18 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator) -> Person:
         ),
         present=route.present,
     )
+    if len(joints.names) > len(COCO_17.names):
+        feet, rolled_m = roll(steps, route, acting.hop_m, body, random_foot_shape(body, own))
+        person = replace(person, pose=replace(person.pose, ankles_m=rolled_m), feet=feet)
+    if not FINGER_JOINTS.isdisjoint(joints.names):
+        scale = random_scale(body, own)
+        angles_rad = finger_motion(role.cues, cue_rows, len(route.steps), own)
+        person = replace(person, hands=Hands(scale, angles_rad))
+    return person
 
 
-def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 17 3"]:
-    """World positions of the joints of ``COCO_17`` in metres, NaN while the person is absent."""
+def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times joints 3"]:
+    """World positions in metres of the joints for which the person was performed, NaN while the person is absent."""
     row = np.clip(time_s * GRID_HZ, 0, len(person.present) - 1)
     lower = np.minimum(row.astype(int), len(person.present) - 2)
     share = row - lower
@@ -75,7 +103,15 @@ def joints_at(person: Person, time_s: Float[np.ndarray, " times"]) -> Float[np.n
 
     pose = Pose(*(between(getattr(person.pose, field.name)) for field in fields(Pose)))
     there = person.present[lower] & person.present[lower + 1]
-    return np.where(there[:, None, None], joints_of(person.body, pose), np.nan)
+    joints_m = joints_of(person.body, pose)
+    shoulders_m, elbows_m, wrists_m, ankles_m = (joints_m[:, pair] for pair in _PAIRS)
+    if person.feet is not None:
+        feet = replace(person.feet, yaw_rad=between(person.feet.yaw_rad), pitch_rad=between(person.feet.pitch_rad))
+        joints_m = np.concatenate([joints_m, heels_and_toes(feet, ankles_m, person.body)], axis=1)
+    if person.hands is not None:
+        hands = replace(person.hands, angles_rad=between(person.hands.angles_rad))
+        joints_m = np.concatenate([joints_m, fingers(hands, shoulders_m, elbows_m, wrists_m)], axis=1)
+    return np.where(there[:, None, None], joints_m, np.nan)
 
 
 def _overlays(role: Role, route: Route, cue_rows: list[slice], body: Proportions, rng: np.random.Generator) -> Overlay:

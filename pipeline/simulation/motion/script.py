@@ -18,6 +18,7 @@ class Gesture(Enum):
     SWING = "swing"
     CROUCH = "crouch"
     JUMP = "jump"
+    HANDS = "hands"
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,6 +49,8 @@ class Detector:
         Share of hidden joints that are not found.
     faults
         Rates of further faults.
+    smallest_palm_px
+        Length of a palm in the image, if it were seen from the front, below which a hand is not found.
     """
 
     noise_m: float = 0.012
@@ -58,9 +60,10 @@ class Detector:
     hidden_noise: float = 4.0
     hidden_missing: float = 0.5
     faults: Faults = field(default_factory=Faults)
+    smallest_palm_px: float = 15.0
 
 
-PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS)
+PERFECT = Detector(noise_m=0.0, hidden_missing=0.0, faults=NO_FAULTS, smallest_palm_px=0.0)
 """Detector that finds every joint in the image exactly; hidden joints have lower scores."""
 
 
@@ -75,13 +78,23 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Bodies:
+class Bodies:
     """Detected bodies as rows of arrays."""
 
     frame: Int[np.ndarray, " n"]
     keypoints_px: Float[np.ndarray, "n joints 2"]
     score: Float[np.ndarray, "n joints"]
     identity: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Bodies that a detector finds in one camera: each once, some a second time, and false positives."""
+
+    confusion: Confusion
+    bodies: Bodies
+    copies: Bodies
+    nobody: Bodies
 
 
 def detect(
@@ -108,6 +121,19 @@ def detect(
         Detections, in random order within a frame, and the person of each detection, ``NOBODY`` for false positives.
         A body with limbs of another person keeps its identity.
     """
+    found = find_bodies(camera, period_s, people_m, boxes, detector, rng)
+    return collect(camera.name, (found.bodies, found.copies, found.nobody), rng)
+
+
+def find_bodies(
+    camera: Camera,
+    period_s: float,
+    people_m: Float[np.ndarray, "people frames joints 3"],
+    boxes: Sequence[Box],
+    detector: Detector,
+    rng: np.random.Generator,
+) -> Found:
+    """Find the bodies in all frames of one camera; for the arguments see ``detect``."""
     faults = detector.faults
     memory_frames = faults.memory_s / period_s
     view = look(camera, people_m, boxes)
@@ -118,8 +144,7 @@ def detect(
     copies = _mark(view, confusion, twice, detector, noise_frames, rng)
     copies = _keep(copies, rng.random(copies.score.shape) >= _DUPLICATE_MISSING, _DUPLICATE_SCORE)
     frame, keypoints_px, score = ghosts(camera.size_px, people_m.shape[1], faults, memory_frames, rng)
-    nobody = _Bodies(frame, keypoints_px, score, np.full(len(frame), NOBODY))
-    return _collect(camera.name, (bodies, copies, nobody), rng)
+    return Found(confusion, bodies, copies, Bodies(frame, keypoints_px, score, np.full(len(frame), NOBODY)))
 
 
 def look(camera: Camera, people_m: Float[np.ndarray, "people frames joints 3"], boxes: Sequence[Box]) -> View:
@@ -142,11 +167,11 @@ def _mark(
     detector: Detector,
     noise_frames: float,
     rng: np.random.Generator,
-) -> _Bodies:
+) -> Bodies:
     """Detect the joints of the bodies that are found."""
     points_px, score = see_joints(view, confusion.who, confusion.which, detector, noise_frames, rng)
     people, rows = np.nonzero(found)
-    bodies = _Bodies(rows, points_px[people, rows], score[people, rows], people)
+    bodies = Bodies(rows, points_px[people, rows], score[people, rows], people)
     return _keep(bodies, bodies.score > 0)
 
 
@@ -170,9 +195,32 @@ def see_joints(
     source = who, np.arange(who.shape[1])[:, None], which
     hidden, px_per_m = view.hidden[source], view.px_per_m[source]
     sigma_px = np.hypot(detector.noise_px, detector.noise_m * px_per_m) * _DIFFICULTY
+    error_px, score = noisy(sigma_px, px_per_m, hidden, detector, noise_frames, rng)
+    missed = lasting_events(rng, (who.shape[0], who.shape[2], who.shape[1]), detector.faults.miss_joint, noise_frames)
+    missed = np.moveaxis(missed, -1, 1) | (hidden & (rng.random(score.shape) < detector.hidden_missing))
+    return view.points_px[source] + error_px, np.where(view.in_image[source] & ~missed, score, 0.0)
+
+
+def noisy(
+    sigma_px: Float[np.ndarray, "people frames joints"],
+    px_per_m: Float[np.ndarray, "people frames joints"],
+    hidden: Bool[np.ndarray, "people frames joints"],
+    detector: Detector,
+    noise_frames: float,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
+    """Draw the errors of found joints in pixels, and their scores.
+
+    Parameters
+    ----------
+    sigma_px
+        Standard deviation of visible joints.
+    noise_frames
+        Correlation time of the lasting half of the noise, in frames.
+    """
     sigma_px = sigma_px * np.where(hidden, detector.hidden_noise, 1.0)
     # Time is the last axis of lasting noise.
-    shape = (who.shape[0], who.shape[2], 2, who.shape[1])
+    shape = (sigma_px.shape[0], sigma_px.shape[2], 2, sigma_px.shape[1])
     lasting = np.moveaxis(lasting_noise(rng, shape, noise_frames), -1, 1)
     sudden = heavy_tailed(rng, lasting.shape, detector.tail)
     error_px = sigma_px[..., None] * (lasting + sudden) / np.sqrt(2)
@@ -180,14 +228,12 @@ def see_joints(
     error_m = np.linalg.norm(error_px, axis=-1) / px_per_m
     score = BEST_SCORE * np.exp(-0.5 * (error_m / _SCORE_SCALE_M) ** 2) * np.where(hidden, _HIDDEN_SCORE, 1.0)
     score *= 1 - 0.3 * rng.random(score.shape) ** 2
-    missed = lasting_events(rng, (*shape[:2], shape[3]), detector.faults.miss_joint, noise_frames)
-    missed = np.moveaxis(missed, -1, 1) | (hidden & (rng.random(score.shape) < detector.hidden_missing))
-    return view.points_px[source] + error_px, np.where(view.in_image[source] & ~missed, score, 0.0)
+    return error_px, score
 
 
-def _keep(bodies: _Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> _Bodies:
+def _keep(bodies: Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1.0) -> Bodies:
     """Remove joints of bodies, and scale the scores of the others."""
-    return _Bodies(
+    return Bodies(
         bodies.frame,
         np.where(kept[..., None], bodies.keypoints_px, np.nan),
         np.where(kept, factor * bodies.score, 0.0),
@@ -195,7 +241,7 @@ def _keep(bodies: _Bodies, kept: Bool[np.ndarray, "n joints"], factor: float = 1
     )
 
 
-def _collect(camera: str, kinds: Sequence[_Bodies], rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
+def collect(camera: str, kinds: Sequence[Bodies], rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
     """Sort bodies by frame, in random order within a frame; bodies without joints are left out."""
     frame, keypoints_px, score, identity = (
         np.concatenate([getattr(kind, name) for kind in kinds])

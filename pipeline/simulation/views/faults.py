@@ -44,6 +44,8 @@ class Faults:
         Mean number of false bodies in a frame, at most 3.
     memory_s
         Correlation time of misses, confusions and false positives, which last over several frames.
+    miss_hand, swap_hands
+        Share of visible hands that are not found, and of bodies whose left and right fingers are exchanged.
     """
 
     miss_joint: float = 0.02
@@ -53,9 +55,20 @@ class Faults:
     duplicate: float = 0.01
     false_positives: float = 0.02
     memory_s: float = 0.1
+    miss_hand: float = 0.1
+    swap_hands: float = 0.02
 
 
-NO_FAULTS = Faults(miss_joint=0.0, miss_body=0.0, swap=0.0, mix=0.0, duplicate=0.0, false_positives=0.0)
+NO_FAULTS = Faults(
+    miss_joint=0.0,
+    miss_body=0.0,
+    swap=0.0,
+    mix=0.0,
+    duplicate=0.0,
+    false_positives=0.0,
+    miss_hand=0.0,
+    swap_hands=0.0,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

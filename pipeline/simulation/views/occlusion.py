@@ -51,31 +51,54 @@ def hidden_by_boxes(
 
 
 def hidden_by_bodies(in_cam_m: Float[np.ndarray, "people frames joints 3"]) -> Bool[np.ndarray, "people frames joints"]:
-    """Whether a joint is behind another person's body, or an arm behind the person's trunk.
+    """Mark joints of ``COCO_17`` behind another person's body, or an arm behind the person's trunk.
 
     Parameters
     ----------
     in_cam_m
         Joints in camera coordinates, NaN for absent people.
     """
+    return points_hidden_by_bodies(in_cam_m, in_cam_m, _FREE_JOINTS)
+
+
+def points_hidden_by_bodies(
+    points_m: Float[np.ndarray, "people frames points 3"],
+    in_cam_m: Float[np.ndarray, "people frames 17 3"],
+    free: Sequence[int],
+) -> Bool[np.ndarray, "people frames points"]:
+    """Mark points of a person behind another person's body, or a free point behind the person's trunk.
+
+    Parameters
+    ----------
+    points_m, in_cam_m
+        Points, and joints of ``COCO_17``, in camera coordinates; NaN for absent people.
+    free
+        Numbers of the points that the person's own trunk can hide.
+    """
     num_people = len(in_cam_m)
-    hidden = np.zeros(in_cam_m.shape[:3], dtype=bool)
-    plane = in_cam_m[..., :2] / np.where(in_cam_m[..., 2:] > 0.1, in_cam_m[..., 2:], np.nan)
+    hidden = np.zeros(points_m.shape[:3], dtype=bool)
+    plane = _on_plane(points_m)
     low, high = _bounds(plane)
-    nearest_m, farthest_m = np.fmin.reduce(in_cam_m[..., 2], axis=2), np.fmax.reduce(in_cam_m[..., 2], axis=2)
+    body_low, body_high = _bounds(_on_plane(in_cam_m))
+    nearest_m, farthest_m = np.fmin.reduce(in_cam_m[..., 2], axis=2), np.fmax.reduce(points_m[..., 2], axis=2)
     for behind in range(num_people):
         for before in range(num_people):
             if before == behind:
                 continue
-            overlap = ((low[behind] < high[before]) & (high[behind] > low[before])).all(-1)
+            overlap = ((low[behind] < body_high[before]) & (high[behind] > body_low[before])).all(-1)
             frames = np.flatnonzero(overlap & (nearest_m[before] < farthest_m[behind]))
             if len(frames):
                 hidden[behind, frames] |= _behind(
-                    plane[behind, frames], in_cam_m[behind, frames, :, 2], in_cam_m[before, frames], _CAPSULES, 1.0
+                    plane[behind, frames], points_m[behind, frames, :, 2], in_cam_m[before, frames], _CAPSULES, 1.0
                 )
-        arms = plane[behind][:, _FREE_JOINTS], in_cam_m[behind][:, _FREE_JOINTS, 2]
-        hidden[behind][:, _FREE_JOINTS] |= _behind(*arms, in_cam_m[behind], _TRUNK, _OWN_TRUNK_RADIUS)
+        moving = plane[behind][:, free], points_m[behind][:, free, 2]
+        hidden[behind][:, free] |= _behind(*moving, in_cam_m[behind], _TRUNK, _OWN_TRUNK_RADIUS)
     return hidden
+
+
+def _on_plane(in_cam_m: np.ndarray) -> np.ndarray:
+    """Positions on the image plane at distance 1; NaN beside and behind the camera."""
+    return np.asarray(in_cam_m[..., :2] / np.where(in_cam_m[..., 2:] > 0.1, in_cam_m[..., 2:], np.nan))
 
 
 def _bounds(plane: Float[np.ndarray, "people frames joints 2"]) -> tuple[np.ndarray, np.ndarray]:

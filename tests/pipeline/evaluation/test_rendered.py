@@ -111,6 +111,38 @@ def test_bad_truth_is_named(tmp_path: Path, change: Callable[[Arrays], Arrays], 
     assert {problem.file for problem in caught.value.problems} == {"gt.npz"}
 
 
+BONE_NAMES = np.array(["Hips", "LeftFoot", "RightFoot", "LeftToeBase", "RightToeBase"])
+
+
+def test_feet_are_read_from_the_bones(tmp_path: Path) -> None:
+    assert load_rendered(write_capture(tmp_path, truth_arrays())).feet_m is None
+    bones = np.random.default_rng(1).uniform(-1, 1, (2, 10, 5, 3)).astype(np.float32)
+    np.savez(tmp_path / "gt.npz", allow_pickle=False, **truth_arrays(), bones=bones, bone_names=BONE_NAMES)
+    feet_m = load_rendered(tmp_path).feet_m
+    assert feet_m is not None
+    np.testing.assert_array_equal(feet_m[:, :, 0], bones[:, :, [1, 3]])
+    np.testing.assert_array_equal(feet_m[:, :, 1], bones[:, :, [2, 4]])
+    np.savez(
+        tmp_path / "gt.npz", allow_pickle=False, **truth_arrays(), bones=bones[:, :, :3], bone_names=BONE_NAMES[:3]
+    )
+    assert load_rendered(tmp_path).feet_m is None
+
+
+@pytest.mark.parametrize(
+    ("bones", "names", "field"),
+    [
+        (np.zeros((2, 9, 5, 3)), BONE_NAMES, "bones"),
+        (np.full((2, 10, 5, 3), np.inf), BONE_NAMES, "bones"),
+        (np.zeros((2, 10, 5, 3)), np.arange(5), "bone_names"),
+    ],
+)
+def test_bad_bones_are_named(tmp_path: Path, bones: np.ndarray, names: np.ndarray, field: str) -> None:
+    folder = write_capture(tmp_path, truth_arrays() | {"bones": bones, "bone_names": names})
+    with pytest.raises(InputError) as caught:
+        load_rendered(folder)
+    assert [problem.field for problem in caught.value.problems] == [field]
+
+
 def test_all_missing_parts_are_named_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_rendered(tmp_path)

@@ -1,5 +1,6 @@
 """Named scenes: complete, reproducible and as specified."""
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +10,12 @@ from pipeline.errors import InputError
 from pipeline.geometry.camera import project
 from pipeline.simulation.clocks import Clock, frame_times
 from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.scenes import SCENES, Simulation, record, simulate
+from pipeline.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
 from pipeline.simulation.views.detector import NOBODY, PERFECT
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
-    "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports", "exchange",
+    "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports", "exchange", "hands",
 )  # fmt: skip
 HIPS = (11, 12)
 
@@ -65,6 +66,55 @@ def test_records_fit_together(name: str) -> None:
 def test_a_seed_gives_the_same_bytes(name: str) -> None:
     assert everything(short(name, 7)) == everything(short(name, 7))
     assert everything(short(name, 7)) != everything(short(name, 8))
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("walk", "e6d7a1f277d58350"),
+        ("noisy", "1a48ece1331dfdd6"),
+        ("handshake", "0e000597da06e0a5"),
+        ("contact", "2e4369d207440aa3"),
+    ],
+)
+def test_bodies_of_seeds_are_those_of_version_0_1(name: str, expected: str) -> None:
+    """Truth, detections and fields, rounded so that the last bits of a machine's arithmetic do not matter."""
+    simulation = record(replace(SCENES[name], duration_s=2.0), 5, 3)
+    arrays = [simulation.truth_m]
+    for camera in simulation.cameras:
+        found = simulation.detections[camera.name]
+        arrays += [found.frame, found.keypoints_px, found.score, found.box_px]
+    for content in simulation.sketches:
+        arrays += [content.points_px, content.amplitude]
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.round(np.asarray(array, float), 3).tobytes())
+    assert digest.hexdigest()[:16] == expected
+
+
+@pytest.mark.parametrize("joints", ["feet", "whole"])
+def test_joints_are_those_asked_for(joints: Joints) -> None:
+    scene = replace(SCENES["hands"], duration_s=2.0)
+    body, more = record(scene, 3), record(scene, 3, joints=joints)
+    assert more.joints == JOINT_SETS[joints]
+    assert more.truth_m.shape[2] == len(more.joints.names)
+    np.testing.assert_array_equal(more.truth_m[:, :, :13], body.truth_m[:, :, :13])
+    assert everything(more) == everything(record(scene, 3, joints=joints))
+    for camera in body.cameras:
+        found, plain = more.detections[camera.name], body.detections[camera.name]
+        np.testing.assert_array_equal(found.frame, plain.frame)
+        np.testing.assert_array_equal(found.score[:, :5], plain.score[:, :5])
+        np.testing.assert_array_equal(found.keypoints_px[:, :5], plain.keypoints_px[:, :5])
+
+
+def test_perfect_detections_of_hands_and_feet_are_projections_of_the_truth() -> None:
+    simulation = record(replace(SCENES["hands"], duration_s=3.0, detector=PERFECT), 3, joints="whole")
+    for camera in simulation.cameras:
+        detections, identity = simulation.detections[camera.name], simulation.identities[camera.name]
+        expected = project(camera, simulation.truth_m[identity, detections.frame])
+        seen = detections.score > 0
+        assert seen.all(0).mean() > 0.9
+        np.testing.assert_allclose(detections.keypoints_px[seen], expected[seen], atol=1e-9)
 
 
 def test_a_camera_records_the_same_whatever_the_others() -> None:
@@ -178,6 +228,8 @@ def test_bad_requests_are_named_together() -> None:
     assert [problem.field for problem in caught.value.problems] == ["views", "seed"]
     with pytest.raises(InputError, match="comings-and-goings"):
         simulate("moon", 1)
+    with pytest.raises(InputError, match="body, feet, whole"):
+        known_joints("face")
 
 
 def test_casts_are_as_large_as_asked_for() -> None:

@@ -1,0 +1,1 @@
+"""Accuracy of feet and hands against the truth."""
