@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
+from pipeline.capture.keypoint_files.folders import MAX_FILE_BYTES
 from pipeline.errors import DISK_FULL, InputError, Problem
 
 _BROKEN = "The file is not a zip archive, or it is damaged or encrypted."
 _MAX_ENTRIES = 500_000
 # Size of the directory of so many files with names of the usual length.
 _MAX_DIRECTORY_BYTES = 96 * 2**20
-_MAX_FILE_BYTES = 4 * 2**20
 _MAX_TOTAL_BYTES = 4 * 2**30
 
 _Found = TypeVar("_Found")
@@ -105,7 +105,7 @@ def _list_files(archive: Path, folder: Path) -> Sequence[zipfile.ZipInfo]:
             raise _RefusedError(f"{name} is a link.")
         if name in names:
             raise _RefusedError(f"The archive contains {name} twice.")
-        if entry.file_size > _MAX_FILE_BYTES:
+        if entry.file_size > MAX_FILE_BYTES:
             raise _too_large(name)
         names.add(name)
     return files
@@ -121,7 +121,7 @@ def _unpack(archive: Path, files: Sequence[zipfile.ZipInfo], target: Path, left_
     total_bytes = 0
     with zipfile.ZipFile(archive) as entries:
         for entry in files:
-            max_bytes = min(_MAX_FILE_BYTES, left_bytes - total_bytes)
+            max_bytes = min(MAX_FILE_BYTES, left_bytes - total_bytes)
             total_bytes += _copy(entries, entry, target / _name_of(entry), max_bytes)
     return total_bytes
 

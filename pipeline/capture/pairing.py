@@ -1,13 +1,17 @@
 """Pair cameras with videos, or with folders of keypoints."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from pipeline.data import Camera
 from pipeline.errors import Problem
 
+MIN_CAMERAS = 2
+# Names that a warning lists.
+_MAX_SHOWN = 12
+
 
 def pair_by_name(
-    cameras: Sequence[Camera], names: Sequence[str], thing: str
+    cameras: Sequence[Camera], names: Sequence[str], thing: str, required: Collection[str] = ()
 ) -> tuple[dict[str, str], list[Problem], list[str]]:
     """Pair cameras and inputs, either all by exact name or all in sorted order.
 
@@ -19,15 +23,18 @@ def pair_by_name(
         Names of the inputs without endings.
     thing
         Kind of input, such as ``video``; part of the problem codes.
+    required
+        Names of cameras that must have an input, because the manifest names them.
 
     Returns
     -------
     pairs
         Name of the input of each camera, by camera name.
     problems
-        Cameras without input, inputs without camera, and second inputs of a camera.
+        Inputs without camera, second inputs of a camera, and required cameras without input; all cameras without
+        input, if there is another problem, or if fewer than two cameras have one.
     warnings
-        List of the pairs, if they were paired in sorted order.
+        List of the pairs, if they were paired in sorted order; list of the cameras that are left out.
     """
     known = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
     called = [camera.name for camera in cameras]
@@ -60,6 +67,9 @@ def pair_by_name(
             )
         else:
             pairs[camera] = name
+    missing = sorted(set(called) - pairs.keys())
+    is_subset = not problems and len(pairs) >= MIN_CAMERAS
+    refused = [camera for camera in missing if not is_subset or camera in required]
     problems = [
         Problem(
             f"camera_without_{thing}",
@@ -67,6 +77,14 @@ def pair_by_name(
             camera=camera,
             hint=f"Add its {thing}, or remove it from the calibration.",
         )
-        for camera in sorted(set(called) - pairs.keys())
+        for camera in refused
     ] + problems
-    return pairs, problems, []
+    left_out = [camera for camera in missing if camera not in refused]
+    return pairs, problems, [_left_out(left_out, thing)] if left_out else []
+
+
+def _left_out(cameras: Sequence[str], thing: str) -> str:
+    shown = ", ".join(cameras[:_MAX_SHOWN]) + (", ..." if len(cameras) > _MAX_SHOWN else "")
+    if len(cameras) == 1:
+        return f"The camera {shown} of the calibration has no {thing}: it is left out."
+    return f"{len(cameras)} cameras of the calibration have no {thing}: {shown}. They are left out."

@@ -39,10 +39,22 @@ def read_json(content: bytes) -> Any:
     return parse(_loads, content)
 
 
-def _loads(content: bytes) -> Any:
+def read_unique_json(content: bytes) -> Any:
+    """Parse JSON as ``read_json`` does; an object with a repeated key is unreadable."""
+    return parse(lambda known: _loads(known, _unique), content)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields = dict(pairs)
+    if len(fields) < len(pairs):
+        raise UnreadableError
+    return fields
+
+
+def _loads(content: bytes, hook: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
     text = content.decode(json.detect_encoding(content), "surrogatepass")
     # Calling a Python function for each integer would take most of the time of a large file.
-    return json.loads(text, parse_int=_integer if _LONG_INTEGER.search(text) else None)
+    return json.loads(text, parse_int=_integer if _LONG_INTEGER.search(text) else None, object_pairs_hook=hook)
 
 
 def _integer(digits: str) -> int | float:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from pipeline.calibration.registry import UNITS_M
+from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session

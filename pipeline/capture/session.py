@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.calibration.registry import Units, read_calibration
+from pipeline.calibration.contents import UNKNOWN_SIZE, Units
+from pipeline.calibration.registry import read_contents
+from pipeline.calibration.sizes import fit_to_picture
 from pipeline.capture.clock import TimeSource, clock_problems
-from pipeline.capture.pairing import pair_by_name
+from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
@@ -17,8 +19,6 @@ from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
-
-MIN_CAMERAS = 2
 
 _VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})
 
@@ -88,14 +88,15 @@ def open_session(
 
     Videos are synchronised at their first frames, unless ``recordings`` gives offsets. A video belongs to the camera of
     the same name. If no video has the name of a camera, videos and cameras are paired in sorted order, and a warning
-    lists the pairs.
+    lists the pairs. Cameras without a video are left out, with a warning. A calibration of another picture size is
+    adapted where ``fit_to_picture`` can do it, with a warning.
 
     Parameters
     ----------
     recordings
         Facts about the videos of some cameras, at most one recording a camera.
     units
-        See ``read_calibration``.
+        See ``read_contents``.
 
     Raises
     ------
@@ -105,7 +106,8 @@ def open_session(
     paths, warnings, problems = _find_videos(videos)
     cameras: tuple[Camera, ...] = ()
     try:
-        cameras = read_calibration(calibration, units)
+        contents = read_contents(calibration, units)
+        cameras, warnings = contents.cameras, [*warnings, *contents.notes]
     except InputError as error:
         problems.extend(error.problems)
 
@@ -131,16 +133,14 @@ def open_session(
     ]
     infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
     if cameras and not recording_problems:
-        pairs, unpaired, pairing_warnings = pair_by_name(cameras, names, "video")
+        pairs, unpaired, pairing_warnings = pair_by_name(cameras, names, "video", recording_of_camera.keys())
         problems += unpaired
         warnings += pairing_warnings
-        for camera in cameras:
-            video = infos.get(pairs.get(camera.name, ""))
-            if video is not None and video.size_px != camera.size_px:
-                problems.append(_size_problem(camera, video))
+        videos_of = {camera: infos[name] for camera, name in pairs.items() if name in infos}
+        cameras = _fitted([camera for camera in cameras if camera.name in pairs], videos_of, warnings, problems)
     if problems:
         raise InputError(problems)
-    paired = {camera.name: infos[pairs[camera.name]] for camera in cameras}
+    paired = {camera.name: videos_of[camera.name] for camera in cameras}
     times = {name: _times(video, recording_of_camera.get(name)) for name, video in paired.items()}
     if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
         raise InputError(problems)
@@ -278,13 +278,45 @@ def _repeated_times(video: VideoInfo) -> str:
     return f"{video.path.name}: {frames} left out, because another frame has the same timestamp."
 
 
+def _fitted(
+    cameras: Sequence[Camera], videos: Mapping[str, VideoInfo], warnings: list[str], problems: list[Problem]
+) -> tuple[Camera, ...]:
+    """Adapt cameras to the pictures of their videos; warn of each adapted camera, report those that don't fit."""
+    fitted = []
+    for camera in cameras:
+        video = videos.get(camera.name)
+        if video is None or video.size_px == camera.size_px:
+            fitted.append(camera)
+        elif (found := fit_to_picture(camera, video.size_px, video.rotation_deg)) is None:
+            problems.append(_size_problem(camera, video))
+        else:
+            fitted.append(found[0])
+            warnings.append(f"{camera.name}: {_sizes(camera, video)}; {found[1]}.")
+    return tuple(fitted)
+
+
+def _sizes(camera: Camera, video: VideoInfo) -> str:
+    (width, height), (calibrated_width, calibrated_height) = video.size_px, camera.size_px
+    if camera.size_px == UNKNOWN_SIZE:
+        return f"the video has {width} x {height} pixels, the calibration does not contain a size"
+    return f"the video has {width} x {height} pixels, the calibration {calibrated_width} x {calibrated_height}"
+
+
 def _size_problem(camera: Camera, video: VideoInfo) -> Problem:
+    hint = "Calibrate at the size of the videos."
+    if video.size_px == camera.size_px[::-1]:
+        hint = (
+            "The picture seems to be turned by a quarter, but the video file does not say in which direction. Turn the "
+            "video, or calibrate with turned pictures."
+        )
+    if camera.size_px == UNKNOWN_SIZE:
+        hint = "The principal point of the calibration is not near the middle of the picture: check the sizes."
+    message = _sizes(camera, video)
     return Problem(
         "size_mismatch",
-        f"The video has {video.size_px[0]} x {video.size_px[1]} pixels, the calibration "
-        f"{camera.size_px[0]} x {camera.size_px[1]}.",
+        f"{message[0].upper()}{message[1:]}.",
         file=video.path.name,
         camera=camera.name,
         field="size",
-        hint="Calibrate at the size of the videos.",
+        hint=hint,
     )

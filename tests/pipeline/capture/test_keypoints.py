@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.capture.keypoints import MAX_PEOPLE, KeypointSession, open_keypoints
+from pipeline.capture.keypoint_files.people import MAX_PEOPLE
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.data import Detections
 from pipeline.errors import InputError
 from pipeline.joints import BODY_25, COCO_17, COCO_18
@@ -141,7 +142,7 @@ def test_other_files_are_ignored_and_said(scene: Path) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    ["", '{"people": [', "[]", '{"people": 3}', '{"people": [{}]}', '{"people": [{"pose_keypoints_2d": [1, 2]}]}'],
+    ["", '{"people": [', "[3]", '{"people": 3}', '{"people": [{}]}', '{"people": [{"pose_keypoints_2d": [1, 2]}]}'],
 )
 def test_a_damaged_file_is_named(scene: Path, content: str) -> None:
     path = frames_of(scene)[2]
@@ -182,6 +183,24 @@ def test_folders_of_other_names_are_paired_in_order(scene: Path, simulation: Sim
     session = opened(scene, timed=False)
     assert any("paired in sorted order" in warning for warning in session.warnings)
     assert set(session.detections) == {camera.name for camera in simulation.cameras}
+
+
+def test_cameras_without_a_folder_are_left_out(scene: Path) -> None:
+    rig = json.loads((scene / "calibration.json").read_text())
+    rig["cameras"].insert(0, rig["cameras"][0] | {"name": "ceiling"})
+    (scene / "calibration.json").write_text(json.dumps(rig))
+    session = opened(scene, timed=False)
+    assert "ceiling" not in {camera.name for camera in session.cameras}
+    assert len(session.cameras) == len(session.detections) == len(rig["cameras"]) - 1
+    assert any("ceiling" in warning for warning in session.warnings)
+
+
+def test_a_calibration_without_sizes_is_refused(scene: Path) -> None:
+    lens = {"fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0, "k": [0.0] * 3, "p": [0.0] * 2}
+    names = [camera["name"] for camera in json.loads((scene / "calibration.json").read_text())["cameras"]]
+    cameras = {name: {"R": np.eye(3).tolist(), "T": [0.0, 0.0, float(k)], **lens} for k, name in enumerate(names)}
+    (scene / "calibration.json").write_text(json.dumps(cameras))
+    assert "does not contain the size" in problems_of(scene)["invalid_size"]
 
 
 def test_missing_folders(tmp_path: Path, scene: Path) -> None:

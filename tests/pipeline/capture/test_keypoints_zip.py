@@ -53,7 +53,7 @@ def test_all_that_is_wrong_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     text.write_bytes(b"no archive")
     cut = archive(tmp_path / "cut.zip", {FRAME: b"{}" * 1000})
     cut.write_bytes(cut.read_bytes()[:60])
-    bomb = archive(tmp_path / "bomb.zip", {FRAME: b"\0" * (4 * 2**20 + 1)})
+    bomb = archive(tmp_path / "bomb.zip", {FRAME: b"\0" * (64 * 2**20 + 1)})
     many = archive(tmp_path / "many.zip", {f"frame_{k}_keypoints.json": b"{}" for k in range(4)})
     folders = archive(tmp_path / "folders.zip", {f"a/{FRAME}": b"{}", f"b/{FRAME}": b"{}"})
     link = tmp_path / "link.zip"

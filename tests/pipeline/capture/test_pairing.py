@@ -38,3 +38,24 @@ def test_never_half_by_name_and_half_by_order() -> None:
 def test_two_of_one_camera() -> None:
     _, problems, _ = pair_by_name(CAMERAS, ["left", "cam_0", "right"], "folder")
     assert [(one.code, one.file) for one in problems] == [("camera_with_two_folders", "left")]
+
+
+def test_cameras_without_input_are_left_out_if_two_have_one() -> None:
+    cameras = [*CAMERAS, *(camera(f"ceiling {k:02}") for k in range(20))]
+    pairs, problems, (warning,) = pair_by_name(cameras, ["right", "left"], "folder")
+    assert (pairs, problems) == ({"left": "left", "right": "right"}, [])
+    assert warning.startswith("20 cameras of the calibration have no folder: ceiling 00, ceiling 01,")
+    assert warning.endswith("ceiling 11, .... They are left out.")
+
+
+def test_a_required_camera_is_not_left_out() -> None:
+    cameras = [*CAMERAS, camera("ceiling"), camera("door")]
+    _, problems, (warning,) = pair_by_name(cameras, ["left", "right"], "video", required={"door"})
+    assert [(one.code, one.camera) for one in problems] == [("camera_without_video", "door")]
+    assert "ceiling" in warning
+    assert "door" not in warning
+
+
+def test_one_pair_is_not_enough() -> None:
+    _, problems, warnings = pair_by_name(CAMERAS, ["left"], "video")
+    assert ([(one.code, one.camera) for one in problems], warnings) == ([("camera_without_video", "right")], [])

@@ -105,7 +105,16 @@ def test_never_half_by_name_half_by_order(folder: Path, tmp_path: Path) -> None:
 
 def test_calibration_with_a_camera_too_few_or_too_many(folder: Path, tmp_path: Path) -> None:
     assert problems_of(folder, calibration(tmp_path / "c.json", ["a"])) == {("video_without_camera", "b")}
-    assert problems_of(folder, calibration(tmp_path / "c.json", ["a", "b", "c"])) == {("camera_without_video", "c")}
+    session = open_session(folder, calibration(tmp_path / "c.json", ["c", "a", "b"]))
+    assert [camera.name for camera in session.cameras] == ["a", "b"]
+    assert session.warnings == ("The camera c of the calibration has no video: it is left out.",)
+
+
+def test_a_camera_with_a_recording_is_not_left_out(folder: Path, tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b", "c"])
+    with pytest.raises(InputError) as error:
+        open_session(folder, cameras, [Recording("c", offset_s=0.5)])
+    assert [(problem.code, problem.camera) for problem in error.value.problems] == [("camera_without_video", "c")]
 
 
 def test_other_files_in_the_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
@@ -133,6 +142,39 @@ def test_two_videos_with_the_same_name(folder: Path, tmp_path: Path) -> None:
 def test_video_and_calibration_of_different_size(folder: Path, tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["a", "b"], size_px=(48, 64))
     assert problems_of(folder, cameras) == {("size_mismatch", "a"), ("size_mismatch", "b")}
+    with pytest.raises(InputError, match="does not say in which direction"):
+        open_session(folder, cameras)
+    assert problems_of(folder, calibration(tmp_path / "c.json", ["a", "b"], size_px=(64, 30))) == {
+        ("size_mismatch", "a"),
+        ("size_mismatch", "b"),
+    }
+
+
+def test_a_calibration_of_another_size_is_adapted_with_a_warning(folder: Path, tmp_path: Path) -> None:
+    session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"], size_px=(128, 96)))
+    assert session.warnings == (
+        "a: the video has 64 x 48 pixels, the calibration 128 x 96; the calibration is scaled by 0.5.",
+        "b: the video has 64 x 48 pixels, the calibration 128 x 96; the calibration is scaled by 0.5.",
+    )
+    for camera in session.cameras:
+        assert camera.size_px == (64, 48)
+        np.testing.assert_allclose(camera.matrix, [[25.0, 0.0, 15.5], [0.0, 25.0, 11.5], [0.0, 0.0, 1.0]])
+
+
+def test_a_calibration_without_sizes_takes_those_of_the_videos(folder: Path, tmp_path: Path) -> None:
+    def voxelpose(principal_px: float) -> dict[str, Any]:
+        lens = {"fx": 50.0, "fy": 50.0, "cx": principal_px, "cy": 23.5, "k": [0.0] * 3, "p": [0.0] * 2}
+        return {"R": np.eye(3).tolist(), "T": [0.0, 0.0, -3000.0], **lens}
+
+    cameras = tmp_path / "calibration.json"
+    cameras.write_text(json.dumps({"a": voxelpose(31.5), "b": voxelpose(30.0)}))
+    session = open_session(folder, cameras)
+    assert [camera.size_px for camera in session.cameras] == [(64, 48)] * 2
+    assert session.warnings[0] == (
+        "a: the video has 64 x 48 pixels, the calibration does not contain a size; the video's size is taken."
+    )
+    cameras.write_text(json.dumps({"a": voxelpose(31.5), "b": voxelpose(960.0)}))
+    assert problems_of(folder, cameras) == {("size_mismatch", "b")}
 
 
 def test_everything_wrong_is_said_at_once(folder: Path, tmp_path: Path) -> None:

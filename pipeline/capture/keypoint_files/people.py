@@ -1,0 +1,157 @@
+"""People of a frame in keypoint files: their arrays, limits and errors."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.capture.parsing import UnreadableError, read_numbers
+from pipeline.capture.quantities import KEYPOINT_PX
+from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, JointSet, finger_joints, hand_bones
+
+MAX_PEOPLE = 128
+"""Limit on the people of a camera in a frame; association takes some seconds for a frame with so many people."""
+# Limit on the people listed in a frame, including people without a detected joint.
+_MAX_LISTED_PEOPLE = 1000
+# Lowest score of a detected joint: far below the scores of detectors, far above numbers whose squares are 0.
+_MIN_SCORE = 1e-9
+
+_END_OF_NUMBERS = 10**15
+
+NUM_HAND_POINTS = 21
+"""Points of a hand in all formats, the wrist first, which is the body's."""
+
+People = Float[np.ndarray, "_ _ 3"]
+"""People of a frame, their joints, and x, y and score; no joints either if the file lists nobody."""
+
+
+def _with_hands(body: JointSet) -> JointSet:
+    """Joints of a body, then the fingers of the left and of the right hand."""
+    if body == BODY_FEET:
+        return WHOLE_BODY
+    fingers, bones = map(finger_joints, SIDES), map(hand_bones, SIDES)
+    return JointSet((*body.names, *sum(fingers, ())), (*body.bones, *sum(bones, ())))
+
+
+_BODIES = (BODY_25, COCO_18, COCO_17, BODY_FEET)
+_WHOLE: Mapping[int, JointSet] = {len(body.names): _with_hands(body) for body in _BODIES}
+JOINT_SETS: Mapping[int, JointSet] = {len(joints.names): joints for joints in (*_BODIES, *_WHOLE.values())}
+"""Joint sets of keypoint files by their number of joints, which differ."""
+
+
+class KeypointsError(Exception):
+    """The file can't be used; the text is the message of its problem.
+
+    Parameters
+    ----------
+    field
+        Name of the field in question, if there is one.
+    """
+
+    def __init__(self, message: str, field: str | None = None) -> None:
+        super().__init__(message)
+        self.field = field
+
+
+class CrowdError(Exception):
+    """A frame has more people than allowed."""
+
+    def __init__(self, num_people: int) -> None:
+        super().__init__(f"{num_people} people")
+        self.num_people = num_people
+
+
+def joint_set_of(counts: set[int]) -> JointSet | None:
+    """Joint set of files with these numbers of joints; ``None`` if they differ in more than the hands.
+
+    A file without a hand lists bodies only.
+    """
+    most = max(counts)
+    same = {most} | {count for count, whole in _WHOLE.items() if len(whole.names) == most}
+    return JOINT_SETS[most] if counts <= same else None
+
+
+def frame_number(value: Any, field: str) -> int:
+    """Check the number of a frame; raises ``KeypointsError``."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _END_OF_NUMBERS:
+        raise KeypointsError("The number of a frame must be a whole number of at most 15 digits.", field)
+    return value
+
+
+def is_detected(people: People) -> Bool[np.ndarray, "_ _"]:
+    """Return which joints were detected: all numbers are finite, and the score is above 0."""
+    return np.isfinite(people).all(-1) & (people[..., 2] >= _MIN_SCORE)
+
+
+def check_number(listed: Sequence[Any]) -> None:
+    """Raise ``CrowdError`` if a frame lists too many people, with or without joints."""
+    if len(listed) > _MAX_LISTED_PEOPLE:
+        raise CrowdError(len(listed))
+
+
+def with_detected_joints(people: People) -> People:
+    """Check the positions and the number of people, and leave out people without a detected joint.
+
+    Raises
+    ------
+    KeypointsError
+        If a detected joint is not within the limits.
+    CrowdError
+        If there are too many people.
+    """
+    detected = is_detected(people)
+    if not KEYPOINT_PX.holds(people[detected, :2]):
+        raise KeypointsError(f"A coordinate of a joint is not within {KEYPOINT_PX}.")
+    people = people[detected.any(-1)]
+    if len(people) > MAX_PEOPLE:
+        raise CrowdError(len(people))
+    return people
+
+
+def points_of(lists: Sequence[Any], num_points: int, field: str) -> Float[np.ndarray, "_ _ 3"]:
+    """Convert flat lists of x, y and score, one a person, to points; an empty list or ``None`` is a part unseen.
+
+    Raises
+    ------
+    KeypointsError
+        If a list has another length.
+    UnreadableError
+        If an entry is not a number.
+    """
+    for one in lists:
+        if one is not None and not isinstance(one, list):
+            raise UnreadableError
+        if one and len(one) != 3 * num_points:
+            raise KeypointsError(f"{field} has {len(one)} numbers; {num_points} points have {3 * num_points}.", field)
+    values = read_numbers([one or [0.0] * (3 * num_points) for one in lists])
+    return values.reshape(len(lists), num_points, 3)
+
+
+def hands_of(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str], str]) -> People | None:
+    """Fingers of the left and of the right hand, without the wrists; ``None`` if nobody has a hand.
+
+    Parameters
+    ----------
+    lists_of
+        Function that gives a list of x, y and score of the points of a side's hand for each person.
+    field_of
+        Function that gives the name of the field of a side.
+    """
+    by_side = [lists_of(side) for side in SIDES]
+    if not any(any(one) for lists in by_side for one in lists if one):
+        return None
+    hands = [
+        points_of(lists, NUM_HAND_POINTS, field_of(side))[:, 1:] for side, lists in zip(SIDES, by_side, strict=True)
+    ]
+    return np.concatenate(hands, axis=1)
+
+
+def joined(body: People, hands: People | None) -> People:
+    """Bodies with their hands; the bodies alone if nobody has a hand."""
+    return body if hands is None else np.concatenate([body, hands], axis=1)
+
+
+def nobody(num_joints: int = 0) -> People:
+    """People of a frame without any."""
+    return np.empty((0, num_joints, 3))

@@ -1,0 +1,155 @@
+"""Times of keypoint frames: from the numbers of the frames, or from a CSV file of timestamps."""
+
+import csv
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.capture.clock import TimeSource, clock_problems
+from pipeline.capture.keypoint_files.people import People
+from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
+from pipeline.data import FrameTimes, Timebase
+from pipeline.errors import Problem
+from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
+
+DEFAULT_FRAME_RATE_HZ = float(DEFAULT_RATE)
+
+_MAX_START_S = 3600.0
+_START_HINT = "Subtract the time at which the capture started."
+
+
+class _InvalidError(Exception):
+    """The file of timestamps can't be used; the text is the message of its problem."""
+
+
+class _LateError(_InvalidError):
+    """A time is later than the longest capture."""
+
+
+def times_from_rate(
+    frames: Mapping[str, Mapping[int, People]],
+    folders: Mapping[str, str],
+    frame_rate_hz: float | None,
+    warnings: list[str],
+    problems: list[Problem],
+) -> tuple[dict[str, FrameTimes], Timebase | None]:
+    """Times from frame numbers: frame k of all cameras is at k over the frame rate."""
+    rate_hz = DEFAULT_FRAME_RATE_HZ if frame_rate_hz is None else frame_rate_hz
+    if frame_rate_hz is None:
+        warnings.append(f"No frame rate was given: {rate_hz:g} Hz is assumed.")
+    if not FRAME_RATE_HZ.holds(rate_hz):
+        problems.append(
+            Problem("frame_rate", f"A frame rate of {rate_hz:g} Hz is not allowed.", hint=f"Use {FRAME_RATE_HZ}.")
+        )
+        return {}, None
+    rate_hz = float(without_rounding(rate_hz))
+    times = {
+        camera: FrameTimes(np.array(list(by_frame), dtype=np.float64) / rate_hz) for camera, by_frame in frames.items()
+    }
+    source = TimeSource(
+        files=folders,
+        start_field="frame",
+        rate_field="frame",
+        start_hint="Check the numbers of the files: the number divided by the frame rate is the time of the frame.",
+        rate_hint="Number the files from the start of the capture; cut a longer capture into several sessions.",
+    )
+    if times and all(frames.values()):
+        problems += clock_problems(times, 0.0, rate_hz, source)
+    last = max((max(by_frame, default=0) for by_frame in frames.values()), default=0)
+    return times, Timebase(0.0, rate_hz, last + 1)
+
+
+def times_from_file(
+    frames: Mapping[str, Mapping[int, People]], timestamps: Path, problems: list[Problem]
+) -> tuple[dict[str, FrameTimes], Timebase | None]:
+    """Times from the file of timestamps; output frames start at 0 and have the rate of the fastest camera."""
+    times: dict[str, FrameTimes] = {}
+    read = _read_timestamps(timestamps, frames.keys(), problems)
+    if read is None:
+        return times, None
+    for camera, by_frame in frames.items():
+        missing = [number for number in by_frame if number not in read.get(camera, {})]
+        if missing:
+            message = f"{len(missing)} frames have no time; the first is frame {missing[0]}."
+            problems.append(Problem("timestamps_missing", message, file=timestamps.name, camera=camera))
+            continue
+        time_s = np.array([read[camera][number] for number in by_frame], dtype=np.float64)
+        if (np.diff(time_s) <= 0).any():
+            first = list(by_frame)[int(np.argmax(np.diff(time_s) <= 0)) + 1]
+            message = f"Times must ascend from frame to frame; the time of frame {first} does not."
+            problems.append(Problem("timestamps_order", message, file=timestamps.name, camera=camera))
+            continue
+        times[camera] = FrameTimes(time_s)
+    if problems or not times:
+        return times, None
+    if min(camera_times.time_s[0] for camera_times in times.values() if len(camera_times.time_s)) > _MAX_START_S:
+        problems.append(Problem("timestamps_start", "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
+        return times, None
+    rates_hz = [
+        measured_rate_hz(camera_times.time_s) for camera_times in times.values() if len(camera_times.time_s) > 1
+    ]
+    if not rates_hz:
+        problems.append(Problem("too_few_frames", "No camera has two frames.", file=timestamps.name))
+        return times, None
+    rate_hz = max(rates_hz)
+    if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
+        message = f"By the times the fastest camera has {rate_hz:g} frames a second; {FRAME_RATE_HZ} are allowed."
+        hint = "Check that the times are in seconds."
+        problems.append(Problem("frame_rate", message, file=timestamps.name, field="time_s", hint=hint))
+    source = TimeSource(
+        files=dict.fromkeys(times, timestamps.name),
+        start_field="time_s",
+        rate_field="time_s",
+        start_hint="Check the times: seconds since the start of the capture, by a clock that all cameras share.",
+        rate_hint="Times are seconds since the start of the capture. Cut a longer capture into several sessions.",
+    )
+    if all(frames.values()):
+        problems += clock_problems(times, 0.0, rate_hz, source)
+    if problems:
+        return times, None
+    end_s = max(float(camera_times.time_s[-1]) for camera_times in times.values())
+    return times, Timebase(0.0, rate_hz, round(end_s * rate_hz) + 1)
+
+
+def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]] | None:
+    """Read times in seconds by camera and frame number; rows of unknown cameras are ignored.
+
+    Returns ``None`` and adds a problem if a row is invalid.
+    """
+    times_s: dict[str, dict[int, float]] = {camera: {} for camera in cameras}
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.DictReader(file)
+            for row in rows:
+                _add_row(row, rows.line_num, times_s)
+    except _LateError as error:
+        problems.append(Problem("timestamps_start", str(error), file=path.name, hint=_START_HINT))
+    except _InvalidError as error:
+        problems.append(Problem("timestamps_invalid", str(error), file=path.name))
+    except FileNotFoundError:
+        problems.append(Problem("timestamps_invalid", "The file does not exist.", file=path.name))
+    except (OSError, ValueError, csv.Error):
+        problems.append(Problem("timestamps_invalid", "The file can't be read as CSV.", file=path.name))
+    else:
+        return times_s
+    return None
+
+
+def _add_row(row: Mapping[str, str], line: int, times_s: Mapping[str, dict[int, float]]) -> None:
+    if not {"camera", "frame", "time_s"} <= row.keys():
+        raise _InvalidError("The file needs the columns camera, frame and time_s.")
+    if row["camera"] not in times_s:
+        return
+    try:
+        frame, time_s = int(row["frame"]), float(row["time_s"])
+    except (TypeError, ValueError):
+        raise _InvalidError(f"Line {line} has no valid frame number and time.") from None
+    if TIME_S.high < time_s < math.inf:  # usually seconds since 1970
+        raise _LateError(f"Times must count from 0; the time in line {line} is not {TIME_S}.")
+    if not TIME_S.holds(time_s):
+        raise _InvalidError(f"The time in line {line} is not {TIME_S}.")
+    if frame in times_s[row["camera"]]:
+        raise _InvalidError(f"Line {line} gives frame {frame} of {row['camera']} a second time.")
+    times_s[row["camera"]][frame] = time_s
