@@ -3,46 +3,92 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
-from pipeline.calibration import json_formats, qca, toml_format
-from pipeline.data import Camera, read_only
+from defusedxml.ElementTree import fromstring
+
+from pipeline.calibration.contents import UNITS_M, Contents, Units, scaled
+from pipeline.calibration.readers import archive, colmap, json_formats, opencv, qca, toml_format, vicon
+from pipeline.calibration.readers.file_storage import read_xml, read_yaml
+from pipeline.capture.parsing import UnreadableError, parse
+from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
-from pipeline.geometry.rigid import Rigid3
 
-Units = Literal["m", "cm", "mm"]
-
-UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+Reader = Callable[[bytes, str], Contents]
 
 # 128 cameras take about 200 kB in the most verbose format.
 MAX_BYTES = 4 * 2**20
 
-_BY_ENDING: Mapping[str, Callable[[bytes, str], tuple[Camera, ...]]] = {
+SUPPORTED = (
+    "Use Qualisys QCA, Vicon XCP, TOML (Caliscope, anipose, Pose2Sim, FreeMoCap), JSON, OpenCV's YAML or XML, "
+    "EasyMocap, COLMAP, CMU Panoptic, VoxelPose or bioCV."
+)
+
+
+def _read_yaml(content: bytes, file: str) -> Contents:
+    return _read_file_storage(read_yaml, content, file)
+
+
+def _read_xml(content: bytes, file: str) -> Contents:
+    """Read XML by its root element; Qualisys QCA if the file is not XML, so that its reader reports the problem."""
+    try:
+        root = parse(fromstring, content).tag
+    except UnreadableError:
+        root = ""
+    if root == "opencv_storage":
+        return _read_file_storage(read_xml, content, file)
+    return vicon.read(content, file) if root == vicon.ROOT else qca.read(content, file)
+
+
+def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> Contents:
+    try:
+        found = opencv.read_fields(parser(content), file)
+    except UnreadableError as error:
+        message = "The file is damaged, or not as OpenCV writes it."
+        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+    if found is None:
+        message = "The file has no camera: a camera matrix, with a rotation and a translation."
+        raise InputError(
+            [Problem("calibration_empty", message, file=file, hint="Send a zip of the files of all cameras.")]
+        )
+    return found
+
+
+_BY_ENDING: Mapping[str, Reader] = {
     ".toml": toml_format.read,
     ".json": json_formats.read,
-    ".xml": qca.read,
+    ".xml": _read_xml,
     ".qca": qca.read,
+    ".xcp": vicon.read,
+    ".yml": _read_yaml,
+    ".yaml": _read_yaml,
+    ".zip": archive.read,
+}
+_BY_START: Mapping[bytes, Reader] = {
+    b"PK\x03\x04": archive.read,
+    b"%YAML": _read_yaml,
+    b"<": _read_xml,
+    b"{": json_formats.read,
 }
 
 
-def _reader(name: str, content: bytes) -> Callable[[bytes, str], tuple[Camera, ...]] | None:
-    """Choose the reader by the file's ending, or by its first character (Qualisys names XML files ``.txt``)."""
-    head = content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
-    return _BY_ENDING.get(Path(name).suffix.lower()) or {b"<": qca.read, b"{": json_formats.read}.get(head)
-
-
-def _has_known_unit(reader: Callable[[bytes, str], tuple[Camera, ...]], content: bytes) -> bool:
-    """Return whether the format determines the unit: millimetres of Qualisys, metres of ``translation_m``."""
-    return reader is qca.read or (reader is json_formats.read and b'"translation_m"' in content)
-
-
-def _scaled(camera: Camera, unit_m: float) -> Camera:
-    moved = Rigid3(camera.cam_from_world.rotation, read_only(camera.cam_from_world.translation_m * unit_m))
-    return replace(camera, cam_from_world=moved)
+def _reader(name: str, content: bytes) -> Reader | None:
+    """Choose the reader by the file's ending, or by its contents (Qualisys names XML files ``.txt``)."""
+    by_ending = _BY_ENDING.get(Path(name).suffix.lower())
+    if by_ending is not None:
+        return by_ending
+    if colmap.is_text(content):
+        return colmap.read
+    head = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+    return next((reader for start, reader in _BY_START.items() if head.startswith(start)), None)
 
 
 def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
-    """Read cameras from a file in any supported format.
+    """Read cameras from a file in any supported format; see ``read_contents``."""
+    return read_contents(path, units).cameras
+
+
+def read_contents(path: Path, units: Units = "m") -> Contents:
+    """Read a file in any supported format.
 
     Parameters
     ----------
@@ -51,7 +97,8 @@ def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
 
     Returns
     -------
-        Cameras in the order of the file, with lengths in metres.
+        Cameras in the order of the file, with lengths in metres, and what the format says of units and axes. Formats
+        without sizes of pictures give ``UNKNOWN_SIZE``.
 
     Raises
     ------
@@ -81,13 +128,15 @@ def read_calibration(path: Path, units: Units = "m") -> tuple[Camera, ...]:
         raise refuse(
             "calibration_format",
             "The format of the calibration file is not supported.",
-            "Use Qualisys QCA (XML), Caliscope/anipose TOML, or JSON.",
+            SUPPORTED,
         )
-    cameras = reader(content, file)
-    if units == "m":
-        return cameras
-    if _has_known_unit(reader, content):
+    contents = reader(content, file)
+    if contents.unit is None:
+        return replace(contents, cameras=tuple(scaled(camera, UNITS_M[units]) for camera in contents.cameras))
+    if units not in ("m", contents.unit):
         raise refuse(
-            "calibration_units", f"The format determines the unit of lengths; it is not {units}.", "Omit the units."
+            "calibration_units",
+            f"The format determines the unit of lengths, {contents.unit}; it is not {units}.",
+            "Omit the units.",
         )
-    return tuple(_scaled(camera, UNITS_M[units]) for camera in cameras)
+    return contents

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.capture.parsing import UnreadableError, read_numbers
 from pipeline.capture.quantities import (
     DISTORTION,
@@ -22,7 +23,9 @@ from pipeline.geometry.rigid import Rigid3
 
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64
-_DISTORTION_LENGTHS = (0, 4, 5, 8, 12)
+_DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+# The last two of 14 coefficients tilt the sensor.
+_MAX_UNTILTED = 12
 # Files have 5 to 7 digits: a correct rotation is far within this tolerance, a mistake far outside.
 _ROTATION_TOLERANCE = 1e-3
 
@@ -36,7 +39,7 @@ class RawCamera:
     name, section
         Name of the camera, and name of its section in the file.
     size_px
-        Width and height of the picture.
+        Width and height of the picture; ``UNKNOWN_SIZE``: the format does not contain them.
     matrix
         Camera matrix K, 3 x 3.
     distortion
@@ -149,6 +152,13 @@ def build_cameras(raw: Sequence[RawCamera], file: str, earlier: Sequence[Problem
     return tuple(cameras)
 
 
+def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> list[Problem]:
+    if distortion is None or not distortion[_MAX_UNTILTED:].any():
+        return []
+    message = "A tilted sensor, coefficients 13 and 14 of the distortion, is not supported."
+    return [Problem("unsupported_lens", message, file=file, camera=camera, field="distortion")]
+
+
 def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
     problems: list[Problem] = []
     fault = _name_problem(raw_camera.name)
@@ -172,7 +182,7 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
             complain(field, checked)
         else:
             values[field] = checked
-    if "size" in values and (message := _size_problem(values["size"])):
+    if "size" in values and raw_camera.size_px is not UNKNOWN_SIZE and (message := _size_problem(values["size"])):
         complain("size", message)
     if "matrix" in values and (message := _matrix_problem(values["matrix"])):
         complain("matrix", message)
@@ -182,6 +192,7 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
             complain("rotation", rotation)
         else:
             values["rotation"] = rotation
+    problems += _tilt_problems(values.get("distortion"), file, label)
     for field, plausible in (("distortion", DISTORTION), ("translation", TRANSLATION)):
         if field in values and not plausible.holds(values[field]):
             complain(field, f"has a number that is not {plausible}.")
@@ -192,7 +203,7 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
             name=raw_camera.name,
             size_px=(int(values["size"][0]), int(values["size"][1])),
             matrix=read_only(values["matrix"]),
-            distortion=read_only(values["distortion"]),
+            distortion=read_only(values["distortion"][:_MAX_UNTILTED].copy()),
             cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
             section=raw_camera.section,
         ),

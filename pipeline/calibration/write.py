@@ -1,9 +1,13 @@
-"""Write cameras in Multicap's own JSON format, which ``registry.read_calibration`` reads."""
+"""Write cameras: Multicap's own JSON, Caliscope's TOML, OpenCV's YAML; ``registry`` reads all of them."""
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-from pipeline.calibration.json_formats import SCHEMA_VERSION
+from scipy.spatial.transform import Rotation
+
+from pipeline.calibration.readers.json_formats import SCHEMA_VERSION
 from pipeline.data import Camera
 
 
@@ -24,3 +28,73 @@ def encode(cameras: Sequence[Camera]) -> bytes:
         ],
     }
     return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
+def encode_toml(cameras: Sequence[Camera]) -> bytes:
+    """Encode cameras as Caliscope and anipose write them, in metres; the sections are ``cam_0``, ``cam_1``, ..."""
+    return "\n".join(_section(number, camera) for number, camera in enumerate(cameras)).encode()
+
+
+def encode_opencv(cameras: Sequence[Camera]) -> bytes:
+    """Encode cameras as YAML of OpenCV's FileStorage: a mapping of cameras, in metres."""
+    return "\n".join(["%YAML:1.0", "---", *(_mapping(camera) for camera in cameras), ""]).encode()
+
+
+ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = {
+    ".json": encode,
+    ".toml": encode_toml,
+    ".yml": encode_opencv,
+    ".yaml": encode_opencv,
+}
+"""Encoder by the ending of the file."""
+
+
+# Names that OpenCV itself reads; it reads no other names, with or without quotes.
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def _rotation_vector(camera: Camera) -> list[float]:
+    vector: list[float] = Rotation.from_matrix(camera.cam_from_world.rotation).as_rotvec().tolist()
+    return vector
+
+
+def _section(number: int, camera: Camera) -> str:
+    fields: dict[str, Any] = {
+        "name": camera.name,
+        "size": list(camera.size_px),
+        "matrix": camera.matrix.tolist(),
+        "distortions": camera.distortion.tolist(),
+        "rotation": _rotation_vector(camera),
+        "translation": camera.cam_from_world.translation_m.tolist(),
+        "fisheye": False,
+    }
+    # JSON's texts, numbers and lists are TOML's, too.
+    return "\n".join([f"[cam_{number}]", *(f"{name} = {json.dumps(value)}" for name, value in fields.items()), ""])
+
+
+def _mapping(camera: Camera) -> str:
+    vectors = {
+        "distortion_coefficients": camera.distortion.tolist(),
+        "rvec": _rotation_vector(camera),
+        "tvec": camera.cam_from_world.translation_m.tolist(),
+    }
+    lines = [
+        f"{camera.name if _PLAIN.fullmatch(camera.name) else json.dumps(camera.name)}:",
+        f"   image_width: {camera.size_px[0]}",
+        f"   image_height: {camera.size_px[1]}",
+        *_matrix("camera_matrix", camera.matrix.tolist()),
+    ]
+    for name, numbers in vectors.items():
+        lines += _matrix(name, [[number] for number in numbers]) if numbers else []
+    return "\n".join(lines)
+
+
+def _matrix(name: str, rows: list[list[float]]) -> list[str]:
+    data = ", ".join(repr(number) for row in rows for number in row)
+    return [
+        f"   {name}: !!opencv-matrix",
+        f"      rows: {len(rows)}",
+        f"      cols: {len(rows[0])}",
+        "      dt: d",
+        f"      data: [ {data} ]",
+    ]

@@ -1,24 +1,34 @@
-"""Caliscope / anipose calibration (TOML): one section a camera, ``x = K (R X + t)``, metres, Rodrigues rotation."""
+"""Calibration of Caliscope, anipose, Pose2Sim and FreeMoCap (TOML): one section a camera, Rodrigues rotation.
 
+``x = K (R X + t)``. FreeMoCap's lengths are millimetres; the unit of the others is that of the board.
+"""
+
+import math
 import tomllib
+from collections.abc import Mapping
 from itertools import islice
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.readers.rotations import rodrigues_matrix
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
-from pipeline.capture.parsing import UnreadableError, parse, read_numbers
+from pipeline.capture.parsing import UnreadableError, parse
 from pipeline.capture.quantities import ROTATION_VECTOR_RAD
-from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
+# Fields of newer FreeMoCap: the same extrinsics once more.
+_FREEMOCAP_FIELDS = frozenset({"world_position", "world_orientation"})
+_FREEMOCAP_METADATA = frozenset({"charuco_square_size", "groundplane_calibration", "path_to_recorded_videos"})
+# FreeMoCap's older default is a board of squares of length 1: lengths are then in squares.
+_MIN_SQUARE_MM = 2.0
 # Sections that are not cameras.
 _IGNORED = frozenset({"metadata"})
 
 
-def read(content: bytes, file: str) -> tuple[Camera, ...]:
+def read(content: bytes, file: str) -> Contents:
     """Read the cameras of a TOML file; ``InputError`` lists all its problems."""
     try:
         sections = parse(_loads, content)
@@ -29,7 +39,17 @@ def read(content: bytes, file: str) -> tuple[Camera, ...]:
     cameras = ((name, section) for name, section in sections.items() if name not in _IGNORED)
     # One camera above the limit suffices to report that there are too many.
     raw = [_raw(name, section, file, problems) for name, section in islice(cameras, MAX_CAMERAS + 1)]
-    return build_cameras(raw, file, problems)
+    built = build_cameras(raw, file, problems)
+    return in_metres("FreeMoCap TOML", built, "mm") if _is_freemocap(sections) else Contents("TOML", built, None)
+
+
+def _is_freemocap(sections: Mapping[str, Any]) -> bool:
+    """Return whether FreeMoCap wrote the file, with a board whose squares it knows in millimetres."""
+    metadata = sections.get("metadata")
+    if not isinstance(metadata, dict) or not metadata.keys() & _FREEMOCAP_METADATA:
+        return False
+    square = metadata.get("charuco_square_size", math.inf)
+    return isinstance(square, (int, float)) and square >= _MIN_SQUARE_MM
 
 
 def _loads(content: bytes) -> dict[str, Any]:
@@ -41,7 +61,7 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
         problems.extend(unknown_fields([section_name], frozenset(), file, None))
         section = {}
     name = section.get("name", section_name)
-    problems.extend(unknown_fields(section, _KNOWN, file, str(name)))
+    problems.extend(unknown_fields(section, _KNOWN | _FREEMOCAP_FIELDS, file, str(name)))
     if section.get("fisheye", False) is not False:
         problems.append(
             Problem(
@@ -54,7 +74,7 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
             )
         )
     try:
-        rotation = _rotation_matrix(section.get("rotation"))
+        rotation = rodrigues_matrix(section.get("rotation"))
     except UnreadableError:
         message = f"The rotation must be a Rodrigues vector: 3 numbers from {ROTATION_VECTOR_RAD}."
         problems.append(Problem("invalid_rotation", message, file=file, camera=str(name), field="rotation"))
@@ -68,13 +88,3 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
         translation_m=section.get("translation"),
         section=section_name,
     )
-
-
-def _rotation_matrix(rodrigues: Any) -> np.ndarray | None:
-    """Matrix of a Rodrigues vector, ``None`` if it is missing; raises ``UnreadableError`` for other values."""
-    if rodrigues is None:
-        return None
-    vector = read_numbers(rodrigues)
-    if vector.shape != (3,) or not ROTATION_VECTOR_RAD.holds(vector):
-        raise UnreadableError
-    return Rotation.from_rotvec(vector).as_matrix()

@@ -1,11 +1,13 @@
-"""Calibration in JSON: Multicap's own format, and that of benchmark conversions (``K``, ``R``, ``t``, ``dist``)."""
+"""Calibration in JSON: Multicap's own format, benchmark conversions (``K``, ``R``, ``t``, ``dist``), other programs."""
 
 from collections.abc import Mapping
 from typing import Any
 
+from pipeline.calibration.contents import Contents
+from pipeline.calibration.readers import json_datasets, opencv
+from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
-from pipeline.capture.parsing import UnreadableError, read_json
-from pipeline.data import Camera
+from pipeline.capture.parsing import UnreadableError, read_unique_json
 from pipeline.errors import InputError, Problem
 
 SCHEMA_VERSION = 1
@@ -14,14 +16,24 @@ _OWN = frozenset({"name", "size_px", "matrix", "distortion", "rotation", "transl
 _SHORT = frozenset({"name", "width", "height", "K", "R", "t", "dist"})
 
 
-def read(content: bytes, file: str) -> tuple[Camera, ...]:
+def read(content: bytes, file: str) -> Contents:
     """Read the cameras of a JSON file; ``InputError`` lists all its problems."""
     try:
-        document = read_json(content)
+        document = read_unique_json(content)
+        found = _read_other(document, file) if isinstance(document, dict) else None
     except UnreadableError as error:
         raise InputError(
-            [Problem("calibration_unreadable", "The file is not valid JSON.", file=file, hint="Export it again.")]
+            [
+                Problem(
+                    "calibration_unreadable",
+                    "The file is not valid JSON, or repeats a key.",
+                    file=file,
+                    hint="Export it again.",
+                )
+            ]
         ) from error
+    if found is not None:
+        return found
     listed = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(listed, list) or not all(isinstance(camera, dict) for camera in listed):
         raise InputError(
@@ -38,7 +50,17 @@ def read(content: bytes, file: str) -> tuple[Camera, ...]:
     known, raw = (_SHORT, _raw_short) if short else (_OWN, _raw_own)
     for camera in listed:
         problems.extend(unknown_fields(camera, known, file, str(camera.get("name"))))
-    return build_cameras([raw(camera) for camera in listed], file, problems)
+    cameras = build_cameras([raw(camera) for camera in listed], file, problems)
+    return Contents("JSON with K, R and t", cameras, None) if short else Contents("Multicap JSON", cameras, "m")
+
+
+def _read_other(document: dict[str, Any], file: str) -> Contents | None:
+    """Read the formats of other programs, ``None`` for files that are not theirs."""
+    listed = document.get("cameras")
+    if "schema_version" in document or (isinstance(listed, list) and not json_datasets.is_panoptic(listed)):
+        return None
+    found = json_datasets.read_document(document, file)
+    return opencv.read_fields(with_matrices(document), file) if found is None else found
 
 
 def _raw_own(camera: Mapping[str, Any]) -> RawCamera:

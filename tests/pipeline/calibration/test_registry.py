@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.registry import MAX_BYTES, Units, read_calibration
+from pipeline.calibration.contents import Units
+from pipeline.calibration.registry import MAX_BYTES, read_calibration
 from pipeline.calibration.write import encode
 from pipeline.data import Camera
 from pipeline.errors import InputError
@@ -282,6 +283,11 @@ def test_qca_with_missing_numbers(tmp_path: Path) -> None:
         ("cut.json", b'{"cameras": [', "calibration_unreadable"),
         ("list.json", b"[1, 2]", "calibration_unreadable"),
         ("deep.json", b"[" * 100_000, "calibration_unreadable"),
+        ("twice.json", b'{"schema_version": 1, "cameras": [], "cameras": []}', "calibration_unreadable"),
+        ("cut.yml", b"%YAML:1.0\n---\na: [1", "calibration_unreadable"),
+        ("nothing.yml", b"%YAML:1.0\n---\na: 1\n", "calibration_empty"),
+        ("nothing.xml", b"<opencv_storage><a>1</a></opencv_storage>", "calibration_empty"),
+        ("cut.zip", b"PK\x03\x04", "calibration_unreadable"),
         ("cut.toml", b"[cam", "calibration_unreadable"),
         ("binary.toml", b"\xff\xfe\x00", "calibration_unreadable"),
         ("empty.toml", b"", "calibration_empty"),

@@ -1,7 +1,8 @@
 """Qualisys QCA calibration (XML).
 
-Intrinsics are in 1/64 pixel, lengths in millimetres. The transform holds the camera's centre c and its orientation R
-with y up and z backwards: ``x_cv = diag(1, -1, -1) R (x - c)``.
+Intrinsics are in 1/64 pixel of the sensor, lengths in millimetres. The video is the part ``fov_video`` of the sensor.
+The transform holds the camera's centre c and its orientation R with y up and z backwards:
+``x_cv = diag(1, -1, -1) R (x - c)``.
 """
 
 import math
@@ -11,10 +12,10 @@ from typing import Any
 import numpy as np
 from defusedxml.ElementTree import fromstring
 
+from pipeline.calibration.contents import Contents, in_metres
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.capture.parsing import UnreadableError, parse
 from pipeline.capture.quantities import Quantity
-from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
 
 _SUBPIXELS = 64.0
@@ -23,7 +24,7 @@ _NUMBER = Quantity(-1e9, 1e9, "")
 _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 
 
-def read(content: bytes, file: str) -> tuple[Camera, ...]:
+def read(content: bytes, file: str) -> Contents:
     """Read the cameras of a QCA file; ``InputError`` lists all its problems."""
     try:
         root = parse(fromstring, content)
@@ -35,7 +36,7 @@ def read(content: bytes, file: str) -> tuple[Camera, ...]:
     # One camera above the limit suffices to report that there are too many.
     elements = islice(root.iterfind("./cameras/camera"), MAX_CAMERAS + 1)
     raw = [_raw(element, file, problems) for element in elements]
-    return build_cameras(raw, file, problems)
+    return in_metres("Qualisys QCA", build_cameras(raw, file, problems), "mm", axes="Z up, as Qualisys calibrates")
 
 
 def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
@@ -65,17 +66,18 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
             )
         )
     rotation = np.array([[number("transform", f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)])
-    center_m = np.array([number("transform", axis) for axis in "xyz"]) / 1000.0
+    center_mm = np.array([number("transform", axis) for axis in "xyz"])
     cv_from_world = _CV_FROM_QUALISYS @ rotation
+    left, top = number("fov_video", "left"), number("fov_video", "top")
     return RawCamera(
         name=name,
         size_px=[
-            number("fov_video", "right") - number("fov_video", "left") + 1,
-            number("fov_video", "bottom") - number("fov_video", "top") + 1,
+            number("fov_video", "right") - left + 1,
+            number("fov_video", "bottom") - top + 1,
         ],
         matrix=[
-            [intrinsic("focalLengthU") / _SUBPIXELS, 0.0, intrinsic("centerPointU") / _SUBPIXELS],
-            [0.0, intrinsic("focalLengthV") / _SUBPIXELS, intrinsic("centerPointV") / _SUBPIXELS],
+            [intrinsic("focalLengthU") / _SUBPIXELS, 0.0, intrinsic("centerPointU") / _SUBPIXELS - left],
+            [0.0, intrinsic("focalLengthV") / _SUBPIXELS, intrinsic("centerPointV") / _SUBPIXELS - top],
             [0.0, 0.0, 1.0],
         ],
         distortion=[
@@ -90,5 +92,5 @@ def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
             )
         ],
         rotation=cv_from_world,
-        translation_m=-cv_from_world @ center_m,
+        translation_m=-cv_from_world @ center_mm,
     )

@@ -1,0 +1,129 @@
+"""`multicap calibration`: show and convert calibration files."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from api.cli.console import console, emit, print_table, reporting, warn
+from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, Contents, Units
+from pipeline.calibration.registry import read_contents
+from pipeline.calibration.write import ENCODERS
+from pipeline.data import Camera
+from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.geometry.camera import center_in_world
+
+app = typer.Typer(help="Calibration files: show, convert.", no_args_is_help=True)
+
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
+UnitsOption = Annotated[
+    str, typer.Option("--units", metavar="|".join(UNITS_M), help="Unit of lengths, if the format does not state it.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+
+
+@app.callback()
+def _group() -> None:
+    """Calibration files: show, convert."""
+
+
+@app.command()
+def show(file: FileArgument, units: UnitsOption = "m", as_json: JsonOption = False) -> None:
+    """Show the format, the unit and the cameras of a calibration."""
+    with reporting(as_json):
+        contents = _read(file, units)
+    if as_json:
+        emit(_document(contents, units))
+        return
+    _show_statement(contents, units)
+    print_table(
+        ("camera", "size", "focal length", "principal point", "distortion", "position"),
+        ([*_cells(camera)] for camera in contents.cameras),
+    )
+
+
+@app.command()
+def convert(
+    file: FileArgument,
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"File to write: {', '.join(ENCODERS)}.")],
+    units: UnitsOption = "m",
+    as_json: JsonOption = False,
+) -> None:
+    """Write a calibration as Multicap's JSON, Caliscope's TOML or OpenCV's YAML, in metres."""
+    with reporting(as_json):
+        contents = _read(file, units)
+        problems = [_unsized(file, camera) for camera in contents.cameras if camera.size_px == UNKNOWN_SIZE]
+        if target.suffix.lower() not in ENCODERS:
+            hint = f"Use one of {', '.join(ENCODERS)}."
+            problems.append(Problem("calibration_format", "This ending is not supported.", file=target.name, hint=hint))
+        if problems:
+            raise InputError(problems)
+        _write(target, ENCODERS[target.suffix.lower()](contents.cameras))
+    if as_json:
+        emit(_document(contents, units) | {"file": str(target)})
+        return
+    _show_statement(contents, units)
+    console.print(f"{len(contents.cameras)} cameras in {target}")
+
+
+def _read(file: Path, units: str) -> Contents:
+    if units not in UNITS_M:
+        raise InputError([Problem("calibration_units", f"--units must be one of {', '.join(UNITS_M)}.")])
+    known: Units = next(unit for unit in UNITS_M if unit == units)
+    return read_contents(file, known)
+
+
+def _write(target: Path, content: bytes) -> None:
+    try:
+        target.write_bytes(content)
+    except OSError as error:
+        raise PipelineError(f"{target.name} can't be written: {error.strerror}.") from error
+
+
+def _unsized(file: Path, camera: Camera) -> Problem:
+    message = "The calibration does not contain the size of the picture."
+    return Problem("invalid_size", message, file=file.name, camera=camera.name, field="size")
+
+
+def _show_statement(contents: Contents, units: str) -> None:
+    unit = f"{contents.unit}, by the format" if contents.unit else f"{units}, as stated by --units"
+    console.print(f"{contents.format}; lengths in the file: {unit}; axes: {contents.axes}")
+    for note in contents.notes:
+        warn(note)
+
+
+def _cells(camera: Camera) -> list[str]:
+    width, height = camera.size_px
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    position = ", ".join(f"{value:.3f}" for value in center_in_world(camera))
+    return [
+        camera.name,
+        "unknown" if camera.size_px == UNKNOWN_SIZE else f"{width} x {height}",
+        f"{fx:.1f}, {fy:.1f} px",
+        f"{cx:.1f}, {cy:.1f} px",
+        " ".join(f"{value:.4g}" for value in camera.distortion),
+        f"{position} m",
+    ]
+
+
+def _document(contents: Contents, units: str) -> dict[str, Any]:
+    return {
+        "format": contents.format,
+        "units": contents.unit or units,
+        "axes": contents.axes,
+        "notes": list(contents.notes),
+        "cameras": [
+            {
+                "name": camera.name,
+                "size_px": None if camera.size_px == UNKNOWN_SIZE else list(camera.size_px),
+                "matrix": camera.matrix.tolist(),
+                "distortion": camera.distortion.tolist(),
+                "rotation": camera.cam_from_world.rotation.tolist(),
+                "translation_m": camera.cam_from_world.translation_m.tolist(),
+                "position_m": np.round(center_in_world(camera), 6).tolist(),
+            }
+            for camera in contents.cameras
+        ],
+    }

@@ -1,0 +1,51 @@
+"""Contents of a calibration file: cameras, and what the format says of lengths and axes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from pipeline.data import Camera, read_only
+from pipeline.geometry.rigid import Rigid3
+
+Units = Literal["m", "cm", "mm"]
+
+UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+UNKNOWN_SIZE = (0, 0)
+"""Size of a camera's picture in formats that don't contain it; the video's size takes its place."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contents:
+    """Cameras of a file.
+
+    Parameters
+    ----------
+    format
+        Name of the format for users.
+    cameras
+        Cameras; their lengths are metres if the format determines the unit, else in the file's unit.
+    unit
+        Unit of lengths in the file; ``None``: the format does not determine it.
+    axes
+        Axes of the file's world.
+    notes
+        Sentences for the user on what was assumed or left out.
+    """
+
+    format: str
+    cameras: tuple[Camera, ...]
+    unit: Units | None
+    axes: str = "as calibrated; Z must point up"
+    notes: tuple[str, ...] = ()
+
+
+def scaled(camera: Camera, factor: float) -> Camera:
+    """Multiply the lengths of a camera's extrinsics."""
+    pose = camera.cam_from_world
+    return replace(camera, cam_from_world=Rigid3(pose.rotation, read_only(pose.translation_m * factor)))
+
+
+def in_metres(format_name: str, cameras: Sequence[Camera], unit: Units, **statements: Any) -> Contents:
+    """Build the contents of a format that determines its unit, from cameras in this unit."""
+    return Contents(format_name, tuple(scaled(camera, UNITS_M[unit]) for camera in cameras), unit, **statements)

@@ -1,0 +1,1 @@
+"""Readers of calibration formats: one module a format, or a family of formats."""

@@ -1,0 +1,99 @@
+"""Calibrations of several files, in a zip: EasyMocap, COLMAP, bioCV, and OpenCV with a file a camera."""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+from typing import Any
+
+from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.readers import colmap, opencv
+from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.capture.parsing import UnreadableError, parse
+from pipeline.errors import InputError, Problem
+
+_MAX_ENTRIES = 2 * MAX_CAMERAS
+_MAX_UNPACKED_BYTES = 16 * 2**20
+_PARSERS = {".yml": read_yaml, ".yaml": read_yaml, ".xml": read_xml, ".json": read_object}
+# Numbers of a bioCV file: width, height, K, a transform of 4 x 4, and at least 4 distortion coefficients.
+_MIN_BIOCV_NUMBERS = 2 + 9 + 16 + 4
+
+
+def read(content: bytes, file: str) -> Contents:
+    """Read the cameras of a zip; ``InputError`` lists all its problems."""
+    try:
+        members = parse(_unpack, content)
+        found = _read_members(members, file)
+    except UnreadableError as error:
+        message = "The archive, or a file in it, is damaged, not in its format, or too large."
+        raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
+    if found is None:
+        message = "The archive has no calibration of a supported format."
+        hint = "Pack intri.yml and extri.yml, cameras.txt and images.txt, or a file of OpenCV or bioCV for each camera."
+        raise InputError([Problem("calibration_format", message, file=file, hint=hint)])
+    return found
+
+
+def _unpack(content: bytes) -> dict[str, bytes]:
+    """Read all files by their base names; hidden files and those of other endings are left out."""
+    members: dict[str, bytes] = {}
+    left = _MAX_UNPACKED_BYTES
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        entries = archive.infolist()
+        if len(entries) > _MAX_ENTRIES:
+            raise UnreadableError
+        for entry in entries:
+            name = PurePosixPath(entry.filename).name
+            if entry.is_dir() or name.startswith("."):
+                continue
+            with archive.open(entry) as member:
+                members[name] = member.read(left + 1)
+            left -= len(members[name])
+            if left < 0:
+                raise UnreadableError
+    return members
+
+
+def _read_members(members: Mapping[str, bytes], file: str) -> Contents | None:
+    if {"intri.yml", "extri.yml"} <= members.keys():
+        return opencv.read_fields(read_yaml(members["intri.yml"]) | _without_names(members["extri.yml"]), file)
+    if {"cameras.txt", "images.txt"} <= members.keys():
+        cameras_text, images_text = (members[name].decode("utf-8", "replace") for name in ("cameras.txt", "images.txt"))
+        return colmap.read_parts(cameras_text, images_text, file)
+    stems = {name: PurePosixPath(name) for name in sorted(members)}
+    biocv = {path.stem: members[name] for name, path in stems.items() if path.suffix == ".calib"}
+    if biocv:
+        raw = [_raw_biocv(name, content) for name, content in biocv.items()]
+        return in_metres("bioCV", build_cameras(raw, file), "mm")
+    parsed = {
+        path.stem: _PARSERS[path.suffix](members[name]) for name, path in stems.items() if path.suffix in _PARSERS
+    }
+    rig = {name: fields for name, fields in parsed.items() if opencv.is_camera(fields)}
+    return opencv.read_fields({"cameras": rig}, file) if rig else None
+
+
+def _without_names(content: bytes) -> dict[str, Any]:
+    return {key: value for key, value in read_yaml(content).items() if key != "names"}
+
+
+def _raw_biocv(name: str, content: bytes) -> RawCamera:
+    """Camera of a file with width, height, K, the transform from world to camera (4 x 4), and the distortion."""
+    numbers = parse(_floats, content)
+    if len(numbers) < _MIN_BIOCV_NUMBERS:
+        raise UnreadableError
+    transform = [numbers[11 + 4 * row : 15 + 4 * row] for row in range(4)]
+    if transform[3] != [0.0, 0.0, 0.0, 1.0]:
+        raise UnreadableError
+    return RawCamera(
+        name=name,
+        size_px=numbers[:2],
+        matrix=[numbers[2 + 3 * row : 5 + 3 * row] for row in range(3)],
+        distortion=numbers[27:],
+        rotation=[row[:3] for row in transform[:3]],
+        translation_m=[row[3] for row in transform[:3]],
+    )
+
+
+def _floats(content: bytes) -> list[float]:
+    return [float(word) for word in content.decode("ascii").split()]

@@ -1,0 +1,129 @@
+"""Calibrations of data sets in JSON: CMU Panoptic, and VoxelPose's files of Shelf and Campus.
+
+Panoptic: ``x = K (R X + t)``, centimetres, the world's y axis points down. VoxelPose: ``x = K R (X - T)``, so T is the
+camera's centre, millimetres, no picture sizes.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.calibration.contents import UNKNOWN_SIZE, Contents, in_metres
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.capture.parsing import UnreadableError, read_numbers
+
+_PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
+_VOXELPOSE = frozenset({"R", "T", "fx", "fy", "cx", "cy", "k", "p"})
+# Starts of the names of video files, by the type of camera.
+_VIDEOS = {"hd": "hd", "vga": "vga", "kinect-color": "kinect"}
+# From a world with z up to Panoptic's, whose y points down.
+_PANOPTIC_FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def is_panoptic(listed: Sequence[Any]) -> bool:
+    """Return whether all cameras of a list have Panoptic's fields."""
+    return bool(listed) and all(isinstance(camera, dict) and camera.keys() >= _PANOPTIC for camera in listed)
+
+
+def read_document(document: Mapping[str, Any], file: str) -> Contents | None:
+    """Read a JSON object of one of these data sets; ``None`` if it is of neither.
+
+    Raises
+    ------
+    InputError
+        With all problems of all cameras.
+    """
+    listed = document.get("cameras")
+    if isinstance(listed, list) and is_panoptic(listed):
+        return _read_panoptic(listed, file)
+    if document and all(isinstance(camera, dict) and camera.keys() >= _VOXELPOSE for camera in document.values()):
+        # One camera above the limit suffices to report that there are too many.
+        raw = [_raw_voxelpose(name, camera) for name, camera in list(document.items())[: MAX_CAMERAS + 1]]
+        return in_metres("VoxelPose JSON", build_cameras(raw, file), "mm")
+    return None
+
+
+def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> Contents:
+    notes: tuple[str, ...] = ()
+    if len(listed) > MAX_CAMERAS:
+        chosen = [camera for camera in listed if camera.get("type") != "vga"]
+        notes = (
+            f"{len(listed) - len(chosen)} VGA cameras of {file} are left out: there are over {MAX_CAMERAS} cameras.",
+        )
+        listed = chosen[: MAX_CAMERAS + 1]
+    cameras = build_cameras([_raw_panoptic(camera) for camera in listed], file)
+    return in_metres("CMU Panoptic JSON", cameras, "cm", axes="y down, turned to Z up", notes=notes)
+
+
+def _raw_panoptic(camera: Mapping[str, Any]) -> RawCamera:
+    name = camera.get("name")
+    kind = _VIDEOS.get(str(camera.get("type")))
+    return RawCamera(
+        name=name,
+        size_px=camera["resolution"],
+        matrix=camera["K"],
+        distortion=_column(camera["distCoef"]),
+        rotation=_product(camera["R"], _PANOPTIC_FROM_UPRIGHT),
+        translation_m=_column(camera["t"]),
+        section=f"{kind}_{name}" if kind else "",
+    )
+
+
+def _raw_voxelpose(name: str, camera: Mapping[str, Any]) -> RawCamera:
+    try:
+        radial, tangential = (_row(camera[key]) for key in ("k", "p"))
+        distortion: Any = [*radial[:2], *tangential, *radial[2:]]
+    except UnreadableError:
+        distortion = "unreadable"
+    return RawCamera(
+        name=name,
+        size_px=UNKNOWN_SIZE,
+        matrix=[[camera["fx"], 0.0, camera["cx"]], [0.0, camera["fy"], camera["cy"]], [0.0, 0.0, 1.0]],
+        distortion=distortion,
+        rotation=camera["R"],
+        translation_m=_from_centre(camera["R"], camera["T"]),
+        section=f"Camera{name}",
+    )
+
+
+def _row(value: Any) -> list[float]:
+    """Numbers of a row or a column; raises ``UnreadableError`` for other values."""
+    array = read_numbers(value)
+    if array.size != max(array.shape, default=0):
+        raise UnreadableError
+    return array.ravel().tolist()
+
+
+def _column(value: Any) -> Any:
+    """Numbers of a row or a column; other values are left to the checks."""
+    try:
+        return _row(value)
+    except UnreadableError:
+        return value
+
+
+def _product(rotation: Any, other: np.ndarray) -> Any:
+    """Product of two rotations; what is not a matrix of plausible numbers is left to the checks."""
+    try:
+        matrix = read_numbers(rotation)
+    except UnreadableError:
+        return rotation
+    return matrix @ other if matrix.shape == (3, 3) and (np.abs(matrix) < _MAX_ENTRY).all() else rotation
+
+
+def _from_centre(rotation: Any, centre: Any) -> Any:
+    """Translation ``-R c`` of a camera with centre c; what is malformed is left to the checks."""
+    try:
+        matrix, point = read_numbers(rotation), np.array(_row(centre))
+    except UnreadableError:
+        return centre
+    if point.shape != (3,):
+        return centre
+    if matrix.shape != (3, 3) or not (np.abs(matrix) < _MAX_ENTRY).all():
+        return [0.0, 0.0, 0.0]  # so that only the rotation is reported
+    return -matrix @ point if (np.abs(point) < _MAX_LENGTH).all() else centre
+
+
+# Bounds of numbers that are multiplied: a plausible rotation or position is far within.
+_MAX_ENTRY, _MAX_LENGTH = 10.0, 1e12

@@ -1,0 +1,109 @@
+"""CMU Panoptic and VoxelPose, in the form of the data sets' own files."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.contents import UNKNOWN_SIZE
+from pipeline.calibration.registry import read_contents
+from pipeline.data import Camera
+from pipeline.geometry.camera import center_in_world
+from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
+
+# Panoptic's world: y = -z, z = y.
+PANOPTIC_FROM_UPRIGHT = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def panoptic(one: Camera, kind: str = "hd") -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "type": kind,
+        "resolution": list(one.size_px),
+        "panel": 0,
+        "node": 1,
+        "K": one.matrix.tolist(),
+        "distCoef": one.distortion.tolist(),
+        "R": (one.cam_from_world.rotation @ PANOPTIC_FROM_UPRIGHT.T).tolist(),
+        "t": (100.0 * one.cam_from_world.translation_m).reshape(3, 1).tolist(),
+    }
+
+
+def write(path: Path, document: Any) -> Path:
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_panoptic_is_in_centimetres_with_y_down(tmp_path: Path) -> None:
+    document = {"calibDataSource": "160422_calib_norm", "cameras": [panoptic(one) for one in RIG]}
+    contents = read_contents(write(tmp_path / "calibration.json", document))
+    assert (contents.format, contents.unit, contents.notes) == ("CMU Panoptic JSON", "cm", ())
+    assert_rig(contents)
+    assert [one.section for one in contents.cameras] == ["hd_left", "hd_right"]
+
+
+def test_vga_cameras_of_the_whole_dome_are_left_out(tmp_path: Path) -> None:
+    vga = [panoptic(replace(RIG[0], name=f"{k:03}"), "vga") for k in range(480)]
+    contents = read_contents(write(tmp_path / "rig.json", {"cameras": [*vga, *(panoptic(one) for one in RIG)]}))
+    assert_rig(contents)
+    assert contents.notes == ("480 VGA cameras of rig.json are left out: there are over 128 cameras.",)
+
+
+def voxelpose(one: Camera) -> dict[str, Any]:
+    k1, k2, p1, p2, k3 = one.distortion.tolist()
+    return {
+        "R": one.cam_from_world.rotation.tolist(),
+        "T": (1000.0 * center_in_world(one)).reshape(3, 1).tolist(),
+        "fx": one.matrix[0, 0],
+        "fy": one.matrix[1, 1],
+        "cx": one.matrix[0, 2],
+        "cy": one.matrix[1, 2],
+        "k": [[k1], [k2], [k3]],
+        "p": [[p1], [p2]],
+    }
+
+
+def test_voxelpose_has_centres_in_millimetres(tmp_path: Path) -> None:
+    contents = read_contents(write(tmp_path / "calibration_shelf.json", {one.name: voxelpose(one) for one in RIG}))
+    assert (contents.format, contents.unit) == ("VoxelPose JSON", "mm")
+    assert [one.size_px for one in contents.cameras] == [UNKNOWN_SIZE] * 2
+    assert_rig(contents, tuple(replace(one, size_px=UNKNOWN_SIZE) for one in RIG))
+    assert contents.cameras[0].section == "Cameraleft"
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"K": None}, "invalid_matrix"),
+        ({"R": [[1e300] * 3] * 3}, "invalid_rotation"),
+        ({"R": "none"}, "invalid_rotation"),
+        ({"t": [[1.0], [2.0]]}, "invalid_translation"),
+        ({"distCoef": [[0.1, 0.2], [0.3, 0.4]]}, "invalid_distortion"),
+        ({"resolution": [1920]}, "invalid_size"),
+        ({"name": 3}, "invalid_name"),
+    ],
+)
+def test_faults_of_panoptic(tmp_path: Path, changes: dict[str, Any], code: str) -> None:
+    cameras = [panoptic(RIG[0]), panoptic(RIG[1]) | changes]
+    camera = "number 2" if "name" in changes else "right"
+    assert problems_of(write(tmp_path / "rig.json", {"cameras": cameras})) == [(code, camera)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"k": "none"}, "invalid_distortion"),
+        ({"k": [[1, 2], [3, 4]]}, "invalid_distortion"),
+        ({"T": [1e300, 0, 0]}, "invalid_translation"),
+        ({"T": [[1, 2], [3]]}, "invalid_translation"),
+        ({"R": [[1e300] * 3] * 3}, "invalid_rotation"),
+        ({"fx": None}, "invalid_matrix"),
+        ({"fx": [1, 2]}, "invalid_matrix"),
+    ],
+)
+def test_faults_of_voxelpose(tmp_path: Path, changes: dict[str, Any], code: str) -> None:
+    document = {"0": voxelpose(RIG[0]), "1": voxelpose(RIG[1]) | changes}
+    assert problems_of(write(tmp_path / "rig.json", document)) == [(code, "1")]

@@ -1,0 +1,117 @@
+"""Cameras adapted to another picture size: a world point is seen at the same place of the scene's picture."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pipeline.calibration.contents import UNKNOWN_SIZE
+from pipeline.calibration.sizes import fit_to_picture
+from pipeline.data import Camera
+from pipeline.geometry.camera import project
+from pipeline.geometry.rigid import Rigid3
+
+POINTS_M = np.array([[0.0, 0.0, 0.0], [0.7, -0.4, 0.2], [-0.6, 0.5, -0.3]])
+
+
+def camera(size_px: tuple[int, int], distortion: Any = (), skew_px: float = 0.0) -> Camera:
+    matrix = np.array([[1700.0, skew_px, 533.0], [0.0, 1690.0, 948.0], [0.0, 0.0, 1.0]])
+    pose = Rigid3(Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix(), np.array([0.1, 0.2, 4.0]))
+    return Camera("cam", size_px, matrix, np.array(distortion, dtype=float), pose, "section")
+
+
+def fitted(calibrated: Camera, size_px: tuple[int, int], rotation_deg: int) -> Camera:
+    found = fit_to_picture(calibrated, size_px, rotation_deg)
+    assert found is not None
+    assert found[0].size_px == size_px
+    assert (found[0].name, found[0].section) == ("cam", "section")
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("calibrated_px", "shown_px", "rotation_deg", "moved_px"),
+    [
+        ((1088, 1920), (1080, 1920), 0, (0, 0)),
+        ((1920, 1080), (1920, 1088), 0, (0, 0)),
+        ((1920, 1088), (1920, 1080), 90, (0, -8)),
+        ((1088, 1920), (1080, 1920), 90, (0, 0)),
+        ((1920, 1080), (1920, 1088), 180, (0, 8)),
+        ((1088, 1920), (1080, 1920), 270, (-8, 0)),
+        ((1920, 1088), (1920, 1080), 270, (0, 0)),
+        ((1001, 562), (1008, 562), 0, (0, 0)),
+    ],
+)
+def test_padding_is_at_the_right_and_bottom_of_the_stored_picture(
+    calibrated_px: tuple[int, int], shown_px: tuple[int, int], rotation_deg: int, moved_px: tuple[int, int]
+) -> None:
+    before = camera(calibrated_px, (-0.1, 0.05, 0.001, -0.002))
+    after = fitted(before, shown_px, rotation_deg)
+    np.testing.assert_allclose(project(after, POINTS_M), project(before, POINTS_M) + np.array(moved_px), atol=1e-9)
+
+
+def test_padding_is_said_by_side_and_number() -> None:
+    for shown_px, rotation_deg, words in (
+        ((1080, 1920), 0, "8 columns at the right"),
+        ((1080, 1920), 270, "8 columns at the left"),
+    ):
+        found = fit_to_picture(camera((1088, 1920)), shown_px, rotation_deg)
+        assert found is not None
+        assert found[1].startswith(words)
+    found = fit_to_picture(camera((1920, 1080)), (1920, 1088), 90)
+    assert found is not None
+    assert found[1].startswith("8 rows at the top")
+
+
+@given(factor=st.sampled_from([0.25, 0.5, 2 / 3, 4 / 3, 2.0]), skew_px=st.floats(-5.0, 5.0))
+def test_scaled_pictures_share_their_outer_edges(factor: float, skew_px: float) -> None:
+    before = camera((1920, 1080), (-0.1, 0.05, 0.001, -0.002, 0.01), skew_px)
+    after = fitted(before, (round(1920 * factor), round(1080 * factor)), 0)
+    np.testing.assert_allclose(
+        project(after, POINTS_M) + 0.5, factor * (project(before, POINTS_M) + 0.5), rtol=0, atol=1e-8
+    )
+
+
+@pytest.mark.parametrize("num_coefficients", [0, 4, 5, 8, 12])
+@pytest.mark.parametrize("rotation_deg", [90, 270])
+def test_a_quarter_turn_turns_pixels(num_coefficients: int, rotation_deg: int) -> None:
+    before = camera((1920, 1080), 0.02 * np.arange(1, num_coefficients + 1) * (-1) ** np.arange(num_coefficients))
+    after = fitted(before, (1080, 1920), rotation_deg)
+    x, y = project(before, POINTS_M).T
+    # The file says counterclockwise: 90 degrees bring the picture's right edge to the top.
+    expected = np.column_stack([y, 1919 - x] if rotation_deg == 90 else [1079 - y, x])
+    np.testing.assert_allclose(project(after, POINTS_M), expected, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(after.cam_from_world.rotation), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("calibrated_px", "shown_px", "rotation_deg"),
+    [
+        ((1920, 1080), (1080, 1920), 0),  # either quarter turn is possible
+        ((1920, 1080), (1080, 1920), 180),
+        ((1920, 1080), (1440, 1080), 0),
+        ((1920, 1080), (1920, 1096), 0),  # 16 rows are a block of their own
+        ((1920, 1080), (1920, 1084), 0),  # not whole blocks
+        ((1920, 1080), (1928, 1088), 0),  # both sides
+        ((1920, 1080), (1280, 721), 0),
+        ((1920, 1088), (960, 540), 0),
+    ],
+)
+def test_other_sizes_do_not_fit(calibrated_px: tuple[int, int], shown_px: tuple[int, int], rotation_deg: int) -> None:
+    assert fit_to_picture(camera(calibrated_px), shown_px, rotation_deg) is None
+
+
+def test_a_skewed_camera_is_not_turned() -> None:
+    assert fit_to_picture(camera((1920, 1080), skew_px=1.0), (1080, 1920), 90) is None
+
+
+@pytest.mark.parametrize(("size_px", "fits"), [((1080, 1920), True), ((1920, 1080), False), ((540, 960), False)])
+def test_an_unknown_size_is_the_videos_if_the_principal_point_is_central(size_px: tuple[int, int], fits: bool) -> None:
+    before = camera(UNKNOWN_SIZE)
+    found = fit_to_picture(before, size_px, 0)
+    assert (found is not None) == fits
+    if found is not None:
+        assert found[0].size_px == size_px
+        np.testing.assert_array_equal(found[0].matrix, before.matrix)
