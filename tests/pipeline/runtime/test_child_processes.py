@@ -29,9 +29,14 @@ def blocks(process: psutil.Process, number: int) -> bool:
     return bool(int(status.partition("SigBlk:")[2].split()[0], 16) >> (number - 1) & 1)
 
 
-def workers_of(process: "subprocess.Popen[str]") -> list[psutil.Process]:
-    children = psutil.Process(process.pid).children()
-    return [one for one in children if "--multiprocessing-fork" in one.cmdline()]
+def workers_of(process: "subprocess.Popen[str]", number: int) -> list[psutil.Process]:
+    """Wait for the pool's processes: the command line of one that was started just now is still empty."""
+    end_s = time.monotonic() + 10
+    workers: list[psutil.Process] = []
+    while len(workers) != number and time.monotonic() < end_s:
+        children = psutil.Process(process.pid).children()
+        workers = [one for one in children if "--multiprocessing-fork" in one.cmdline()]
+    return workers
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
@@ -41,7 +46,7 @@ def test_processes_end_with_the_block_or_their_parent(tmp_path: Path, number: si
     with subprocess.Popen([sys.executable, str(program)], stdout=subprocess.PIPE, text=True, stderr=-1) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "working\n"
-        workers = workers_of(process)
+        workers = workers_of(process, 2)
         assert len(workers) == 2
         # As a terminal's Ctrl-C, which every process of the group gets, in the middle of its start.
         assert all(blocks(one, signal.SIGINT) for one in workers)
