@@ -5,9 +5,10 @@ BIN := $(VENV)/bin
 READERS := tests/e2e/readers
 LINTER := tests/api/linter
 BLENDER := .venv-blender
+LITERT := .venv-litert
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers linter test-data test test-slow verify-exports soak hostile check benchmark format lock clean
+.PHONY: help setup demo serve browser readers linter test-data test test-slow verify-exports verify-converters soak hostile check benchmark format lock clean
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -27,7 +28,7 @@ KERNELS := pipeline/data.py pipeline/runtime/jit.py pipeline/runtime/warm_up.py 
 	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py))),$(wildcard $(folder)*.py))
 
 $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
-	@echo "Compiling the numeric kernels; the first time takes about a minute."
+	@echo "Compiling the numeric kernels; the first time takes two or three minutes."
 	$(BIN)/python -P -m pipeline.runtime.warm_up
 	touch $@
 
@@ -35,7 +36,7 @@ demo: setup  ## Start the service, send a real four-camera capture, write the re
 	$(BIN)/multicap demo
 
 serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
-	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap serve
 
@@ -68,18 +69,29 @@ $(BLENDER)/.installed: $(READERS)/blender.lock
 	touch $@
 
 verify-exports: setup readers $(BLENDER)/.installed  ## Open exports in Blender (installs 800 MB), three.js and other software
-	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap models install
 	$(BIN)/multicap samples install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/pipeline/export
 	@echo "Blender's pictures are in build/exports/."
 
-test-data: setup
+$(LITERT)/.installed: tests/pipeline/detect/conversion/litert/litert.lock
+	$(PYTHON) -m venv --clear $(LITERT)
+	$(LITERT)/bin/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+		--only-binary :all: -r $<
+	touch $@
+
+verify-converters: setup $(LITERT)/.installed  ## Compare converted networks with LiteRT (installs 160 MB)
 	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap samples install
+	$(BIN)/python -P -m pytest tests/pipeline/detect/conversion/test_litert.py
+
+test-data: setup
+	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap samples install
 
-# More processes than processors: many tests wait.
-PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --durations 40 --durations-min 5
+# More processes than processors: many tests wait. A test that hangs fails after a quarter of an hour.
+PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
 test: test-data browser readers  ## Run the tests, but for the slow ones (ten minutes)
@@ -92,7 +104,7 @@ soak: setup  ## Run 200 jobs, each disturbed by a fault at a random moment (half
 	$(BIN)/python -P -m pytest -s -m soak tests/faults
 
 hostile: setup  ## Send 6,000 damaged and malicious sessions to a service (an hour)
-	$(BIN)/multicap models install movenet-multipose
+	$(BIN)/multicap models install
 	$(BIN)/python -P -m pytest -s -m hostile tests/hostile
 
 check: setup linter  ## Run everything that CI runs: format, lint, types, imports, API contract, Dockerfiles, tests
@@ -107,7 +119,6 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile
 	$(MAKE) test
-	$(MAKE) test-slow
 
 benchmark: setup  ## Measure speed and memory of the pipeline and the service (on a quiet machine)
 	$(BIN)/multicap benchmark pipeline
@@ -126,4 +137,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

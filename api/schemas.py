@@ -8,7 +8,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from pipeline.config import Choice, Kind
+from pipeline.config import Choice, JointsOfBody, Kind, Profile
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.model import (
@@ -483,7 +483,7 @@ class Health(_Response):
 
 
 class DetectorOut(_Response):
-    """Detector network and whether it is installed."""
+    """Detector network that can be used alone, and whether it is installed."""
 
     name: str = Field(description="Value of `detector` in the spec of a job.")
     installed: bool | None = Field(
@@ -492,11 +492,31 @@ class DetectorOut(_Response):
     install: str = Field(description="Advice to the operator on the installation.")
 
 
+class ProfileNetworksOut(_Response):
+    """Networks of a profile for some joints, and whether they are installed."""
+
+    joints: JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
+    networks: tuple[str, ...] = Field(description="Names of the networks.")
+    installed: bool | None = Field(
+        description="Whether all ready workers have the networks; null while no worker is ready."
+    )
+    install: str = Field(description="Advice to the operator on the installation.")
+
+
+class ProfileOut(_Response):
+    """Profile: networks that find the 2D joints."""
+
+    name: Profile = Field(description="Value of `profile` in the spec of a job.")
+    default_joints: JointsOfBody = Field(description="Joints of the profile, where `joints` is `auto`.")
+    joints: tuple[ProfileNetworksOut, ...] = Field(description="Networks by joints.")
+
+
 class ValueOut(_Response):
     """Named value of a choice."""
 
     name: str = Field(description="Value in the spec of a job.")
     label: str = Field(description="Label of the value for people.")
+    note: str = Field(description="Further sentence, such as a measured cost; empty for none.")
 
 
 class ChoiceOut(_Response):
@@ -527,7 +547,9 @@ class ChoiceOut(_Response):
             label=about.label,
             description=about.sentence,
             kind=choice.kind,
-            values=tuple(ValueOut(name=name, label=value.label) for name, value in choice.values.items()),
+            values=tuple(
+                ValueOut(name=name, label=value.label, note=value.note) for name, value in choice.values.items()
+            ),
             default=choice.default,
             unset=about.unset,
             minimum=about.minimum,
@@ -537,7 +559,9 @@ class ChoiceOut(_Response):
 
 
 class Options(_Response):
-    """Choices of a job, and detector networks."""
+    """Choices of a job, profiles and detector networks."""
+
+    profiles: tuple[ProfileOut, ...] = Field(description="All profiles, with their networks.")
 
     detectors: tuple[DetectorOut, ...] = Field(description="All detectors that the service supports.")
     choices: tuple[ChoiceOut, ...] = Field(

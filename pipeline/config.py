@@ -18,14 +18,23 @@ MAX_OUTPUT_FRAMES = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value of a choice: what forms and documentation call it."""
+    """A value of a choice.
+
+    Parameters
+    ----------
+    label
+        What forms and documentation call it.
+    note
+        Further sentence for the documentation, such as a cost; empty for none.
+    """
 
     label: str
+    note: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Network(Value):
-    """A detector network; ``pipeline.detect.registry`` has its files, input and outputs.
+    """A detector network; ``pipeline.detect.entries`` has its files, input and outputs.
 
     Parameters
     ----------
@@ -35,7 +44,7 @@ class Network(Value):
         Where users get its files; ``None``: Multicap installs it from a package.
     """
 
-    leaves_fields: bool
+    leaves_fields: bool = False
     publisher: str | None = None
 
 
@@ -58,6 +67,13 @@ class FileFormat(Value):
     max_frames: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class OtherNames:
+    """Values of a choice beside the named ones, by a regular expression."""
+
+    pattern: str
+
+
 _TEXT = "text/plain; charset=utf-8"
 _CSV = "text/csv; charset=utf-8; header=present"
 _BYTES = "application/octet-stream"
@@ -66,8 +82,21 @@ Method = (
     Annotated[Literal["tracking"], Value("Tracking of whole bodies")]
     | Annotated[Literal["clustering"], Value("Clustering of joints for crowds and people who touch")]
 )
+Profile = (
+    Annotated[Literal["fast"], Value("Fast")]
+    | Annotated[Literal["balanced"], Value("Balanced")]
+    | Annotated[Literal["accurate"], Value("Accurate")]
+)
+DetectedJoints = (
+    Annotated[Literal["auto"], Value("What the profile detects without a further network")]
+    | Annotated[Literal["body"], Value("17 joints of the body")]
+    | Annotated[Literal["feet"], Value("Body, heels and toes")]
+    | Annotated[Literal["whole"], Value("Body, heels, toes and fingers")]
+)
 Detector = (
-    Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose, fast", leaves_fields=False)]
+    Annotated[Literal["auto"], Value("Networks of the profile")]
+    | Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose alone")]
+    | Annotated[Literal["movenet-multipose-int8"], Network("MoveNet MultiPose alone, in integers of 8 bits")]
     | Annotated[
         Literal["openpose-mobilenet-thin"],
         Network("OpenPose MobileNet thin, part affinity fields for clustering", leaves_fields=True),
@@ -80,6 +109,8 @@ Detector = (
             publisher="Intel's Open Model Zoo (FP16-INT8)",
         ),
     ]
+    # Networks of the user's own; see `pipeline.detect.own`.
+    | Annotated[str, OtherNames("^own-[a-z0-9]+(-[a-z0-9]+)*-[0-9a-f]{12}$")]
 )
 Smoothing = (
     Annotated[Literal["none"], Value("None, joints as they were located")]
@@ -154,7 +185,15 @@ class MotionChoices:
     """Choices that a job and a configuration of the pipeline have alike."""
 
     method: Annotated[Method, About("Method", "Method that matches detections to people.")] = "tracking"
-    detector: Annotated[Detector, About("Detector", "Network that finds the 2D joints.")] = "movenet-multipose"
+    profile: Annotated[Profile, About("Profile", "Networks that find the 2D joints, by speed and accuracy.")] = field(
+        default="balanced", kw_only=True
+    )
+    joints: Annotated[DetectedJoints, About("Joints", "Joints that are detected in videos.")] = field(
+        default="auto", kw_only=True
+    )
+    detector: Annotated[
+        Detector, About("Detector", "Network that finds the 2D joints, in place of those of the profile.")
+    ] = "auto"
     smoothing: Annotated[Smoothing, About("Smoothing", "How joint positions are smoothed.")] = "fit"
     cutoff_hz: Annotated[
         float,
@@ -281,7 +320,8 @@ class ReconstructionConfig(JobChoices):
     @property
     def uses_fields(self) -> bool:
         """Whether people are found from part affinity fields, where there are videos."""
-        return self.method == "clustering" and NETWORKS[self.detector].leaves_fields
+        network = NETWORKS.get(networks_of(self).body)
+        return self.method == "clustering" and network is not None and network.leaves_fields
 
     @property
     def uses_colours(self) -> bool:
@@ -397,17 +437,104 @@ def _kind(hint: Any) -> Kind:
 CHOICES = {choice.name: choice for choice in choices_of(JobChoices)}
 """Choices of jobs by name."""
 NETWORKS = cast(Mapping[Detector, Network], values_of(Detector, Network))
-"""Detector networks by name."""
+"""Detector networks by name: those that find people in whole images."""
+
+
+JointsOfBody = Literal["body", "feet", "whole"]
+PROFILES = cast(Mapping[Profile, Value], values_of(Profile, Value))
+"""Profiles by name."""
+JOINTS: tuple[JointsOfBody, ...] = get_args(JointsOfBody)
+"""Values of the choice ``joints`` that name joints."""
+
+
+@dataclass(frozen=True, slots=True)
+class Networks:
+    """Networks of a reconstruction by their names in ``pipeline.detect.entries``.
+
+    Parameters
+    ----------
+    body
+        Network that finds bodies in whole images.
+    near
+        Network that reads joints, heels and toes in the crop of each body; ``None`` without crops.
+    hand
+        Network that reads fingers in the crop of each hand; ``None`` without fingers.
+    refines_body
+        Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone.
+    is_sized
+        Whether the size of the images for ``body`` follows the size of the people in them.
+    """
+
+    body: str
+    near: str | None = None
+    hand: str | None = None
+    refines_body: bool = False
+    is_sized: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all networks, which have to be installed."""
+        return tuple(name for name in (self.body, self.near, self.hand) if name is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class _ProfileNetworks:
+    body: str
+    near: str
+    refines_body: bool
+    joints: JointsOfBody
+
+
+_PROFILES: Mapping[Profile, _ProfileNetworks] = {
+    "fast": _ProfileNetworks("movenet-multipose-int8", "blazepose-full", refines_body=False, joints="body"),
+    "balanced": _ProfileNetworks("movenet-multipose", "blazepose-full", refines_body=True, joints="feet"),
+    "accurate": _ProfileNetworks("movenet-multipose", "blazepose-heavy", refines_body=True, joints="feet"),
+}
+_HAND = "mediapipe-hand"
+
+
+def networks_of(choices: MotionChoices) -> Networks:
+    """Networks for the choices ``profile``, ``joints`` and ``detector``."""
+    if choices.detector != "auto":
+        return Networks(choices.detector)
+    profile, joints = _PROFILES[choices.profile], detected_joints(choices)
+    has_feet = joints != "body"
+    return Networks(
+        profile.body,
+        near=profile.near if profile.refines_body or has_feet else None,
+        hand=_HAND if joints == "whole" else None,
+        refines_body=profile.refines_body,
+        is_sized=True,
+    )
+
+
+def detected_joints(choices: MotionChoices) -> JointsOfBody:
+    """Joints that the networks of the profile detect; a single ``detector`` has joints of its own."""
+    return _PROFILES[choices.profile].joints if choices.joints == "auto" else choices.joints
+
+
 FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
 """Formats of people's files by name."""
 
 
-def install_command(detector: Detector) -> str:
-    """Sentence that tells how to install a network of ``NETWORKS``."""
-    publisher = NETWORKS[detector].publisher
-    if publisher is None:
-        return f"Run: multicap models install {detector}"
-    return f"Get it from {publisher}, then run: multicap models add {detector} --from FOLDER or URL"
+def _networks_of_profiles() -> tuple[str, ...]:
+    choices = (JobChoices(profile=profile, joints=joints) for profile in PROFILES for joints in JOINTS)
+    return tuple(dict.fromkeys(name for one in choices for name in networks_of(one).names))
+
+
+NETWORKS_OF_PROFILES = _networks_of_profiles()
+"""Names of the networks of all profiles."""
+
+
+def install_command(*names: str) -> str:
+    """Sentence that tells how to install networks."""
+    publishers = {name: network.publisher for name in names if (network := NETWORKS.get(name))}
+    if own := next((name for name in names if name.startswith("own-")), None):
+        return f"Add the file of {own}: multicap models add FILE --head HEAD --joints LAYOUT"
+    for name, publisher in publishers.items():
+        if publisher is not None:
+            return f"Get it from {publisher}, then run: multicap models add {name} --from FOLDER or URL"
+    return f"Run: multicap models install {' '.join(names)}"
 
 
 def too_long_for(exports: Collection[Export], num_frames: int) -> tuple[tuple[Export, int], ...]:

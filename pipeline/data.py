@@ -16,6 +16,8 @@ from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointOffsets, JointSet
 
 Side = Literal["left", "right"]
+FootPart = Literal["foot", "heel", "toe"]
+"""Part of a foot that stands; ``foot`` where heel and toe are not told apart."""
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
@@ -324,7 +326,9 @@ class FootContact:
     pinned
         Whether the foot is held in place.
     slide_before_m, slide_after_m
-        Mean horizontal distance of the ankle from its median position, before and after pinning.
+        Mean horizontal distance of the ankle, or of the part, from its median position, before and after pinning.
+    part
+        Heel or toe, where both are known; otherwise the foot as a whole.
     """
 
     side: Side
@@ -334,6 +338,7 @@ class FootContact:
     pinned: bool
     slide_before_m: float
     slide_after_m: float
+    part: FootPart = "foot"
 
     @property
     def rows(self) -> slice:

@@ -1,5 +1,6 @@
 """Joint sets of detectors: joint names in the detector's order, and the bones between them."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -90,6 +91,50 @@ COCO_17 = JointSet(
         ("right_knee", "right_ankle"),
     ),
 )
+
+SIDES = ("left", "right")
+_HEELS_AND_TOES = tuple((f"{side}_ankle", f"{side}_{part}") for part in ("heel", "big_toe") for side in SIDES)
+BODY_FEET = JointSet(
+    names=(*COCO_17.names, *(name for _, name in _HEELS_AND_TOES)),
+    bones=(*COCO_17.bones, *_HEELS_AND_TOES),
+)
+"""COCO's joints, then heels and big toes."""
+
+FINGERS: Mapping[str, tuple[str, str, str, str]] = {
+    "thumb": ("cmc", "mcp", "ip", "tip"),
+    **dict.fromkeys(("index", "middle", "ring", "pinky"), ("mcp", "pip", "dip", "tip")),
+}
+"""Joints of each finger from the palm to the tip: carpometacarpal, metacarpophalangeal, interphalangeal."""
+
+
+def finger_joints(side: str) -> tuple[str, ...]:
+    """Names of the 20 joints of a hand's fingers, thumb first, each from the palm to the tip."""
+    return tuple(f"{side}_{finger}_{joint}" for finger, joints in FINGERS.items() for joint in joints)
+
+
+def hand_bones(side: str) -> tuple[tuple[str, str], ...]:
+    """Bones of a hand: along each finger from the wrist."""
+    chains = ((f"{side}_wrist", *(f"{side}_{finger}_{joint}" for joint in FINGERS[finger])) for finger in FINGERS)
+    return tuple(bone for chain in chains for bone in itertools.pairwise(chain))
+
+
+FINGER_JOINTS = frozenset(name for side in SIDES for name in finger_joints(side))
+"""Names of the joints of all fingers; the wrist belongs to the body."""
+
+WHOLE_BODY = JointSet(
+    names=(*BODY_FEET.names, *finger_joints("left"), *finger_joints("right")),
+    bones=(*BODY_FEET.bones, *hand_bones("left"), *hand_bones("right")),
+)
+"""Joints of ``BODY_FEET``, then the fingers of the left and of the right hand."""
+
+
+def without_hands(joints: JointSet) -> JointSet:
+    """Joints of a set that belong to no finger, in the same order."""
+    return JointSet(
+        names=tuple(name for name in joints.names if name not in FINGER_JOINTS),
+        bones=tuple(bone for bone in joints.bones if FINGER_JOINTS.isdisjoint(bone)),
+    )
+
 
 _OPENPOSE_BONES = (*COCO_17.bones, ("nose", "neck"))
 _OPENPOSE_FEET = tuple(

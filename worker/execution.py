@@ -12,13 +12,14 @@ from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight_npz import decode_keypoints, decode_session
-from pipeline.config import ReconstructionConfig
+from pipeline.config import ReconstructionConfig, detected_joints, networks_of
+from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, Problem
 from pipeline.runtime.warm_up import warm_up as compile_kernels
 from pipeline.stages.association import Session as OpenedSession
 from pipeline.stages.output import Output
 from pipeline.stages.plan import SessionFacts
-from pipeline.stages.run import Context, load_detector, run_task
+from pipeline.stages.run import Context, run_task
 from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, record_key
@@ -34,9 +35,9 @@ def run_chunk(work: Work) -> Output:
 
 
 def warm_up() -> None:
-    """Load the default network and the compiled kernels before they are needed; a chunk says what is missing."""
+    """Load the default networks and the compiled kernels before they are needed; a chunk says what is missing."""
     with contextlib.suppress(ModelError):
-        load_detector(JobSpec().detector)
+        open_detection(networks_of(JobSpec()), detected_joints(JobSpec()))
     compile_kernels()
 
 

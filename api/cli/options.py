@@ -7,7 +7,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from pipeline.calibration.registry import UNITS_M, Units
+from pipeline.calibration.contents import UNITS_M, Units
 from pipeline.config import (
     CHOICES,
     Choice,
@@ -52,6 +52,8 @@ def _with_unset(choice: Choice, text: str) -> str:
 
 
 MethodOption = Annotated[str, _option(CHOICES["method"])]
+ProfileOption = Annotated[str, _option(CHOICES["profile"])]
+JointsOption = Annotated[str, _option(CHOICES["joints"])]
 DetectorOption = Annotated[str, _option(CHOICES["detector"])]
 SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
 FeetOption = Annotated[str, _option(CHOICES["feet"])]

@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 from api.errors import title_of
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, STAGE_BY_NAME
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK, STAGE_BY_NAME
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
@@ -51,7 +51,9 @@ DOCUMENTS: dict[str, Any] = {
     },
     "spec": {
         "method": "tracking",
-        "detector": "movenet-multipose",
+        "profile": "balanced",
+        "joints": "auto",
+        "detector": "auto",
         "smoothing": "fit",
         "cutoff_hz": 6.0,
         "feet": "auto",
@@ -120,6 +122,7 @@ _JOB: dict[str, Any] = {
     "spec": DOCUMENTS["spec"],
     "attempt": 1,
     "stages": [
+        _stage(LOOK, "done", 24, 24),
         _stage(DETECT, "running", 150, 600),
         _stage(ASSOCIATE, "waiting", 0, 1),
         _stage(IDENTIFY, "waiting", 0, 1),
@@ -225,6 +228,20 @@ ANSWERS: dict[str, dict[str, Any]] = {
         "disk_free_bytes": 214748364800,
     },
     "Options": {
+        "profiles": [
+            {
+                "name": "fast",
+                "default_joints": "body",
+                "joints": [
+                    {
+                        "joints": "body",
+                        "networks": ["movenet-multipose-int8"],
+                        "installed": True,
+                        "install": "Run: multicap models install movenet-multipose-int8",
+                    }
+                ],
+            }
+        ],
         "detectors": [
             {
                 "name": "movenet-multipose",
@@ -239,8 +256,12 @@ ANSWERS: dict[str, dict[str, Any]] = {
                 "description": "Method that matches detections to people.",
                 "kind": "one",
                 "values": [
-                    {"name": "tracking", "label": "Tracking of whole bodies"},
-                    {"name": "clustering", "label": "Clustering of joints for crowds and people who touch"},
+                    {"name": "tracking", "label": "Tracking of whole bodies", "note": ""},
+                    {
+                        "name": "clustering",
+                        "label": "Clustering of joints for crowds and people who touch",
+                        "note": "",
+                    },
                 ],
                 "default": "tracking",
                 "unset": None,

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from api.contract.documentation import write_or_check
-from pipeline.config import CHOICES, Choice, ReconstructionConfig, choices_of
+from pipeline.config import CHOICES, Choice, ReconstructionConfig, Value, choices_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "options.md"
 
@@ -15,7 +15,7 @@ _INTRODUCTION = """\
 This page lists the choices of a reconstruction with their values, limits and defaults.
 
 A job's `spec` has the fields of the first column ([API](../openapi/openapi.json)). `multicap reconstruct` has the
-options of the second column. `GET /v1/options` lists the same choices for a form, and the detectors that are installed.
+options of the second column. `GET /v1/options` lists the same choices for a form, and the networks that are installed.
 
 This page is made from the code: `python -m api.contract.options_page` writes it.
 """
@@ -73,8 +73,12 @@ def _default(choice: Choice) -> str:
 
 def _values(choice: Choice) -> Iterator[str]:
     yield from (f"## Values of `{choice.name}`", "", "| value | meaning |", "| --- | --- |")
-    yield from (f"| `{name}` | {value.label} |" for name, value in choice.values.items())
+    yield from (f"| `{name}` | {_meaning(value)} |" for name, value in choice.values.items())
     yield ""
+
+
+def _meaning(value: Value) -> str:
+    return f"{value.label}. {value.note}" if value.note else value.label
 
 
 def main(words: Sequence[str] | None = None) -> int:

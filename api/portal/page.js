@@ -293,10 +293,10 @@ function fillChoices(asked) {
   place.hidden = false;
 }
 
-// Disable detectors that no worker has: the service would refuse such a job.
-function markDetectors(detectors) {
-  const options = [...at("send").elements.detector.options];
-  for (const { name, installed, install } of detectors) {
+// Disable values whose networks not all workers have: the service would refuse such a job.
+function markInstalled(choice, values) {
+  const options = [...(at("send").elements[choice]?.options ?? [])];
+  for (const { name, installed, install } of values) {
     const option = options.find((one) => one.value === name);
     if (!option) continue;
     option.dataset.label ??= option.textContent;
@@ -306,12 +306,28 @@ function markDetectors(detectors) {
   }
 }
 
+// Disable profiles without their usual networks, and joints that the chosen profile lacks a network for.
+function markNetworks(profiles) {
+  const { profile: field } = at("send").elements;
+  if (!field) return;
+  const networks = ({ joints }, name) => joints.find((one) => one.joints === name);
+  const usual = profiles.map((one) => ({ ...networks(one, one.default_joints), name: one.name }));
+  const markJoints = () => {
+    const chosen = profiles.find(({ name }) => name === field.value);
+    markInstalled("joints", (chosen?.joints ?? []).map((one) => ({ ...one, name: one.joints })));
+  };
+  markInstalled("profile", usual);
+  markJoints();
+  field.onchange = markJoints;
+}
+
 async function refreshOptions() {
   if (performance.now() - optionsAt < OPTIONS_MS) return;
   const options = await call("/v1/options");
   optionsAt = performance.now();
   fillChoices(options.choices);
-  markDetectors(options.detectors);
+  markInstalled("detector", options.detectors);
+  markNetworks(options.profiles);
 }
 
 async function poll() {

@@ -23,7 +23,7 @@ from api.requests.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, 
 from api.requests.idempotency import IdempotentRequest
 from api.requests.multipart import receive_form
 from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_s
-from api.requests.spec_checks import callback_errors, detector_errors, limit_errors, spec_errors
+from api.requests.spec_checks import callback_errors, limit_errors, network_errors, spec_errors
 from api.requests.validation import model_items
 from api.schemas import Manifest, UploadedCapture, UploadedSession
 from pipeline.capture.preflight_record import Preflight
@@ -193,7 +193,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
     if arrival.spec:
         errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
     if arrival.spec and sent.with_job and not form.keypoints:
-        errors.extend(await run_in_threadpool(detector_errors, arrival.spec, services, pointer_to(SPEC, "detector")))
+        errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
     return CheckedSession(form, arrival.manifest, arrival.spec, preflight, record_path, arrival.upload_ids)

@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
-from pipeline.config import install_command
+from pipeline.config import install_command, networks_of
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -58,14 +58,18 @@ def callback_errors(spec: JobSpec, services: Services, records: TenantRecords, *
     return [ErrorItem(code=code, message=message, pointer=pointer, hint=hint) for code, message, hint in found]
 
 
-def detector_errors(spec: JobSpec, services: Services, pointer: str | None) -> list[ErrorItem]:
-    """Refuse a detector that is not installed on every worker; without workers, the job waits for one.
+def network_errors(spec: JobSpec, services: Services, field: tuple[str, ...] | None) -> list[ErrorItem]:
+    """Refuse networks that are not installed on every worker; without workers, the job waits for one.
 
-    For sessions of videos. ``pointer`` leads to the detector in the request, if the request names it.
+    For sessions of videos. ``field`` leads to the spec in the request; ``None``: the request has no spec.
     """
     installed = installed_detectors(services.store.workers.all())
-    if installed is None or spec.detector in installed:
+    networks = networks_of(spec.config).names
+    missing = [] if installed is None else [name for name in networks if name not in installed]
+    if not missing:
         return []
-    message = f"The detector {spec.detector} is not installed."
-    hint = install_command(spec.detector)
+    message = f"Networks of this job are not installed: {', '.join(missing)}."
+    hint = install_command(*missing)
+    choice = "profile" if spec.detector == "auto" else "detector"
+    pointer = None if field is None else pointer_to(*field, choice)
     return [ErrorItem(code="detector_not_installed", message=message, pointer=pointer, hint=hint)]

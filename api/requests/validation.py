@@ -110,7 +110,10 @@ def _items(errors: Iterable[ErrorDetails], schema: Schema, root: Schema, part: s
     items = []
     for steps, translations in by_field.items():
         codes = {code for code, _ in translations}
-        code = codes.pop() if len(codes) == 1 else "invalid_value"
+        if codes == {"value_not_allowed", "wrong_format"}:  # neither a named value nor a name of the user's own
+            code = "value_not_allowed"
+        else:
+            code = codes.pop() if len(codes) == 1 else "invalid_value"
         items.append(ErrorItem(code=code, message=translations[0][1], pointer=pointer_to(*start, *steps)))
     return items
 

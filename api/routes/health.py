@@ -13,7 +13,7 @@ from api.dependencies import ServicesDep
 from api.errors import ErrorItem, database_damaged, problem_response, service_unavailable
 from api.metrics import RequestMetrics
 from api.schemas import Health, Readiness
-from pipeline.config import install_command
+from pipeline.config import install_command, networks_of
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
@@ -97,7 +97,7 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
 
 
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
-    """Check that a worker is ready and has the default detector; empty if the database does not respond."""
+    """Check that a worker is ready and has the default networks; empty if the database does not respond."""
     try:
         workers = store.workers.all()
     except SQLAlchemyError:
@@ -105,13 +105,13 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     installed = installed_detectors(workers)
     if installed is None:
         return {"worker": _no_worker_ready(workers)}
-    detector = JobSpec().detector
-    if detector in installed:
+    missing = [name for name in networks_of(JobSpec().config).names if name not in installed]
+    if not missing:
         return {"worker": None, "model": None}
     item = ErrorItem(
         code="model_unavailable",
-        message=f"Not every worker has the detector {detector}.",
-        hint=install_command(detector),
+        message=f"Not every worker has the networks of the default profile: {', '.join(missing)}.",
+        hint=install_command(*missing),
     )
     return {"worker": None, "model": item}
 
@@ -123,5 +123,5 @@ def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
     furthest = max(workers, key=lambda worker: worker.done)
     if furthest.total == 0:
         return ErrorItem(code="worker_starting", message=f"{furthest.activity}.")
-    message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes about a minute."
+    message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes some minutes."
     return ErrorItem(code="worker_starting", message=message)

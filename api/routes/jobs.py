@@ -19,12 +19,12 @@ from api.contract.description import (
     session_body,
 )
 from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
-from api.errors import pointer_to, unprocessable
+from api.errors import unprocessable
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.requests.bodies import SmallBodyRoute
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
-from api.requests.spec_checks import callback_errors, detector_errors, spec_errors
+from api.requests.spec_checks import callback_errors, network_errors, spec_errors
 from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobState
@@ -69,7 +69,7 @@ def create_job(
         session = idempotent.records.sessions.get(session_id)
         errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
         if has_videos(session):
-            errors += detector_errors(spec, services, pointer_to("detector"))
+            errors += network_errors(spec, services, ())
         if errors:
             raise unprocessable(errors)
         services.disk.require_room()
@@ -207,7 +207,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         job = idempotent.records.jobs.get(job_id)
         session = idempotent.records.sessions.get(job.session_id)
         may_retry = job.state in RETRYABLE  # else the store says why not
-        if may_retry and has_videos(session) and (errors := detector_errors(job.spec, services, None)):
+        if may_retry and has_videos(session) and (errors := network_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
         stages = plan_job(session, job.spec, services.settings.chunk_frames)

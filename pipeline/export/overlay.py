@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from pipeline.data import Camera
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.geometry.camera import project
-from pipeline.joints import JointSet
+from pipeline.joints import FINGER_JOINTS, JointSet
 
 _BLACK: Rgb = (0, 0, 0)
 # cv2 draws with this many fractional bits.
@@ -38,6 +38,8 @@ def draw_skeletons(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Draw the people of an instant over a camera's picture, each in their own colour with their number above.
 
+    Fingers are drawn thinner than the rest of the body.
+
     Parameters
     ----------
     image_rgb
@@ -47,17 +49,20 @@ def draw_skeletons(
     """
     image = np.ascontiguousarray(image_rgb).copy()
     thickness = max(2, round(np.hypot(*camera.size_px) / 600))
+    thin = max(1, thickness // 2)
+    # Width of the bone that ends at a joint, and radius of the joint.
+    width = [thin if name in FINGER_JOINTS else thickness for name in joints.names]
     for number, xyz_m in people_m.items():
         points = _drawable(project(camera, xyz_m), camera.size_px)
         color = color_rgb(number)
         for start, end in ((joints.index(a), joints.index(b)) for a, b in joints.bones):
             if start in points and end in points:
                 # The dark outline keeps the line visible on any background.
-                cv2.line(image, points[start], points[end], _BLACK, thickness + 2, cv2.LINE_AA, _SHIFT)
-                cv2.line(image, points[start], points[end], color, thickness, cv2.LINE_AA, _SHIFT)
-        for point in points.values():
-            cv2.circle(image, point, (thickness + 1) << _SHIFT, _BLACK, -1, cv2.LINE_AA, _SHIFT)
-            cv2.circle(image, point, thickness << _SHIFT, color, -1, cv2.LINE_AA, _SHIFT)
+                cv2.line(image, points[start], points[end], _BLACK, width[end] + 2, cv2.LINE_AA, _SHIFT)
+                cv2.line(image, points[start], points[end], color, width[end], cv2.LINE_AA, _SHIFT)
+        for joint, point in points.items():
+            cv2.circle(image, point, (width[joint] + 1) << _SHIFT, _BLACK, -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(image, point, width[joint] << _SHIFT, color, -1, cv2.LINE_AA, _SHIFT)
         if points:
             _label(image, str(number), min(points.values(), key=lambda point: point[1]), color, thickness)
     return image

@@ -13,16 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.config import Preset
 from pipeline.export.writers.axes import WORLD, Y_UP_FROM_WORLD
-from pipeline.skeleton.model import INDEX, SKELETON, rest_offsets_m
+from pipeline.skeleton.model import WHOLE_SKELETON, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
 
-_PARENTS = [INDEX[joint.parent] if joint.parent else 0 for joint in SKELETON]
+_FINGERS = ("Index", "Middle", "Ring", "Pinky")
 _BACKWARD = np.array([0.0, 1.0, 0.0])
-# Joints of the arms, and the sign of the rotation about ``_BACKWARD`` that lowers them.
-_ARMS = {
-    f"{side}{part}": sign
-    for side, sign in (("Left", 1), ("Right", -1))
-    for part in ("Arm", "ForeArm", "Hand", "HandEnd")
-}
+# Joints of the arms before their hands' joints, and the sign of the rotation about ``_BACKWARD`` that lowers them.
+_ARMS = {f"{side}{part}": sign for side, sign in (("Left", 1), ("Right", -1)) for part in ("Arm", "ForeArm", "Hand")}
+
+
+def _lowering_sign(joint: SkeletonJoint) -> int:
+    """Sign of the rotation that lowers a joint of an arm; 0 for other joints."""
+    return next((sign for name, sign in _ARMS.items() if joint.name.startswith(name)), 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +64,8 @@ class Convention:
 
     def rest_offsets(self, bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "joints 3"]:
         """Offsets of all joints from their parents in the file's rest pose, axes and unit."""
-        turned_m = self._lowered()[_PARENTS].apply(rest_offsets_m(bone_length_m))
+        num_joints = len(bone_length_m)
+        turned_m = self._lowered(num_joints)[parents_of(num_joints)].apply(rest_offsets_m(bone_length_m))
         return self.file_from_xyz_m(turned_m)
 
     def parent_from_joint(
@@ -74,19 +76,44 @@ class Convention:
         Continuous quaternions stay continuous.
         """
         turned = quat_xyzw.copy()
-        lowered = self._lowered()
-        for index, parent in enumerate(_PARENTS):
+        num_joints = quat_xyzw.shape[1]
+        lowered = self._lowered(num_joints)
+        for index, parent in enumerate(parents_of(num_joints)):
             if (lowered[[parent, index]].magnitude() > 0.0).any():
                 turn = Rotation.from_quat(quat_xyzw[:, index])
                 turned[:, index] = (lowered[parent] * turn * lowered[index].inv()).as_quat()
         turned[..., :3] = turned[..., :3] @ self.file_from_world.T
         return turned
 
-    def _lowered(self) -> Rotation:
+    def _lowered(self, num_joints: int) -> Rotation:
         """Rotation of each joint's bones from the T-pose to the rest pose, in world axes."""
         angle_rad = np.radians(self.arms_lowered_deg)
-        signs = np.array([_ARMS.get(joint.name, 0) for joint in SKELETON])
+        signs = np.array([_lowering_sign(joint) for joint in skeleton_of(num_joints)])
         return Rotation.from_rotvec(angle_rad * signs[:, None] * _BACKWARD)
+
+
+def _fingers(pattern: str, fingers: Mapping[str, str], parts: tuple[str, str, str]) -> dict[str, str]:
+    """Patterns for ``_sided`` of the names of the fingers' joints, from the palm to the tip.
+
+    Parameters
+    ----------
+    pattern
+        Name with ``{finger}`` and ``{part}``, and a side as in ``_sided``.
+    fingers
+        Names of fingers in the file by name in the skeleton.
+    parts
+        Names of the three joints of a finger.
+    """
+    return {
+        f"{{Side}}Hand{finger}{number}": pattern.replace("{finger}", name).replace("{part}", part)
+        for finger, name in fingers.items()
+        for number, part in enumerate(parts, 1)
+    }
+
+
+def _mixamo(joint: str) -> str:
+    """Name of a joint in Mixamo's rigs, which number the ends of fingers too."""
+    return f"mixamorig:{'Spine2' if joint == 'Chest' else joint.replace('3End', '4')}"
 
 
 def _sided(names: Mapping[str, str]) -> dict[str, str]:
@@ -120,6 +147,11 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}UpLeg": "thigh.{S}",
                     "{Side}Leg": "shin.{S}",
                     "{Side}Foot": "foot.{S}",
+                    **_fingers(
+                        "{finger}.{part}.{S}",
+                        {"Thumb": "thumb"} | {finger: f"f_{finger.lower()}" for finger in _FINGERS},
+                        ("01", "02", "03"),
+                    ),
                 }
             ),
             units_per_m=1.0,
@@ -132,6 +164,11 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}ForeArm": "{Side}LowerArm",
                     "{Side}UpLeg": "{Side}UpperLeg",
                     "{Side}Leg": "{Side}LowerLeg",
+                    **_fingers(
+                        "{Side}{finger}{part}",
+                        {finger: finger for finger in ("Thumb", *_FINGERS)} | {"Pinky": "Little"},
+                        ("Proximal", "Intermediate", "Distal"),
+                    ),
                 }
             ),
             units_per_m=1.0,
@@ -152,6 +189,11 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
                     "{Side}UpLeg": "thigh_{s}",
                     "{Side}Leg": "calf_{s}",
                     "{Side}Foot": "foot_{s}",
+                    **_fingers(
+                        "{finger}_{part}_{s}",
+                        {finger: finger.lower() for finger in ("Thumb", *_FINGERS)},
+                        ("01", "02", "03"),
+                    ),
                 }
             ),
             file_from_world=WORLD,
@@ -161,7 +203,7 @@ PRESETS: Mapping[Preset, Convention] = MappingProxyType(
         ),
         # The collar bones are children of the third bone of the spine.
         "mixamo": Convention(
-            names={joint.name: f"mixamorig:{'Spine2' if joint.name == 'Chest' else joint.name}" for joint in SKELETON},
+            names={joint.name: _mixamo(joint.name) for joint in WHOLE_SKELETON},
         ),
     }
 )

@@ -12,8 +12,11 @@
 - *Sources*: shares of joints that were measured, interpolated or predicted, or that are absent, over all frames.
 - *Cameras used*: share of all people's frames in which a camera saw any of their joints.
 - *Track fragments*: tracks that begin within 2 s and 1.5 m of the end of another track. The person was probably lost.
-- *Slide*: mean horizontal distance of a standing foot's ankle from its median position over all contacts, before and
-  after feet were held in place.
+- *Slide*: mean horizontal distance of a standing foot's ankle, heel or toe from its median position over all contacts,
+  before and after feet were held in place.
+- *Hands*: share of a person's frames in which at least half of the joints of a hand's fingers were measured, and the
+  median reprojection error of these joints. Joint sets without fingers have no such block. All other figures, except
+  the errors by joint, leave fingers out: cameras that are too far for fingers say nothing about the body.
 - *Identity*: probability that a person is one and the same all the time, the product over the moments at which another
   choice was nearly as likely (``doubts``, with a confidence below 0.99 each); see ``pipeline.identity``.
 - *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of the stature (Drillis and Contini 1966).
@@ -24,6 +27,7 @@ A figure without data is null (``None``).
 import json
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +35,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.data import Camera, Doubt, Floor, FootContact, Observations, Reconstruction, Source, Track3D
 from pipeline.geometry.camera import project
-from pipeline.joints import LIMBS, JointSet
+from pipeline.joints import FINGER_JOINTS, LIMBS, SIDES, JointSet, finger_joints
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.world_checks import world_checks
 from pipeline.skeleton.fitting.fit import MAX_GAP_S
@@ -43,6 +47,8 @@ MIN_SCORE = 0.2
 """Lowest score of the observations that the figures include."""
 
 _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
+# Share of the joints of its fingers that make a hand measured.
+_HAND_SHARE = 0.5
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 _PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
@@ -71,9 +77,11 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
 
     ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``.
     """
-    tracks, joints, cameras = reconstruction.tracks, reconstruction.joints, reconstruction.cameras
+    joints, cameras = reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
-    views = [_compare(reconstruction, number) for number in range(len(tracks))]
+    views = [_compare(reconstruction, number) for number in range(len(reconstruction.tracks))]
+    tracks = [_without_fingers(track, joints) for track in reconstruction.tracks]
+    located = [_without_fingers(track, joints) for track in reconstruction.located]
     errors_px = [figures.error_px for figures in views]
     contacts = {motion.track_id: motion.contacts for motion in reconstruction.motions}
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
@@ -91,9 +99,9 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
         },
         "max_gap_s": MAX_GAP_S,
         "bone_length_std_cm": _rounded(bone_length_std_cm(tracks, joints), 3),
-        "bone_length_std_before_cm": _rounded(bone_length_std_cm(reconstruction.located, joints), 3),
+        "bone_length_std_before_cm": _rounded(bone_length_std_cm(located, joints), 3),
         "jitter_m_s2": _rounded(mean_jitter_m_s2(tracks, frame_rate_hz), 3),
-        "jitter_before_m_s2": _rounded(mean_jitter_m_s2(reconstruction.located, frame_rate_hz), 3),
+        "jitter_before_m_s2": _rounded(mean_jitter_m_s2(located, frame_rate_hz), 3),
         "cameras_used": _cameras_used(reconstruction.cameras, seen.values()),
         "track_fragments": count_fragments(tracks, frame_rate_hz),
         "floor": _describe_floor(reconstruction.animation.floor),
@@ -105,7 +113,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                 "num_frames": track.num_frames,
                 "coverage": _rounded(np.mean(track.source == Source.MEASURED), 4),
                 "stature_m": _rounded(statures_m[track.track_id], 3),
-                "reprojection_error_px": _rounded(np.median(_known([figures.error_px])), 3),
+                "reprojection_error_px": _rounded(np.median(_known([figures.error_px[:, :, _body(joints)]])), 3),
                 "views_per_joint": _rounded(figures.views_per_joint, 2),
                 "joints_per_frame": _rounded(_has_position(track).sum(-1).mean(), 2),
                 "feet": {
@@ -113,9 +121,10 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
                     **_summarise_feet(contacts.get(track.track_id, ())),
                     "contacts": [_describe_contact(contact) for contact in contacts.get(track.track_id, ())],
                 },
+                **_describe_hands(whole, figures.error_px, joints),
                 "identity": _describe_identity(doubts),
             }
-            for track, figures, doubts in zip(tracks, views, all_doubts, strict=True)
+            for whole, track, figures, doubts in zip(reconstruction.tracks, tracks, views, all_doubts, strict=True)
         ],
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
@@ -158,10 +167,10 @@ def _summarise_error(
     def median_and_p95(arrays: Iterable[np.ndarray]) -> list[float | None]:
         return [_rounded(value, 3) for value in np.percentile(_known(arrays), (50.0, 95.0), overwrite_input=True)]
 
-    overall = median_and_p95(errors_px)
+    body_px = [error_px[:, :, _body(joints)] for error_px in errors_px]
+    overall = median_and_p95(body_px)
     by_camera = {
-        camera.name: median_and_p95(error_px[:, index] for error_px in errors_px)
-        for index, camera in enumerate(cameras)
+        camera.name: median_and_p95(error_px[:, index] for error_px in body_px) for index, camera in enumerate(cameras)
     }
     by_joint = {
         name: median_and_p95(error_px[:, :, index] for error_px in errors_px) for index, name in enumerate(joints.names)
@@ -173,14 +182,35 @@ def _summarise_error(
         "p95_by_camera": {name: figures[1] for name, figures in by_camera.items()},
         "by_joint": {name: figures[0] for name, figures in by_joint.items()},
         "p95_by_joint": {name: figures[1] for name, figures in by_joint.items()},
-        "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in errors_px),
+        "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in body_px),
     }
 
 
 def _compare(reconstruction: Reconstruction, number: int) -> _Views:
     track, observations = reconstruction.tracks[number], reconstruction.observations[number]
     error_px = reprojection_error_px(track, observations, reconstruction.cameras, _marks_of(reconstruction, number))
-    return _Views(error_px, _sees(observations), views_per_joint(track, observations))
+    body = _body(reconstruction.joints)
+    of_body = replace(observations, points_px=observations.points_px[:, :, body], score=observations.score[:, :, body])
+    return _Views(error_px, _sees(of_body), views_per_joint(_without_fingers(track, reconstruction.joints), of_body))
+
+
+def _body(joints: JointSet) -> slice:
+    """Columns of the joints that belong to no finger; fingers are the last joints of every set that has them."""
+    return slice(sum(name not in FINGER_JOINTS for name in joints.names))
+
+
+def _without_fingers(track: Track3D, joints: JointSet) -> Track3D:
+    body = _body(joints)
+    sigma_m = track.uncertainty_m
+    return replace(
+        track,
+        xyz_m=track.xyz_m[:, body],
+        score=track.score[:, body],
+        source=track.source[:, body],
+        error_px=track.error_px[:, body],
+        views=track.views[:, body],
+        uncertainty_m=None if sigma_m is None else sigma_m[:, body],
+    )
 
 
 def _marks_of(reconstruction: Reconstruction, number: int) -> _PositionsOf | None:
@@ -253,7 +283,24 @@ def _describe_contact(contact: FootContact) -> dict[str, Any]:
         "num_frames": contact.num_frames,
         "confidence": _rounded(contact.confidence, 3),
         "pinned": contact.pinned,
+        **({} if contact.part == "foot" else {"part": contact.part}),
     }
+
+
+def _describe_hands(
+    track: Track3D, error_px: Float[np.ndarray, "frames cameras joints"], joints: JointSet
+) -> dict[str, Any]:
+    """Figures of both hands of a person; empty for a joint set without fingers."""
+    hands = {}
+    for side in SIDES:
+        fingers = [number for number, name in enumerate(joints.names) if name in finger_joints(side)]
+        if fingers:
+            measured = (track.source[:, fingers] == Source.MEASURED).mean(1) >= _HAND_SHARE
+            hands[side] = {
+                "measured": _rounded(measured.mean(), 4),
+                "reprojection_error_px": _rounded(np.median(_known([error_px[:, :, fingers]])), 3),
+            }
+    return {"hands": hands} if hands else {}
 
 
 def _sees_toes(track: Track3D, joints: JointSet) -> bool:

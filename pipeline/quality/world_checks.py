@@ -12,7 +12,7 @@ from pipeline.data import Camera, Floor, Reconstruction, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
 from pipeline.quality.names import first_names
-from pipeline.skeleton.feet import ANKLE_HEIGHT_M
+from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
 
 # Limit on the median angle from upright: people stand, walk or sit most of the time.
 _MAX_LEAN_DEG = 45.0

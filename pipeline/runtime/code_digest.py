@@ -9,13 +9,15 @@ import ast
 import functools
 import hashlib
 import json
+import re
 from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 PACKAGE = "pipeline"
 # Prefix of module names: `multicap.` in the wheel, empty in a checkout. See `hatch_build.py`.
 _PARENT = __name__.removesuffix("pipeline.runtime.code_digest")
+_WITH_DOCSTRINGS = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+_EMPTY_FIELD = re.compile(r"(?:, )?\b\w+=\[\]")
 
 
 def function_digest(root: Path, module: str, function: str, package: str = PACKAGE) -> str:
@@ -81,16 +83,21 @@ def _parse(path: Path) -> ast.Module:
 # Cached, because stages share most modules.
 @functools.lru_cache(maxsize=1024)
 def _parsed(source: bytes) -> ast.Module:
+    """Parse a module, without docstrings and without the wheel's prefix of imports."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             node.module = node.module.removeprefix(_PARENT)
+        if isinstance(node, _WITH_DOCSTRINGS):
+            node.body = [statement for statement in node.body if not _is_docstring(statement)]
     return tree
 
 
 @functools.lru_cache(maxsize=1024)
 def _imports(source: bytes) -> frozenset[str]:
-    return frozenset(origin for node in ast.walk(_parsed(source)) for _, origin in _origins(node))
+    # Most nodes are no imports; a call for each of them would take seconds.
+    imports = [node for node in ast.walk(_parsed(source)) if isinstance(node, ast.Import | ast.ImportFrom)]
+    return frozenset(origin for node in imports for _, origin in _origins(node))
 
 
 @functools.lru_cache(maxsize=1024)
@@ -161,20 +168,11 @@ def _modules(root: Path, origins: Iterable[str], package: str) -> set[str]:
     return {name for name in prefixes if _path(root, name).is_file()}
 
 
-def _canonical(value: object) -> Any:
-    """Convert a syntax tree to lists of strings, without docstrings and without fields that depend on the version."""
-    if isinstance(value, ast.AST):
-        fields = (
-            [name, _canonical(field)]
-            for name, field in ast.iter_fields(value)
-            if name not in {"type_comment", "type_ignores", "kind"} and (field not in (None, []) or name == "value")
-        )
-        return [type(value).__name__, *fields]
-    if isinstance(value, list):
-        return [_canonical(item) for item in value if not _is_docstring(item)]
-    return repr(value)
+def _canonical(statement: ast.AST) -> str:
+    """Write a syntax tree as text, without the empty fields that some versions of Python write and others do not."""
+    return _EMPTY_FIELD.sub("", ast.dump(statement)).replace("(, ", "(")
 
 
-def _is_docstring(node: object) -> bool:
+def _is_docstring(node: ast.AST) -> bool:
     """Return whether a statement is a bare string."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

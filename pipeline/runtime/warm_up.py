@@ -19,25 +19,30 @@ from pipeline.errors import ModelError
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity
 from pipeline.geometry.rigid import Rigid3
-from pipeline.joints import BODY_25, COCO_17, JointSet
+from pipeline.hands.attach import attach_hands, has_hands, without_fingers
+from pipeline.joints import BODY_25, COCO_17, SIDES, WHOLE_BODY, JointSet, finger_joints
 from pipeline.runtime.kernel_cache import cache_folder, is_complete, note_complete
 from pipeline.runtime.packages.storage import exclusive
 from pipeline.skeleton.animate import animate
-from pipeline.tracking.associate import reconstruct_tracks
+from pipeline.tracking.associate import track_bodies
+from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
 
 _NUM_FRAMES = 10
 _RATE_HZ = 25.0
 
 # Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
-NUM_COMPILED = 103
+NUM_COMPILED = 169
 # Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
 _OWN_MODULES = f"{__package__}".removesuffix("runtime")
 
 
 def warm_up() -> None:
-    """Compile all kernels: track and fit a person, with a joint set of each padded size, and read a field."""
-    for joints in (COCO_17, BODY_25):
+    """Compile all kernels: track and fit a person, with a joint set of each padded size, and read a field.
+
+    Fingers are no part of tracking: the padded size of ``WHOLE_BODY`` is that of the body with heels and toes.
+    """
+    for joints in (COCO_17, WHOLE_BODY, BODY_25):
         _reconstruct_person(joints)
     ends = np.array([[0.0, 0.0], [1.0, 1.0]])
     connectivity(read_only(np.full((1, 2, 2, 2), 255, np.uint8)), np.zeros(1, int), ends[:1], ends[1:])
@@ -46,7 +51,13 @@ def warm_up() -> None:
 def _reconstruct_person(joints: JointSet) -> None:
     """Track and fit a person who stands in front of three cameras."""
     num_joints = len(joints.names)
-    body_m = np.random.default_rng(0).uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
+    random = np.random.default_rng(0)
+    body_m = random.uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.7], (num_joints, 3))
+    if has_hands(joints):
+        for side in SIDES:
+            fingers = finger_joints(side)
+            place_m = random.uniform(-0.05, 0.05, (len(fingers), 3))
+            body_m[joints.indices(fingers)] = body_m[joints.index(f"{side}_wrist")] + place_m
     cameras = [_camera(number) for number in range(3)]
     points_px = {camera.name: np.repeat(project(camera, body_m)[None], _NUM_FRAMES, axis=0) for camera in cameras}
     detections = {
@@ -61,8 +72,11 @@ def _reconstruct_person(joints: JointSet) -> None:
     }
     times = {camera.name: FrameTimes(np.arange(_NUM_FRAMES) / _RATE_HZ) for camera in cameras}
     timebase = Timebase(0.0, _RATE_HZ, _NUM_FRAMES)
-    people = reconstruct_tracks(cameras, times, detections, timebase, derive_parameters(cameras, _RATE_HZ))
-    animate(*people, cameras, timebase, joints, ReconstructionConfig())
+    bodies, parameters = gather(cameras, times, detections), derive_parameters(cameras, _RATE_HZ)
+    people = track_bodies(cameras, times, without_fingers(bodies, joints), timebase, parameters)
+    if has_hands(joints):
+        people = attach_hands(people, bodies, cameras, joints, timebase, parameters.min_score, parameters.lambda_t_hz)
+    animate(people.tracks, people.observations, cameras, timebase, joints, ReconstructionConfig())
 
 
 def _camera(number: int) -> Camera:

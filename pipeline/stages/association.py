@@ -22,11 +22,12 @@ from pipeline.clustering.instant.candidates import BodyEvidence, FieldEvidence, 
 from pipeline.clustering.parameters import ClusteringParameters
 from pipeline.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.clustering.skeleton import skeleton_of
-from pipeline.config import ReconstructionConfig
+from pipeline.config import ReconstructionConfig, networks_of
 from pipeline.data import Detections, PafFields, People, Poses3D
 from pipeline.detect.chunk import bodies_in
-from pipeline.detect.registry import entry_of
+from pipeline.detect.entries import entry_of
 from pipeline.errors import InputError, Problem
+from pipeline.hands.attach import attach_hands
 from pipeline.identity.identify import identify
 from pipeline.joints import JointSet
 from pipeline.parameters import change_parameters
@@ -99,7 +100,11 @@ def clustering_parameters(session: Session, config: ReconstructionConfig) -> Clu
     InputError
         If a changed parameter does not exist, or can't have that value.
     """
-    fields = entry_of(config.detector).fields if config.uses_fields and isinstance(session, CaptureSession) else None
+    fields = (
+        entry_of(networks_of(config).body).fields
+        if config.uses_fields and isinstance(session, CaptureSession)
+        else None
+    )
     own = {} if fields is None else {"tau2": fields.tau2}
     return change_parameters(derive_clustering(session.cameras, **own), config.clustering)
 
@@ -197,6 +202,21 @@ def tell_apart(
     """Find out who is who among the tracks of either method; see ``pipeline.identity.identify``."""
     min_score = 0.0 if config.method == "clustering" else tracking_parameters(session, config.tracking).min_score
     return identify(people, session.cameras, joints, session.timebase, min_score, config.num_people, colour)
+
+
+def attach(session: Session, people: People, bodies: Bodies, joints: JointSet, config: ReconstructionConfig) -> People:
+    """Add the fingers of detections to people of either method; see ``pipeline.hands.attach``.
+
+    Parameters
+    ----------
+    people
+        People with the joints of ``without_hands(joints)``.
+    bodies
+        Bodies of all cameras with all joints, as of ``gather``.
+    """
+    parameters = tracking_parameters(session, config.tracking)
+    min_score = 0.0 if config.method == "clustering" else parameters.min_score
+    return attach_hands(people, bodies, session.cameras, joints, session.timebase, min_score, parameters.lambda_t_hz)
 
 
 def _evidence(

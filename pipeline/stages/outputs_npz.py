@@ -28,6 +28,7 @@ from pipeline.data import (
     no_detections,
     no_frames,
 )
+from pipeline.detect.profiles.sizes import CameraSizes
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
 
 _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
@@ -44,6 +45,7 @@ _CONTACT = np.dtype(
         ("pinned", np.bool_),
         ("slide_before_m", np.float64),
         ("slide_after_m", np.float64),
+        ("part", "U4"),
     ]
 )
 _DOUBT = np.dtype([("frame", np.int64), ("confidence", np.float64), ("other", np.int64)])
@@ -77,6 +79,19 @@ class _Stored(Sequence[_Record]):
     def __getitem__(self, index: int | slice) -> _Record | Sequence[_Record]:
         numbers = self._numbers[index]
         return self._read(numbers) if isinstance(numbers, int) else [self._read(number) for number in numbers]
+
+
+def encode_sizes(sizes: CameraSizes) -> bytes:
+    """Write the sizes of a camera's images."""
+    border_px = np.nan if sizes.border_px is None else sizes.border_px
+    return encode_arrays({"scaled_px": np.array(sizes.scaled_px, np.int64), "border_px": np.array(border_px)})
+
+
+def decode_sizes(content: bytes) -> CameraSizes:
+    """Read what ``encode_sizes`` wrote."""
+    arrays = decode_arrays(content)
+    border_px = float(arrays["border_px"])
+    return CameraSizes(tuple(arrays["scaled_px"].tolist()), None if np.isnan(border_px) else border_px)
 
 
 def encode_detections(detections: Detections) -> bytes:

@@ -13,14 +13,17 @@ from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any, Literal
 
-from pipeline.config import JobChoices, ReconstructionConfig
+from pipeline.config import JobChoices, ReconstructionConfig, detected_joints, networks_of
 
-DETECT, LENGTHS, POSES, ASSOCIATE = "detect", "lengths", "poses", "associate"
+LOOK, DETECT, LENGTHS, POSES, ASSOCIATE = "look", "detect", "lengths", "poses", "associate"
 IDENTIFY, FIT, EXPORT = "identify", "fit", "export"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
 """Largest number of tasks of a stage. Each is a row of the service's database, and a job is read from all its rows."""
+
+LOOKED_AT_FRAMES = 12
+"""Largest number of frames of a camera that the stage ``look`` decodes."""
 
 # A frame of a task on the whole session takes about a tenth of the time of detecting people in it.
 _FRAMES_A_UNIT = 10
@@ -29,7 +32,7 @@ _MEASURED_HZ = 5
 # Fields of the configuration on which no output depends.
 _WITHOUT_EFFECT = {"chunk_frames", "processes"}
 
-Cut = Literal["camera ranges", "ranges", "whole"]
+Cut = Literal["cameras", "camera ranges", "ranges", "whole"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +112,7 @@ class Stage:
     label
         What forms and progress bars call it.
     cut
-        How it is cut into tasks: by camera and range of frames, by range of frames, or not at all.
+        How it is cut into tasks: by camera, by camera and range of frames, by range of frames, or not at all.
     follows
         Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
     choices
@@ -148,13 +151,27 @@ def _is_clustering(_: SessionFacts, config: JobChoices) -> bool:
     return config.method == "clustering"
 
 
+def _is_sized(facts: SessionFacts, config: JobChoices) -> bool:
+    return facts.has_videos and networks_of(config).is_sized
+
+
 STAGES = (
+    Stage(
+        LOOK,
+        "Look at people",
+        cut="cameras",
+        follows=(),
+        choices=("profile", "detector"),
+        function="look",
+        is_planned=_is_sized,
+        unit="frames",
+    ),
     Stage(
         DETECT,
         "Detect 2D joints",
         cut="camera ranges",
-        follows=(),
-        choices=("detector", "output"),
+        follows=(LOOK,),
+        choices=("profile", "joints", "detector", "output"),
         function="detect",
         is_planned=_has_videos,
         unit="frames",
@@ -324,6 +341,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     """
     is_clustering = config.method == "clustering"
     has_no_effect = {
+        "profile": config.detector != "auto",
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",
@@ -332,6 +350,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
     return {
         **{name: None if has_no_effect.get(name) else values[name] for name in values.keys() - _WITHOUT_EFFECT},
+        "joints": None if config.detector != "auto" else detected_joints(config),
         "exports": sorted(config.exports),
         "tracking": None if is_clustering else dict(config.tracking),
         "clustering": dict(config.clustering) if is_clustering else None,
@@ -349,6 +368,8 @@ def _bounded_length(facts: SessionFacts, chunk_frames: int) -> int:
 
 
 def _tasks(stage: Stage, stage_key: str, facts: SessionFacts, cut: FrameCut) -> Iterable[Task]:
+    if stage.cut == "cameras":
+        return _WholeCameraTasks(stage.name, stage_key, facts, cut.chunk_frames)
     if stage.cut == "camera ranges":
         return _CameraTasks(stage.name, stage_key, cut, facts.frame_rate_hz, facts.camera_rates_hz)
     if stage.cut == "ranges":
@@ -357,6 +378,23 @@ def _tasks(stage: Stage, stage_key: str, facts: SessionFacts, cut: FrameCut) -> 
     if stage.name == LENGTHS:
         num_units = max(1, min(cut.num_frames, round(_MEASURED_HZ * cut.num_frames / facts.frame_rate_hz)))
     return (Task(stage.name, 0, None, cut.frames, cut.chunk_frames, num_units, stage_key),)
+
+
+@dataclass(frozen=True, slots=True)
+class _WholeCameraTasks:
+    """Tasks of a stage on each camera's whole video, whichever frames of it are wanted."""
+
+    stage: str
+    stage_key: str
+    facts: SessionFacts
+    chunk_frames: int
+
+    def __iter__(self) -> Iterator[Task]:
+        frames = range(self.facts.num_frames)
+        num_units = max(1, min(LOOKED_AT_FRAMES, len(frames)))
+        for index, camera in enumerate(self.facts.camera_rates_hz):
+            key = _hash([self.stage_key, camera])
+            yield Task(self.stage, index, camera, frames, self.chunk_frames, num_units, key)
 
 
 @dataclass(frozen=True, slots=True)

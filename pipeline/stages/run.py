@@ -3,7 +3,6 @@
 ``run_task`` is called by the executor of one machine, ``pipeline.stages.local``, and by the workers of the service.
 """
 
-import functools
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -11,21 +10,25 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import FILE_FORMATS, ReconstructionConfig
+from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
 from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
-from pipeline.detect.detector import open_detector
-from pipeline.detect.registry import entry_of
+from pipeline.detect.entries import entry_of
+from pipeline.detect.profiles.detection import joints_of, load_detector, open_detection
+from pipeline.detect.profiles.look import look_at_people
+from pipeline.detect.profiles.sizes import RULES, CameraSizes
 from pipeline.errors import PipelineError
 from pipeline.export.results import METRICS, write_results
-from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
+from pipeline.hands.attach import has_hands, without_fingers
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, in_units
 from pipeline.quality.report import all_checks
 from pipeline.skeleton.animate import animate
 from pipeline.stages.association import (
     DetectionsByCamera,
     Session,
+    attach,
     link,
     locate_people,
     measure_bones,
@@ -41,12 +44,14 @@ from pipeline.stages.outputs_npz import (
     decode_fields,
     decode_lengths,
     decode_poses,
+    decode_sizes,
     encode_animation,
     encode_colours,
     encode_detections,
     encode_fields,
     encode_lengths,
     encode_poses,
+    encode_sizes,
     open_people,
     with_colours,
     write_people,
@@ -57,6 +62,8 @@ from pipeline.stages.plan import (
     FIT,
     IDENTIFY,
     LENGTHS,
+    LOOK,
+    LOOKED_AT_FRAMES,
     POSES,
     STAGE_BY_NAME,
     FrameCut,
@@ -70,8 +77,6 @@ _PEOPLE = "people.npz"
 _MEDIA_TYPES = {".json": "application/json"} | {
     f".{name}": file_format.media_type for name, file_format in FILE_FORMATS.items()
 }
-
-load_detector = functools.cache(open_detector)
 
 
 class Context(ABC):
@@ -146,7 +151,12 @@ def run_task(task: Task, context: Context) -> Output:
 def wanted_session(session: Session, config: ReconstructionConfig) -> tuple[Session, JointSet]:
     """Session as if it had the wanted frames alone, numbered from 0, and the joints of its detections."""
     wanted = restrict(session, config.frames)
-    return wanted, wanted.joints if isinstance(wanted, KeypointSession) else entry_of(config.detector).joints
+    return wanted, wanted.joints if isinstance(wanted, KeypointSession) else detection_joints(config)
+
+
+def detection_joints(config: ReconstructionConfig) -> JointSet:
+    """Joints that the networks of a configuration detect in videos."""
+    return joints_of(networks_of(config), detected_joints(config))
 
 
 def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
@@ -156,7 +166,24 @@ def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets
     if config.joint_centers != "auto":
         return entry_of(config.joint_centers).offsets
     # Nobody knows which program marked the joints of keypoint files.
-    return MARKED_AT_CENTERS if isinstance(session, KeypointSession) else entry_of(config.detector).offsets
+    if isinstance(session, KeypointSession):
+        return MARKED_AT_CENTERS
+    networks = networks_of(config)
+    if networks.near is not None and networks.refines_body:
+        return entry_of(networks.near).offsets
+    return entry_of(networks.body).offsets
+
+
+def look(task: Task, context: Context) -> Output:
+    """Look at the people in some frames of a camera's whole video, and choose the size of its images."""
+    session = context.session()
+    if isinstance(session, KeypointSession) or task.camera is None:
+        raise PipelineError("A session of keypoints has no videos.")
+    detector = load_detector(networks_of(context.config).body)
+    rule = RULES[context.config.profile]
+    with context.video(task.camera):
+        sizes = look_at_people(session, task.camera, detector, rule, LOOKED_AT_FRAMES, context.on_unit)
+    return Output(encode_sizes(sizes))
 
 
 def detect(task: Task, context: Context) -> Output:
@@ -171,13 +198,15 @@ def detect(task: Task, context: Context) -> Output:
     config, found = context.config, context.found()
     with context.video(task.camera):
         if found is not None:
-            joints = entry_of(config.detector).joints
+            joints = detection_joints(config)
             coloured = measure_colours(session, span, decode_detections(found), joints, context.on_unit)
             return Output(found, interim=encode_colours(coloured))
-        of_chunk = session, task.camera, span, load_detector(config.detector), context.on_unit
+        networks = networks_of(config)
         if config.uses_fields:
-            return Output(encode_fields(detect_fields_chunk(*of_chunk)))
-        detections = detect_chunk(*of_chunk, config.uses_colours)
+            fields = detect_fields_chunk(session, task.camera, span, load_detector(networks.body), context.on_unit)
+            return Output(encode_fields(fields))
+        detector = open_detection(networks, detected_joints(config), _sizes(context, task.camera))
+        detections = detect_chunk(session, task.camera, span, detector, context.on_unit, config.uses_colours)
         interim = encode_colours(detections) if config.uses_colours else None
         return Output(encode_detections(detections), interim=interim)
 
@@ -215,11 +244,13 @@ def associate_people(task: Task, context: Context) -> Output:
     on_share = _on_share(task, context)
     if context.config.method == "clustering":
         session, joints = wanted_session(context.outline(), context.config)
-        people = link(session, map(decode_poses, context.outputs(POSES)), joints, context.config, on_share)
+        poses = map(decode_poses, context.outputs(POSES))
+        people = link(session, poses, without_hands(joints), context.config, on_share)
         damaged = decode_damaged_videos(*context.outputs(LENGTHS))
     else:
         bodies, damaged = _gathered(context)
-        session, _ = wanted_session(context.outline(), context.config)
+        session, joints = wanted_session(context.outline(), context.config)
+        bodies = without_fingers(bodies, joints)
         people = track(session, bodies, context.config, on_share)
         del bodies
     archive = context.scratch / _PEOPLE
@@ -229,11 +260,14 @@ def associate_people(task: Task, context: Context) -> Output:
 
 
 def identify_people(task: Task, context: Context) -> Output:
-    """Find out who is who, from the tracks of the whole session."""
+    """Find out who is who, from the tracks of the whole session, and attach people's hands."""
     session, joints = wanted_session(context.outline(), context.config)
     archive = _archive_of_people(context, ASSOCIATE)
     colour = _gathered(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
-    people = tell_apart(session, open_people(archive), joints, context.config, colour)
+    people = tell_apart(session, open_people(archive), without_hands(joints), context.config, colour)
+    del colour
+    if has_hands(joints):
+        people = attach(session, people, _gathered(context)[0], joints, context.config)
     write_people(archive, people, decode_damaged_videos(archive))
     del people
     _on_share(task, context)(1.0)
@@ -279,6 +313,14 @@ def assemble(context: Context) -> Reconstruction:
         doubts=people.doubts,
         offsets=used_offsets(session, context.config),
     )
+
+
+def _sizes(context: Context, camera: str) -> CameraSizes | None:
+    """Sizes of a camera's images; ``None``: the usual size of the network."""
+    if not networks_of(context.config).is_sized:
+        return None
+    index = list(context.facts.camera_rates_hz).index(camera)
+    return decode_sizes(*context.outputs(LOOK, slice(index, index + 1)))
 
 
 def _on_share(task: Task, context: Context) -> OnShare:
@@ -352,5 +394,14 @@ def _result_file(path: Path) -> ResultFile:
 
 _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
     function.__name__: function
-    for function in (detect, measure_lengths, find_poses, associate_people, identify_people, fit_skeletons, export)
+    for function in (
+        look,
+        detect,
+        measure_lengths,
+        find_poses,
+        associate_people,
+        identify_people,
+        fit_skeletons,
+        export,
+    )
 }

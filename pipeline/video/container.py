@@ -4,7 +4,7 @@ FFmpeg may open container formats only, and no other file. Decoding uses one thr
 nor other modules of Multicap, so that decoder processes start quickly.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -75,6 +75,23 @@ def decode_from(path: Path, seek_pts: Sequence[int], target_pts: int) -> Iterato
         yield from _decode(container, first_video(container))
 
 
+def decode_keyframes(path: Path, wanted_pts: Collection[int]) -> Iterator[VideoFrame]:
+    """Decode some keyframes in the order of display, and no other frame.
+
+    Parameters
+    ----------
+    wanted_pts
+        Timestamps of the keyframes. Those that can't be decoded are missing.
+
+    Raises
+    ------
+    DECODE_ERRORS
+        If the file can't be opened or read.
+    """
+    with open_container(path) as container:
+        yield from _decode(container, first_video(container), frozenset(wanted_pts))
+
+
 def display_pts(frame: VideoFrame) -> int | None:
     """Presentation timestamp of a frame in ticks of the stream's time base; ``None`` if it has none."""
     return frame.dts if frame.pts is None else frame.pts
@@ -97,10 +114,16 @@ def _decode_after_seek(container: InputContainer, pts: int) -> Iterator[VideoFra
     yield from _decode(container, stream)
 
 
-def _decode(container: InputContainer, stream: VideoStream | None) -> Iterator[VideoFrame]:
+def _decode(
+    container: InputContainer, stream: VideoStream | None, only_pts: Collection[int] | None = None
+) -> Iterator[VideoFrame]:
     if stream is None:
         return
     for packet in container.demux(stream):
+        # An empty packet ends the stream: the decoder gives the frames that it holds back.
+        stamp = packet.dts if packet.pts is None else packet.pts
+        if only_pts is not None and packet.size and stamp not in only_pts:
+            continue
         try:
             frames = packet.decode()
         except MemoryError:

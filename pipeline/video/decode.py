@@ -3,7 +3,8 @@
 Each range is decoded in a child process with limits on memory and time, which works ahead by a frame or two.
 """
 
-from collections.abc import Callable, Generator
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import closing
 
 import numpy as np
@@ -21,7 +22,11 @@ _MAX_CPU_S_PER_FRAME = 1
 
 
 def decode(
-    video: VideoInfo, start_frame: int, stop_frame: int, on_damaged: Callable[[int], object] = lambda _: None
+    video: VideoInfo,
+    start_frame: int,
+    stop_frame: int,
+    on_damaged: Callable[[int], object] = lambda _: None,
+    only: Collection[int] | None = None,
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Decode the frames ``start_frame <= k < stop_frame``, in order.
 
@@ -30,8 +35,10 @@ def decode(
     Parameters
     ----------
     on_damaged
-        Called with the number of each frame that the decoder marks as damaged, and of each frame that it could not
-        decode.
+        Called with the number of each wanted frame that the decoder marks as damaged, or that it could not decode.
+    only
+        Numbers of the wanted frames of the range; ``None``: all. If all of them are keyframes, no other frame is
+        decoded.
 
     Yields
     ------
@@ -46,12 +53,14 @@ def decode(
     ChildError
         If the child process fails for a reason other than the file.
     """
-    wanted = range(max(start_frame, 0), min(stop_frame, video.num_frames))
+    wanted: Sequence[int] = range(max(start_frame, 0), min(stop_frame, video.num_frames))
+    if only is not None:
+        wanted = [number for number in sorted(set(only)) if number in wanted]
     if not wanted:
         return
-    following = wanted.start
+    following = wanted[0]
     try:
-        with closing(decoded_frames(_request(video, wanted))) as frames:
+        with closing(decoded_frames(_request(video, wanted, only is not None))) as frames:
             previous_pts = None
             for frame in frames:
                 if frame.size_px != video.stored_size_px:
@@ -62,7 +71,7 @@ def decode(
                 number = _number(video, frame.pts)
                 if frame.image_rgb is None or number is None or number < following:
                     continue
-                for missing in range(following, number):
+                for missing in _between(wanted, following, number):
                     on_damaged(missing)
                 if frame.is_damaged:
                     on_damaged(number)
@@ -72,13 +81,19 @@ def decode(
         raise _undecodable(video, following) from None
     except LimitError:
         raise _beyond_limits(video, following) from None
-    for missing in range(following, wanted.stop):
+    for missing in _between(wanted, following, wanted[-1] + 1):
         on_damaged(missing)
 
 
-def _request(video: VideoInfo, wanted: range) -> Request:
+def _between(wanted: Sequence[int], start: int, stop: int) -> Sequence[int]:
+    """Wanted frames of the range ``start <= k < stop``."""
+    return wanted[bisect_left(wanted, start) : bisect_left(wanted, stop)]
+
+
+def _request(video: VideoInfo, wanted: Sequence[int], is_selection: bool) -> Request:
     width, height = video.stored_size_px
-    first_pts = int(video.pts[wanted.start])
+    first_pts = int(video.pts[wanted[0]])
+    only_pts = video.pts[list(wanted)].tolist() if is_selection else None
     return Request(
         path=str(video.path.absolute()),
         codec=video.codec,
@@ -86,9 +101,11 @@ def _request(video: VideoInfo, wanted: range) -> Request:
         height=height,
         seek_pts=seek_points(video.keyframe_pts, first_pts),
         first_pts=first_pts,
-        last_pts=int(video.pts[wanted.stop - 1]),
-        to_the_end=wanted.stop == video.num_frames,
-        max_cpu_s=_MAX_CPU_S + _MAX_CPU_S_PER_FRAME * wanted.stop,
+        last_pts=int(video.pts[wanted[-1]]),
+        to_the_end=wanted[-1] + 1 == video.num_frames,
+        max_cpu_s=_MAX_CPU_S + _MAX_CPU_S_PER_FRAME * (wanted[-1] + 1),
+        only_pts=only_pts,
+        only_keyframes=only_pts is not None and bool(np.isin(only_pts, video.keyframe_pts).all()),
     )
 
 

@@ -11,7 +11,7 @@ import os
 import struct
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from av.filter import Graph
 from av.video.frame import VideoFrame
 
 from pipeline.video.children import start_child
-from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
+from pipeline.video.container import DECODE_ERRORS, decode_from, decode_keyframes, display_pts
 
 FRAME = struct.Struct("<qII??")
 """Timestamp, width, height, whether the decoder marks the frame as damaged, and whether there is a picture."""
@@ -51,6 +51,10 @@ class Request(NamedTuple):
         Whether to decode the frames after the range too, without their pictures.
     max_cpu_s
         Limit on the computing time of the process.
+    only_pts
+        Timestamps of the frames whose pictures are wanted; ``None``: those of all frames of the range.
+    only_keyframes
+        Whether ``only_pts`` are keyframes, so that no other frame needs to be decoded.
     """
 
     path: str
@@ -62,6 +66,8 @@ class Request(NamedTuple):
     last_pts: int
     to_the_end: bool
     max_cpu_s: int
+    only_pts: Sequence[int] | None = None
+    only_keyframes: bool = False
 
     @property
     def picture_bytes(self) -> int:
@@ -75,14 +81,15 @@ def _write_frames(request: Request, shared_file: int) -> None:
     threading.Thread(target=_read_stdin, args=[is_free], daemon=True).start()
     av.logging.set_level(av.logging.ERROR)
     to_rgb: Graph | None = None
+    only_pts = None if request.only_pts is None else frozenset(request.only_pts)
     with av.logging.Capture() as logged:
-        for frame in decode_from(Path(request.path), request.seek_pts, request.first_pts):
+        for frame in _frames(request):
             is_damaged = frame.is_corrupt or (request.codec in _LOGS_DAMAGE and bool(logged))
             logged.clear()
             pts = display_pts(frame)
             if pts is None:
                 continue
-            is_wanted = request.first_pts <= pts <= request.last_pts
+            is_wanted = request.first_pts <= pts <= request.last_pts and (only_pts is None or pts in only_pts)
             if is_wanted and (frame.width, frame.height) == (request.width, request.height):
                 to_rgb = to_rgb or _rgb_converter(frame)
                 to_rgb.vpush(frame)
@@ -95,6 +102,13 @@ def _write_frames(request: Request, shared_file: int) -> None:
             sys.stdout.buffer.flush()
             if pts >= request.last_pts and not request.to_the_end:
                 return
+
+
+def _frames(request: Request) -> Iterator[VideoFrame]:
+    path = Path(request.path)
+    if request.only_keyframes and request.only_pts is not None:
+        return decode_keyframes(path, request.only_pts)
+    return decode_from(path, request.seek_pts, request.first_pts)
 
 
 def _read_stdin(is_free: threading.Semaphore) -> None:

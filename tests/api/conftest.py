@@ -135,7 +135,7 @@ def running(settings: Settings) -> Iterator[Live]:
     server = uvicorn.Server(server_config(app, settings.model_copy(update={"host": "127.0.0.1", "port": 0})))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + 120
     while not server.started:
         assert time.monotonic() < deadline_s
         assert thread.is_alive()
@@ -146,7 +146,7 @@ def running(settings: Settings) -> Iterator[Live]:
             yield Live(client, address, app.state.services)
     finally:
         server.should_exit = True
-        thread.join(20)
+        thread.join(120)
 
 
 @pytest.fixture(autouse=True)

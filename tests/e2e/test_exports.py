@@ -4,7 +4,7 @@ import json
 import os
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import c3d
@@ -18,15 +18,17 @@ from trc import TRCData
 from api.cli.commands.reconstruct import write_results
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig
-from pipeline.data import Reconstruction, SkeletonMotion
+from pipeline.data import Reconstruction, SkeletonMotion, Source, Track3D
 from pipeline.export.presets import PRESETS
+from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
-from pipeline.skeleton.feet import ANKLE_HEIGHT_M
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
+from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
 from pipeline.stages.local import reconstruct
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
+from tests.pipeline.export.writers.test_bvh import with_fingers
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -49,7 +51,11 @@ IN_BLENDER: dict[Preset, dict[str, object]] = {
     "unreal": {"global_scale": 0.01, "axis_forward": "Y", "axis_up": "Z"},
     "mixamo": {"global_scale": 0.01},
 }
-WITH_CHANNELS = [joint.name for joint in SKELETON if not joint.name.endswith("End")]
+
+
+def with_channels(motion: SkeletonMotion) -> list[str]:
+    """Names of the joints that have channels in BVH files."""
+    return [joint.name for joint in skeleton_of(len(motion.bone_length_m)) if not joint.name.endswith("End")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +91,53 @@ def filmed(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFact
     return exported("sample", reconstruction, tmp_path_factory.mktemp("filmed"))
 
 
-@pytest.fixture(params=["walk", "filmed"])
+@pytest.fixture(scope="session")
+def hands(walk: Capture, tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """The simulated walk with fingers that turn, also in the tracks."""
+    body = walk.reconstruction
+    joints = JointSet(
+        names=(*body.joints.names, *(name for side in SIDES for name in finger_joints(side))),
+        bones=(*body.joints.bones, *(bone for side in SIDES for bone in hand_bones(side))),
+    )
+    motions = tuple(with_fingers(motion) for motion in body.motions)
+    tracks = tuple(with_finger_joints(track, motion) for track, motion in zip(body.tracks, motions, strict=True))
+    whole = replace(
+        body,
+        joints=joints,
+        located=[with_finger_joints(track, None) for track in body.located],
+        observations=[
+            replace(seen, points_px=padded(seen.points_px, -2, np.nan), score=padded(seen.score, -1, 0.0))
+            for seen in body.observations
+        ],
+        animation=replace(body.animation, tracks=tracks, motions=motions),
+    )
+    return exported("hands", whole, tmp_path_factory.mktemp("hands"))
+
+
+def padded(values: np.ndarray, axis: int, value: float) -> np.ndarray:
+    """Append the joints of all fingers to the joints' axis of an array."""
+    width = [(0, 0)] * values.ndim
+    width[axis] = (0, len(FINGER_JOINTS))
+    return np.pad(values, width, constant_values=value)
+
+
+def with_finger_joints(track: Track3D, motion: SkeletonMotion | None) -> Track3D:
+    """Add the joints of all fingers to a track: predicted by a motion, or absent without."""
+    xyz_m = padded(track.xyz_m, 1, np.nan)
+    if motion is not None:
+        xyz_m[:, -len(FINGER_JOINTS) :] = forward_kinematics(motion)[:, len(SKELETON) :]
+    return replace(
+        track,
+        xyz_m=xyz_m,
+        score=padded(track.score, 1, 0.0),
+        source=padded(track.source, 1, Source.ABSENT if motion is None else Source.PREDICTED),
+        error_px=padded(track.error_px, 1, np.nan),
+        views=padded(track.views, 1, 0),
+        uncertainty_m=None if track.uncertainty_m is None else padded(track.uncertainty_m, 1, np.nan),
+    )
+
+
+@pytest.fixture(params=["walk", "filmed", "hands"])
 def capture(request: pytest.FixtureRequest) -> Capture:
     return request.getfixturevalue(request.param)
 
@@ -101,7 +153,7 @@ def test_bvh_in_python(capture: Capture, preset: Preset, read: Callable[[Path], 
     axes, units_per_m = IN_FILE[preset]
     for path, motion in capture.paths("bvh", preset).items():
         expected_m, found = forward_kinematics(motion), read(path)
-        for joint in WITH_CHANNELS:
+        for joint in with_channels(motion):
             expected = expected_m[:, INDEX[joint]] @ axes.T * units_per_m
             assert_same(found[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
 
@@ -115,7 +167,7 @@ def test_bvh_in_three(capture: Capture, preset: Preset) -> None:
         motion = paths[path]
         expected_m = forward_kinematics(motion)
         assert read.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-6)
-        for joint in WITH_CHANNELS:
+        for joint in with_channels(motion):
             expected = expected_m[:, INDEX[joint]] @ axes.T * units_per_m
             assert_same(read.positions[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
 
@@ -125,8 +177,9 @@ def test_glb_in_three(capture: Capture) -> None:
     for path, read in read_with_three(list(paths)).items():
         motion = paths[path]
         assert read.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-4)
-        for joint, index in INDEX.items():
-            assert_same(read.positions[joint], forward_kinematics(motion)[:, index] @ Y_UP.T, 1e-4, (path, joint))
+        expected_m = forward_kinematics(motion)
+        for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
+            assert_same(read.positions[joint.name], expected_m[:, index] @ Y_UP.T, 1e-4, (path, joint.name))
 
 
 def test_glb_is_valid_gltf(capture: Capture) -> None:
@@ -188,10 +241,12 @@ def test_nothing_flips(capture: Capture, preset: Preset) -> None:
     for motion in capture.reconstruction.motions:
         positions_m = forward_kinematics(motion)
         moved_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=-1)
-        for joint in WITH_CHANNELS:
-            ends = [INDEX[one.name] for one in SKELETON if joint in (one.name, one.parent)]
+        quat_xyzw = PRESETS[preset].parent_from_joint(motion.parent_from_joint)
+        skeleton = skeleton_of(len(motion.bone_length_m))
+        for joint in with_channels(motion):
+            ends = [INDEX[one.name] for one in skeleton if joint in (one.name, one.parent)]
             calm = (moved_m[:, ends] < 0.05).all(-1)
-            turn = Rotation.from_quat(PRESETS[preset].parent_from_joint(motion.parent_from_joint)[:, INDEX[joint]])
+            turn = Rotation.from_quat(quat_xyzw[:, INDEX[joint]])
             step_deg = np.degrees((turn[:-1].inv() * turn[1:]).magnitude())
             assert step_deg[calm].max(initial=0.0) <= 45.0, (motion.name, joint)
 
@@ -215,11 +270,12 @@ def test_blender(capture: Capture, tmp_path: Path) -> None:
     for path, (preset, motion, tolerance_m) in opened.items():
         read, name = found[path], PRESETS[preset].name
         assert read.frame_rate_hz == pytest.approx(rate_hz, rel=1e-6)
-        rest = {joint: read.rest[name(joint)] for joint in WITH_CHANNELS}
+        rest = {joint: read.rest[name(joint)] for joint in with_channels(motion)}
         assert rest["Head"][2] > rest["Hips"][2] + 0.4 > rest["LeftFoot"][2] + 1.0
         assert rest["LeftHand"][0] > 0.3 > -0.3 > rest["RightHand"][0]
         expected_m = forward_kinematics(motion)
-        for joint in INDEX if path.suffix == ".glb" else WITH_CHANNELS:
+        names = [joint.name for joint in skeleton_of(len(motion.bone_length_m))]
+        for joint in names if path.suffix == ".glb" else with_channels(motion):
             assert_same(read.positions[name(joint)], expected_m[:, INDEX[joint]], tolerance_m, (path, joint))
         if path.suffix == ".glb":
             assert read.rest["LeftFootEnd"][1] < read.rest["LeftFoot"][1] - 0.05  # it faces -Y

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.xdist_group("sample")
 
 NUM_FRAMES = 12
 CONFIG = ReconstructionConfig(
-    "clustering", "openpose-mobilenet-thin", joint_centers="off", chunk_frames=NUM_FRAMES
+    "clustering", detector="openpose-mobilenet-thin", joint_centers="off", chunk_frames=NUM_FRAMES
 )  # joints where they are marked: their distance from the marks is measured
 BODY = COCO_18.indices(tuple(name for name in COCO_18.names if not name.endswith(("eye", "ear"))))
 

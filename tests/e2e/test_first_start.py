@@ -15,6 +15,7 @@ from typing import Any
 import httpx2
 
 from api.cli.commands.serve import READY
+from pipeline.config import JobChoices, networks_of
 from pipeline.detect import models
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import NUM_COMPILED
@@ -23,7 +24,7 @@ from tests.e2e.serving import COMMAND
 from tests.waiting import wait_for
 
 COMPILING = re.compile(r"A worker compiles the numeric kernels: (\d+) of (\d+) steps\. A first start takes .*")
-# Time limit on a busy machine; compiling takes most of a minute.
+# Time limit on a busy machine; compiling takes minutes.
 LONGEST_S = 600.0
 
 
@@ -78,8 +79,9 @@ def seconds(stage: dict[str, Any]) -> float:
 def test_ready_is_said_when_a_job_would_start_at_once(sample: Sample, tmp_path: Path) -> None:
     home = tmp_path / "home"
     (home / "models").mkdir(parents=True)
-    network = models.path_of("movenet-multipose")
-    (home / "models" / network.name).symlink_to(network)
+    for name in networks_of(JobChoices()).names:
+        network = models.path_of(name)
+        (home / "models" / network.name).symlink_to(network)
     with starting(tmp_path, home) as (client, process):
         wait_for(lambda: answers(client))
         jobs = post_session(client, sample)
@@ -95,7 +97,7 @@ def test_ready_is_said_when_a_job_would_start_at_once(sample: Sample, tmp_path: 
     assert {total for _, total in steps} == {NUM_COMPILED}
     waited_s = datetime.fromisoformat(job["stages"][0]["started_at"]) - datetime.fromisoformat(job["created_at"])
     assert waited_s.total_seconds() < 2.0
-    # Without compiled kernels these would take most of a minute.
+    # Without compiled kernels these would take minutes.
     assert sum(seconds(stage) for stage in job["stages"] if stage["name"] in {"associate", "fit"}) < 10.0
     told = (tmp_path / "stderr").read_text()
     assert COMPILING.search(told), told

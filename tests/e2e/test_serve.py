@@ -43,6 +43,7 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
     again = served.client.post(f"/v1/sessions/{job['session_id']}/jobs").raise_for_status().json()
     stages = served.wait_for_end(again["id"])["stages"]
     assert {stage["name"]: stage["reused"] for stage in stages} == {
+        "look": True,
         "detect": True,
         "associate": True,
         "identify": True,

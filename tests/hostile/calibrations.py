@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.write import encode
+from pipeline.calibration.write import encode, encode_opencv, encode_toml
 from pipeline.data import Camera
 from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
 
@@ -18,7 +18,11 @@ def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
     return {
         "cameras.json": encode(cameras),
         "short.json": json.dumps(short, indent=1).encode(),
-        "cameras.toml": "\n".join(map(_toml, cameras)).encode(),
+        "cameras.toml": encode_toml(cameras),
+        "cameras.yml": encode_opencv(cameras),
+        "panoptic.json": json.dumps({"cameras": [_panoptic(camera) for camera in cameras]}, indent=1).encode(),
+        "cameras.xcp": f"<Cameras>{''.join(map(_xcp, cameras))}</Cameras>".encode(),
+        "colmap.txt": _colmap(cameras).encode(),
         "cameras.qca.txt": _qca(cameras).encode(),
         "cameras.xml": _qca(cameras).encode(),
     }
@@ -45,6 +49,13 @@ def _special(cameras: Sequence[Camera]) -> Iterator[tuple[str, bytes]]:
     yield "cameras.json", b'{"cameras": [{"K": ["' + b"x" * 1_000_000 + b'"' + b',""' * 100_000 + b"]}]}"
     yield "cameras.xml", b"<calibration><cameras>" + b"<camera/>" * 100_000 + b"</cameras></calibration>"
     yield "cameras.xml", b"<a>" * 300_000
+    yield "cameras.yml", b"a: " + b"[" * 1_000_000
+    yield "cameras.yml", b"a: [" + b"1," * 2_000_000
+    yield "cameras.yml", b"".join(b"a%d: {K: [[1]]}\n" % number for number in range(100_000))
+    yield "cameras.yml", b"a: &a [1]\nb: &b [*a, *a]\nc: [*b, *b]\n"
+    yield "cameras.xml", b"<opencv_storage>" + b"<a>" * 300_000
+    yield "cameras.xcp", b"<Cameras>" + b"<Camera><KeyFrames><KeyFrame/></KeyFrames></Camera>" * 50_000 + b"</Cameras>"
+    yield "colmap.txt", good["colmap.txt"] + b"1 1 0 0 0 0 0 0 1 a.png\n\n" * 100_000
 
 
 def _many_fields(count: int) -> bytes:
@@ -63,17 +74,43 @@ def _short(camera: Camera) -> dict[str, object]:
     }
 
 
-def _toml(camera: Camera) -> str:
-    values = {
+def _panoptic(camera: Camera) -> dict[str, object]:
+    pose = camera.cam_from_world
+    return {
         "name": camera.name,
-        "size": list(camera.size_px),
-        "matrix": camera.matrix.tolist(),
-        "distortions": camera.distortion.tolist(),
-        "rotation": Rotation.from_matrix(camera.cam_from_world.rotation).as_rotvec().tolist(),
-        "translation": camera.cam_from_world.translation_m.tolist(),
-        "fisheye": False,
+        "type": "hd",
+        "resolution": list(camera.size_px),
+        "K": camera.matrix.tolist(),
+        "distCoef": camera.distortion.tolist(),
+        "R": pose.rotation.tolist(),
+        "t": (100.0 * pose.translation_m).reshape(3, 1).tolist(),
     }
-    return "\n".join([f"[{camera.name}]", *(f"{name} = {json.dumps(value)}" for name, value in values.items()), ""])
+
+
+def _words(numbers: np.ndarray) -> str:
+    return " ".join(map(repr, numbers.tolist()))
+
+
+def _xcp(camera: Camera) -> str:
+    quaternion = Rotation.from_matrix(camera.cam_from_world.rotation).as_quat()
+    center_mm = 1000 * camera.cam_from_world.inverse().translation_m
+    return f"""<Camera DEVICEID="{camera.name}" SENSOR_SIZE="{camera.size_px[0]} {camera.size_px[1]}" TYPE="Video">
+<KeyFrames><KeyFrame FOCAL_LENGTH="{float(camera.matrix[0, 0])!r}" PRINCIPAL_POINT="{_words(camera.matrix[:2, 2])}"
+ORIENTATION="{_words(quaternion)}" POSITION="{_words(center_mm)}" VICON_RADIAL="1e-8 0"/></KeyFrames></Camera>
+"""
+
+
+def _colmap(cameras: Sequence[Camera]) -> str:
+    lenses = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
+    images = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"]
+    for k, camera in enumerate(cameras):
+        width, height = camera.size_px
+        lens = np.array([camera.matrix[0, 0], camera.matrix[1, 1], *camera.matrix[:2, 2]])
+        quaternion = np.roll(Rotation.from_matrix(camera.cam_from_world.rotation).as_quat(), 1)
+        lenses.append(f"{k} PINHOLE {width} {height} {_words(lens)}")
+        pose = _words(np.concatenate([quaternion, camera.cam_from_world.translation_m]))
+        images += [f"{k} {pose} {k} {camera.name}.png", ""]
+    return "\n".join([*lenses, *images, ""])
 
 
 def _qca(cameras: Sequence[Camera]) -> str:

@@ -9,7 +9,8 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-from pipeline.capture.keypoints import MAX_PEOPLE, KeypointSession
+from pipeline.capture.keypoint_files.people import MAX_PEOPLE
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.clustering.instant.effort import Effort
 from pipeline.config import Method, ReconstructionConfig
 from pipeline.data import People

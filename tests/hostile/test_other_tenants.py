@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.write import encode
-from pipeline.capture.keypoints import MAX_PEOPLE
+from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.data import Detections
 from tests.e2e.serving import Served, serving
 from tests.hostile.crowds import hostile_crowds

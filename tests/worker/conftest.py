@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
@@ -21,6 +21,11 @@ from worker.runner import Runner
 NUM_FRAMES, CHUNK_FRAMES = 40, 10
 
 RESULT = b"squares: " + b",".join(str(k * k).encode() for k in range(NUM_FRAMES))
+
+
+def look(work: Work) -> Output:
+    work.on_unit()
+    return Output(b"size")
 
 
 def detect(work: Work) -> Output:
@@ -60,6 +65,7 @@ class Bench:
     session: Session
     stages: dict[str, Callable[[Work], Output]] = field(
         default_factory=lambda: {
+            LOOK: look,
             DETECT: detect,
             ASSOCIATE: associate,
             IDENTIFY: identify,

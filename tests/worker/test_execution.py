@@ -21,6 +21,7 @@ from worker.jobs.model import Claim, InputFile, Session
 from worker.jobs.spec import JobSpec
 
 NUM_FRAMES = 20
+ALONE = JobSpec(detector="movenet-multipose")
 
 
 def keep(artifacts: LocalArtifacts, session_id: str, number: int, path: Path, kind: str) -> InputFile:
@@ -65,7 +66,7 @@ def work(
 ) -> Work:
     """The chunk of all frames of the camera on the left."""
     payload = {"camera": "left", "start_frame": 0, "stop_frame": NUM_FRAMES, "chunk_frames": NUM_FRAMES}
-    claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, JobSpec(), "token", 1, 1, None)
+    claim = Claim(1, "job", session.id, "detect", 0, payload, NUM_FRAMES, "0" * 64, ALONE, "token", 1, 1, None)
     return Work(
         claim,
         session,

@@ -54,7 +54,7 @@ class Service:
         return WorkQueue(directory.broker_url).publish()
 
     def wait_until_detecting(self, job: Job) -> None:
-        wait_for(lambda: self.bench.store.jobs.get(job.id).stages[0].done > 0)
+        wait_for(lambda: self.bench.store.jobs.get(job.id).stages[1].done > 0)
 
     def wait_for_end(self, job: Job, timeout_s: float = 60.0) -> Job:
         wait_for(lambda: self.bench.store.jobs.get(job.id).state in FINISHED, timeout_s)

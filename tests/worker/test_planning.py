@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
-from pipeline.config import MAX_OUTPUT_FRAMES, ReconstructionConfig, method_warnings
-from pipeline.detect.registry import REGISTRY
+from pipeline.config import MAX_OUTPUT_FRAMES, NETWORKS, ReconstructionConfig, method_warnings
+from pipeline.detect.entries import REGISTRY
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import (
     ASSOCIATE,
@@ -21,6 +21,8 @@ from pipeline.stages.plan import (
     FIT,
     IDENTIFY,
     LENGTHS,
+    LOOK,
+    LOOKED_AT_FRAMES,
     MAX_TASKS,
     POSES,
     STAGES,
@@ -72,7 +74,7 @@ def keys(
 
 @given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
 def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
-    chunks = list(plan_job(make_session(num_frames), JobSpec(), chunk_frames)[0].chunks)
+    chunks = list(plan_job(make_session(num_frames), JobSpec(), chunk_frames)[1].chunks)
     assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
     for camera in ("0", "1"):
         of_camera = [chunk for chunk in chunks if chunk.payload["camera"] == camera]
@@ -85,13 +87,15 @@ def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int
 def test_the_stages_and_their_sizes() -> None:
     stages = plan_job(make_session(60), JobSpec(), 25)
     assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
+        (LOOK, 2),
         (DETECT, 6),
         (ASSOCIATE, 1),
         (IDENTIFY, 1),
         (FIT, 1),
         (EXPORT, 1),
     ]
-    assert [chunk.unit_count for chunk in stages[0].chunks] == [25, 25, 25, 25, 10, 10]
+    assert [chunk.unit_count for chunk in stages[0].chunks] == [LOOKED_AT_FRAMES] * 2
+    assert [chunk.unit_count for chunk in stages[1].chunks] == [25, 25, 25, 25, 10, 10]
 
 
 def test_a_cutoff_counts_where_it_is_used() -> None:
@@ -101,6 +105,7 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
     assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
 
 
+VIDEO_STAGES = (LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT)
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
@@ -130,7 +135,7 @@ def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int)
 
 
 def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
-    chunks = plan_job(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[0].chunks
+    chunks = plan_job(make_session(50, rates_hz=(50.0, 25.0, 30.0)), JobSpec(), 50)[1].chunks
     assert [chunk.unit_count for chunk in chunks] == [50, 25, 30]
 
 
@@ -157,7 +162,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 @pytest.mark.parametrize(
     ("choice", "changed"),
     [
-        ({"detector": "openpose-mobilenet-thin"}, {DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT}),
+        ({"detector": "openpose-mobilenet-thin"}, {LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"method": "clustering"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
@@ -167,12 +172,12 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 )
 def test_a_choice_changes_the_keys_of_its_stage_and_those_after(choice: dict[str, Any], changed: set[str]) -> None:
     ours, other = keys(make_session()), keys(make_session(), JobSpec(**choice))
-    assert {name for name in ours if ours[name] != other[name]} == changed
+    assert {name for name in ours if ours[name] != other.get(name)} == changed
 
 
 @pytest.mark.parametrize(
     ("stage", "changed"),
-    [(DETECT, {DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
+    [(LOOK, set(VIDEO_STAGES)), (DETECT, set(VIDEO_STAGES) - {LOOK}), (FIT, {FIT, EXPORT}), (EXPORT, {EXPORT})],
 )
 def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, changed: set[str]) -> None:
     before = keys(make_session())
@@ -212,7 +217,8 @@ def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
 
 
 def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
-    for name, entry in REGISTRY.items():
+    for name in NETWORKS:
+        entry = REGISTRY[name]
         spec = JobSpec.model_validate({"method": "clustering", "detector": name})
         assert spec.config.uses_fields == (entry.fields is not None)
         assert bool(method_warnings(spec.config, has_videos=True)) == (entry.fields is None)
@@ -240,7 +246,7 @@ def test_of_the_frames_that_are_wanted_each_is_there_once(
     start = data.draw(st.integers(0, num_frames - 1))
     stop = data.draw(st.integers(start + 1, num_frames))
     session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
-    detect, _, poses, *_ = plan_job(session, spec, chunk_frames)
+    _, detect, _, poses, *_ = plan_job(session, spec, chunk_frames)
     ranges = [(one.start, one.stop) for one in FrameCut(range(start, stop), (range(num_frames),), chunk_frames)]
     for camera in ("0", "1"):
         payloads = [chunk.payload for chunk in detect.chunks if chunk.payload["camera"] == camera]
@@ -282,18 +288,18 @@ def test_pauses_have_no_chunks() -> None:
 
 
 def test_stretches_within_one_range_share_its_chunk() -> None:
-    detect, *_ = plan_job(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
+    _, detect, *_ = plan_job(paused(1000, [[0, 10], [30, 40], [90, 120]]), JobSpec(), 50)
     assert ranges_of(detect) == [(0, 50), (50, 100), (100, 150)]
 
 
 def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
-    detect, *_ = plan_job(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
+    _, detect, *_ = plan_job(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)), 100)
     assert ranges_of(detect) == [(5000, 5100)]
 
 
 def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
     session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
-    detect, *_ = plan_job(session, JobSpec(), 1)
+    _, detect, *_ = plan_job(session, JobSpec(), 1)
     assert sum(1 for _ in detect.chunks) <= MAX_TASKS
     part, *_ = plan_job(session, JobSpec(frame_range=(0, 10_000)), 1)
     assert ranges_of(part)[:-1] == ranges_of(detect)[: len(ranges_of(part)) - 1]  # jobs of a session cut alike

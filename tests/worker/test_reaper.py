@@ -44,8 +44,7 @@ def test_messages_are_published_for_ready_work_only(bench: Bench) -> None:
 
 def test_leases_of_silent_workers_are_freed(bench: Bench) -> None:
     job = bench.create_job()
-    claims = [bench.store.leases.claim("gone", 0.05) for _ in range(4)]
-    assert all(claims)
+    assert bench.store.leases.claim("gone", 0.05)
     publish = Publisher()
     time.sleep(0.1)
     reap(bench.store, bench.artifacts, DiskSpace(bench.data_dir), publish, LEASE_S)

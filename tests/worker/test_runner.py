@@ -13,7 +13,7 @@ import pytest
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY
+from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
@@ -73,11 +73,11 @@ def run_side_by_side(bench: Bench, num_workers: int) -> None:
 
 def test_a_job_runs_to_its_results(bench: Bench) -> None:
     job = bench.create_job()
-    assert bench.runner().work(60.0) == 4 + 4
+    assert bench.runner().work(60.0) == 1 + 4 + 4
     job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
-        (name, ChunkState.DONE) for name in (DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT)
+        (name, ChunkState.DONE) for name in (LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT)
     ]
     assert not any(stage.reused for stage in job.stages)
     (result,) = bench.store.results.of_job(job.id)
@@ -98,14 +98,14 @@ def test_a_worker_that_finds_work_wakes_the_next(bench: Bench) -> None:
         return detect(work)
 
     bench.create_job()
-    bench.stages[DETECT] = first
+    bench.stages[LOOK] = first
     bench.runner().work(60.0)
     assert published_before_the_first[0] == 1
 
 
 def test_after_its_time_a_worker_hands_over(bench: Bench) -> None:
     bench.create_job()
-    bench.stages[DETECT] = slow_detect
+    bench.stages[LOOK] = slow_detect
     assert bench.runner().work(0.01) == 1
     assert bench.published >= 2
 
@@ -120,13 +120,14 @@ def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
 def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    for name in (DETECT, ASSOCIATE, IDENTIFY, FIT):
+    for name in (LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT):
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
     job = bench.store.jobs.get(again.id)
     assert job.state is JobState.SUCCEEDED
     assert {stage.name: stage.reused for stage in job.stages} == {
+        LOOK: True,
         DETECT: True,
         ASSOCIATE: True,
         IDENTIFY: True,
@@ -281,7 +282,7 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> 
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
     reused = {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}
-    assert reused == {DETECT: True, ASSOCIATE: True, IDENTIFY: True, FIT: False, EXPORT: False}
+    assert reused == {LOOK: True, DETECT: True, ASSOCIATE: True, IDENTIFY: True, FIT: False, EXPORT: False}
 
 
 def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
@@ -394,12 +395,12 @@ def test_progress_is_reported_while_it_runs(bench: Bench) -> None:
     thread = in_thread(bench)
     assert halfway.wait(5)
     deadline_s = time.monotonic() + 5
-    while (done := bench.store.jobs.get(job.id).stages[0].done) == 0 and time.monotonic() < deadline_s:
+    while (done := bench.store.jobs.get(job.id).stages[1].done) == 0 and time.monotonic() < deadline_s:
         time.sleep(0.05)
     go_on.set()
     thread.join()
     assert done == 5  # half of a chunk
-    assert bench.store.jobs.get(job.id).stages[0].total == NUM_FRAMES
+    assert bench.store.jobs.get(job.id).stages[1].total == NUM_FRAMES
 
 
 def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: Bench) -> None:

@@ -14,6 +14,7 @@ from pipeline.config import (
     About,
     Choice,
     JobChoices,
+    OtherNames,
     ReconstructionConfig,
     Value,
     members,
@@ -44,6 +45,8 @@ def _field_type(hint: Any, about: About) -> Any:
     limits: Any = {"ge": about.minimum, "gt": about.above, "le": about.maximum}
     others = [member for member in members(hint) if get_origin(member) is not Annotated]
     types: list[Any] = [literal[named]] if named else []
+    noted = [get_args(member)[1] for member in members(hint) if get_origin(member) is Annotated]
+    types += [Annotated[str, Field(pattern=names.pattern)] for names in noted if isinstance(names, OtherNames)]
     for member in others:
         if member is float:
             types.append(Annotated[float, Field(strict=True, allow_inf_nan=False, **limits)])

@@ -1,6 +1,6 @@
 """Compilation of the numeric kernels before workers are forked, with its progress in the list of workers.
 
-The first start takes about a minute. Celery would consider forked children dead while they compile, and each child
+The first start takes some minutes. Celery would consider forked children dead while they compile, and each child
 would compile all kernels. So a program of its own compiles them before the fork. If all kernels are compiled, this
 takes milliseconds and imports no numeric library.
 """
@@ -36,7 +36,7 @@ def compile_kernels(store: JobStore) -> None:
     status = WorkerStatus(process_name(), WorkerState.STARTING, COMPILING)
     presence = Presence(store.workers, lambda: status)
     presence.start()
-    log.info("kernels_compiling", hint="A first start takes about a minute.")
+    log.info("kernels_compiling", hint="A first start takes some minutes.")
     done = total = 0
     try:
         command = tied_to_parent(module_command("pipeline.runtime.warm_up", "--progress"))

@@ -156,7 +156,7 @@ def cancel(
 ) -> None:
     """Time how long processes keep working on jobs that are canceled at random moments."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-        models.install(JobSpec().detector)
+        models.install_networks(JobSpec().config)
         result = measure(samples.install(), Path(folder), cancels, seed)
     if as_json:
         emit(result)

@@ -198,7 +198,7 @@ def load(
 ) -> None:
     """Time the responses of a service with two busy workers while clients poll and upload."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-        models.install(JobSpec().detector)
+        models.install_networks(JobSpec().config)
         result = measure(samples.install(), Path(folder), duration_s, polling, uploading, upload_mbit)
     if as_json:
         emit(result)

@@ -16,6 +16,7 @@ from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity
 from api.cli.benchmark.load import load
+from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.queue import queue
 from api.cli.benchmark.takes import peak_rss_mib
 from api.cli.benchmark.tracking import tracking
@@ -23,19 +24,18 @@ from api.cli.benchmark.videos import loop_video
 from api.cli.client import Json
 from api.cli.commands.reconstruct import write_results
 from api.cli.console import StageBars, emit, print_table, reporting
-from api.cli.options import DEFAULTS, DetectorOption
+from api.cli.options import DEFAULTS, DetectorOption, JointsOption, ProfileOption, known
 from api.cli.served import served
-from pipeline.capture.session import CaptureSession, open_session
-from pipeline.config import Detector, ReconstructionConfig
+from pipeline.capture.session import open_session
+from pipeline.config import CHOICES, DetectedJoints, Profile, ReconstructionConfig
 from pipeline.detect import models
-from pipeline.detect.detector import open_detector
+from pipeline.detect.session import NETWORK_CLOCK
 from pipeline.runtime.child_processes import ProcessPool
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.samples import Sample
 from pipeline.runtime.warm_up import warm_up
 from pipeline.stages.local import reconstruct
 from pipeline.stages.plan import DETECT, EXPORT
-from pipeline.video.decode import decode
 from worker.jobs.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
@@ -45,6 +45,7 @@ app.command()(export)
 app.command()(fit)
 app.command()(identity)
 app.command()(load)
+app.command()(profiles)
 app.command()(queue)
 app.command()(tracking)
 
@@ -54,28 +55,22 @@ def _group() -> None:
     """Speed and memory."""
 
 
-def network_seconds(session: CaptureSession, detector_name: str) -> float:
-    """Time of the network alone for all frames of a session, on one thread."""
-    detector = open_detector(detector_name)
-    total_s = 0.0
-    for video in session.videos:
-        for _, image_rgb in decode(video, 0, video.num_frames):
-            tensor, _ = detector.prepare(image_rgb)
-            started_s = time.perf_counter()
-            detector.run_network(tensor)
-            total_s += time.perf_counter() - started_s
-    return total_s
-
-
 @app.command()
 def pipeline(
     loops: Annotated[int, typer.Option(min=1, max=100, help="Number of repetitions of the sample in its videos.")] = 1,
+    profile: ProfileOption = DEFAULTS.profile,
+    joints: JointsOption = DEFAULTS.joints,
     detector: DetectorOption = DEFAULTS.detector,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Time the sample capture from videos to result files in one process, compared with the network alone."""
+    """Time the sample capture from videos to result files in one process, compared with its networks alone."""
     with reporting(as_json), StageBars(visible=not as_json) as bars, tempfile.TemporaryDirectory() as folder:
-        models.install(detector)
+        config = ReconstructionConfig(
+            profile=cast(Profile, known(CHOICES["profile"], profile)),
+            joints=cast(DetectedJoints, known(CHOICES["joints"], joints)),
+            detector=detector,
+        )
+        models.install_networks(config)
         sample = samples.install()
         videos = list(sample.videos.values())
         if loops > 1:
@@ -88,12 +83,13 @@ def pipeline(
         started_s = time.perf_counter()
         session = open_session(videos, sample.calibration)
         opened_s = time.perf_counter()
-        reconstruction = reconstruct(session, ReconstructionConfig(detector=cast(Detector, detector)), bars.update)
+        before_s = NETWORK_CLOCK.total_s
+        reconstruction = reconstruct(session, config, bars.update)
+        network_s = NETWORK_CLOCK.total_s - before_s
         reconstructed_s = time.perf_counter()
         num_bytes = sum(path.stat().st_size for path in write_results(reconstruction, Path(folder) / "results"))
         ended_s = time.perf_counter()
         peak_mib = peak_rss_mib()
-        network_s = network_seconds(session, detector)
     wall_s = ended_s - started_s
     stages = {"open": opened_s - started_s, **bars.seconds, EXPORT: ended_s - reconstructed_s}
     result = {
@@ -110,7 +106,7 @@ def pipeline(
         return
     print_table(("stage", "seconds"), ((name, f"{seconds:.2f}") for name, seconds in stages.items()))
     typer.echo(
-        f"{result['frames']} frames in {wall_s:.1f} s, the network alone {network_s:.1f} s: "
+        f"{result['frames']} frames in {wall_s:.1f} s, the networks alone {network_s:.1f} s: "
         f"overhead {wall_s / network_s:.3f}, peak memory {peak_mib:.0f} MiB"
     )
 
@@ -158,7 +154,7 @@ def service(
 ) -> None:
     """Time the sample in a service with one worker and with two workers, compared with the library."""
     with reporting(as_json), tempfile.TemporaryDirectory(prefix="multicap-") as folder:
-        models.install(JobSpec().detector)
+        models.install_networks(JobSpec().config)
         sample = samples.install()
         warm_up()
         library_s = time_library(sample, Path(folder) / "library")

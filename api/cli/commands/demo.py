@@ -20,7 +20,7 @@ from api.cli.served import served
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.detect import models
 from pipeline.export.overlay import draw_skeletons, encode_png
-from pipeline.joints import COCO_17
+from pipeline.joints import JointSet
 from pipeline.runtime.packages import samples
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
@@ -41,6 +41,7 @@ def write_overlays(session: CaptureSession, skeletons: Mapping[str, Any], folder
     """Draw all people over the middle frame of every camera."""
     frame = skeletons["num_frames"] // 2
     people_m = people_at(skeletons, frame)
+    joints = JointSet(tuple(skeletons["joint_names"]), tuple((start, end) for start, end in skeletons["bones"]))
     start_s = skeletons["start_time_s"] + frame / skeletons["frame_rate_hz"]
     half_s = 0.5 / skeletons["frame_rate_hz"]
     paths = []
@@ -48,7 +49,7 @@ def write_overlays(session: CaptureSession, skeletons: Mapping[str, Any], folder
         nearest = frames_in(session.times[camera.name], start_s - half_s, start_s + half_s)
         for _, image_rgb in decode(video, nearest.start, nearest.stop):
             path = folder / f"overlay-{video.path.stem}.png"
-            path.write_bytes(encode_png(draw_skeletons(image_rgb, camera, people_m, COCO_17)))
+            path.write_bytes(encode_png(draw_skeletons(image_rgb, camera, people_m, joints)))
             paths.append(path)
     return paths
 
@@ -60,7 +61,7 @@ def command(
     """Start the service, send it the sample capture, download BVH, JSON and metrics, and draw pictures."""
     started_s = time.monotonic()
     with reporting(as_json=False), tempfile.TemporaryDirectory(prefix="multicap-") as data_dir:
-        models.install(JobSpec().detector)
+        models.install_networks(JobSpec().config)
         sample = samples.install()
         console.print(sample.attribution)
         videos = list(sample.videos.values())

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -13,8 +14,11 @@ from api.cli.options import (
     DetectorOption,
     FeetOption,
     JointCentersOption,
+    JointsOption,
     MethodOption,
+    ProfileOption,
     SmoothingOption,
+    known,
     known_feet,
     known_joint_centers,
     known_method,
@@ -23,21 +27,24 @@ from api.cli.options import (
 from pipeline.capture.session import open_session
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
-from pipeline.config import Detector, Method, ReconstructionConfig
+from pipeline.config import CHOICES, DetectedJoints, Method, Profile, ReconstructionConfig
 from pipeline.data import Animation, Camera, People, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.evaluation.datasets.shelf_ablation import ablate
 from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
+from pipeline.evaluation.extremities.feet import score_heels_and_toes
+from pipeline.evaluation.extremities.hands import score_hands
+from pipeline.evaluation.extremities.headings import score_foot_directions
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.evaluation.simulated_feet import score_feet
 from pipeline.identity.identify import identify
-from pipeline.joints import COCO_17, COCO_18, JointSet
+from pipeline.joints import COCO_17, COCO_18, FINGER_JOINTS, JointSet
 from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.runtime.warm_up import warm_up
-from pipeline.simulation.scenes import SCENES, Simulation, find_scene, simulate
+from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
 from pipeline.stages.local import reconstruct
 from pipeline.tracking.associate import associate, locate_people, track_bodies
@@ -58,24 +65,31 @@ def _group() -> None:
 @app.command()
 def rendered(
     data: Annotated[Path, typer.Option(help="A folder with videos/, calibration.toml and gt.npz.")],
+    profile: ProfileOption = DEFAULTS.profile,
+    joints: JointsOption = DEFAULTS.joints,
     detector: DetectorOption = DEFAULTS.detector,
     method: MethodOption = DEFAULTS.method,
     smoothing: SmoothingOption = DEFAULTS.smoothing,
     joint_centers: JointCentersOption = DEFAULTS.joint_centers,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
-    """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m."""
+    """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m; and headings of feet."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         truth = load_rendered(data)
         session = open_session(data / "videos", data / "calibration.toml")
         config = ReconstructionConfig(
             known_method(method),
-            cast(Detector, detector),
+            detector,
+            profile=cast(Profile, known(CHOICES["profile"], profile)),
+            joints=cast(DetectedJoints, known(CHOICES["joints"], joints)),
             smoothing=known_smoothing(smoothing),
             joint_centers=known_joint_centers(joint_centers),
         )
         reconstruction = reconstruct(session, config, bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
+        if truth.feet_m is not None:
+            motions, timebase = reconstruction.animation.motions, reconstruction.timebase
+            scores |= score_foot_directions(motions, timebase, truth.time_s, truth.feet_m)
     if as_json:
         emit(scores)
         return
@@ -196,6 +210,14 @@ def simulated(
             "default of tracking)."
         ),
     ] = None,
+    joints: Annotated[
+        str,
+        typer.Option(metavar="body|feet|whole", help="Simulated joints: of the body, with feet, with feet and hands."),
+    ] = "body",
+    noise: Annotated[
+        float | None,
+        typer.Option(min=0.0, metavar="PX", help="Noise of the average joint in pixels. Default: the scene's."),
+    ] = None,
     views: Annotated[
         str | None,
         typer.Option(help="Numbers of cameras, such as 4,8. Default: all; with --ablation at most the paper's 12."),
@@ -214,10 +236,14 @@ def simulated(
         checked_method = known_method(method)
         checked_evidence = _known_evidence(evidence, checked_method, ablation)
         config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing), feet=known_feet(feet))
+        checked_joints = known_joints(joints)
+        found = find_scene(scene)
         if ablation and views is None:
-            views = str(min(_ABLATION_VIEWS, find_scene(scene).rig.num_cameras))
+            views = str(min(_ABLATION_VIEWS, found.rig.num_cameras))
+        if noise is not None:
+            found = replace(found, detector=replace(found.detector, noise_m=0.0, noise_px=noise))
         for num_views in _numbers(views):
-            simulation = simulate(scene, seed, num_views)
+            simulation = record(found, seed, num_views, checked_joints)
             warm_up()
             scores = (
                 _score_fields(simulation, config, ablation)
@@ -232,6 +258,8 @@ def simulated(
                 "seed": seed,
                 "method": checked_method,
                 "evidence": checked_evidence,
+                "joints": checked_joints,
+                "noise_px": noise,
                 "by_views": by_views,
             }
         )
@@ -262,9 +290,13 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
 
 
 def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> dict[str, Any]:
-    return score_simulated(animation.tracks, simulation, joints) | score_feet(
-        animation.tracks, animation.motions, simulation, joints
-    )
+    scores = score_simulated(animation.tracks, simulation, joints)
+    scores |= score_feet(animation.tracks, animation.motions, simulation, joints)
+    if "left_heel" in simulation.joints.names:
+        scores |= score_heels_and_toes(animation.tracks, simulation, joints)
+    if not FINGER_JOINTS.isdisjoint(simulation.joints.names):
+        scores |= score_hands(animation.tracks, simulation, joints)
+    return scores
 
 
 def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[str, Any]:
@@ -315,9 +347,12 @@ def _print_simulated(columns: Mapping[str, Mapping[str, Any]]) -> None:
         for name in first
         if not isinstance(first[name], dict)
     ]
-    for joint in first["mpjpe_by_joint_mm"]:
-        errors = (scores["mpjpe_by_joint_mm"][joint] for scores in columns.values())
-        rows.append([f"mpjpe_mm of the {joint}", *(_shown(error) for error in errors)])
+    for name in (name for name in first if name.endswith("_by_joint_mm")):
+        for joint in first[name]:
+            errors = (scores[name][joint] for scores in columns.values())
+            rows.append(
+                [f"{name.removesuffix('_by_joint_mm')}_mm of the {joint}", *(_shown(error) for error in errors)]
+            )
     print_table(["measure", *columns], rows)
 
 

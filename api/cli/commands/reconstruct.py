@@ -11,7 +11,7 @@ import typer
 
 from api.cli.console import StageBars, emit, print_table, reporting, warn
 from api.cli.options import checked, known_units, with_choices
-from pipeline.calibration.registry import UNITS_M
+from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import Recording, open_session
 from pipeline.config import Export, Preset, ReconstructionConfig

@@ -15,6 +15,7 @@ from api.app import ExposedError, require_keys_if_exposed
 from api.cli.console import console, refusal, reporting
 from api.cli.store import opened_store
 from api.settings import Settings
+from pipeline.config import networks_of
 from pipeline.detect import models
 from pipeline.runtime.child_processes import module_command
 from worker.jobs.files.private_files import keep_files_private
@@ -103,7 +104,8 @@ def command(
     keep_files_private()
     raise_descriptor_limit()
     with reporting(as_json=False):
-        models.verify(JobSpec().detector)
+        for name in networks_of(JobSpec().config).names:
+            models.verify(name)
     try:
         with embedded.lock(settings.data_dir) as directory:
             with opened_store(settings) as store:

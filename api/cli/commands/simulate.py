@@ -8,7 +8,7 @@ import typer
 from api.cli.console import console, emit, reporting
 from pipeline.errors import PipelineError
 from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import SCENES, simulate
+from pipeline.simulation.scenes import SCENES, known_joints, simulate
 
 
 def command(
@@ -16,11 +16,14 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for the files; created if it is missing.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
     views: Annotated[int | None, typer.Option(help="Number of cameras of the scene. Default: all.")] = None,
+    joints: Annotated[
+        str, typer.Option(metavar="body|feet|whole", help="Joints: of the body, with feet, or with feet and hands.")
+    ] = "body",
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Write a simulated scene: keypoint folders, timestamps and calibration for `reconstruct`, and the truth."""
     with reporting(as_json):
-        simulation = simulate(scene, seed, views)
+        simulation = simulate(scene, seed, views, known_joints(joints))
         try:
             for name, content in simulation_files(simulation):
                 path = out / name

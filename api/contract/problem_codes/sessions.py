@@ -17,7 +17,7 @@ CALIBRATIONS = CodeGroup(
             "calibration_format",
             _FILES,
             "The format is not known.",
-            "Use Qualisys QCA (XML), Caliscope / anipose TOML or JSON.",
+            "Use one of the [formats](formats.md#calibration).",
         ),
         ProblemCode(
             "calibration_too_large",
@@ -43,7 +43,7 @@ CALIBRATIONS = CodeGroup(
         ProblemCode(
             "invalid_distortion",
             _FILES,
-            "Distortion does not have 0, 4, 5, 8 or 12 plausible coefficients.",
+            "Distortion does not have 0, 4, 5, 8, 12 or 14 plausible coefficients.",
             "Correct them.",
         ),
         ProblemCode("invalid_rotation", _FILES, "The rotation is not a rotation.", "Correct it, or calibrate again."),
@@ -56,7 +56,7 @@ CALIBRATIONS = CodeGroup(
         ProblemCode(
             "unsupported_lens",
             _FILES,
-            "The lens model is fisheye, or has skew.",
+            "The lens model is fisheye, has a tilted sensor, or can't be expressed by OpenCV's standard model.",
             "Undistort the videos, or calibrate with the standard model.",
         ),
     ),
@@ -74,7 +74,8 @@ VIDEOS = CodeGroup(
         ProblemCode(
             "camera_without_video",
             _FILES,
-            "No video has the name of this camera.",
+            "No video has the name of this camera, and it can't be left out: the manifest names it, a video has "
+            "no camera, or fewer than two cameras have a video.",
             "Add the video, or remove the camera from the calibration.",
         ),
         ProblemCode(
@@ -95,7 +96,8 @@ VIDEOS = CodeGroup(
         ProblemCode(
             "size_mismatch",
             _FILES,
-            "The video and its calibration have different sizes in pixels.",
+            "The video and its calibration have different sizes in pixels, and neither a codec's padding, nor a scale, "
+            "nor the rotation in the video file explains the difference.",
             "Calibrate at the size of the videos.",
         ),
         ProblemCode("video_missing", _FILES, "There is no such file.", "Check the path."),
@@ -151,7 +153,8 @@ KEYPOINTS = CodeGroup(
         ProblemCode(
             "camera_without_folder",
             _FILES,
-            "No folder has the name of this camera.",
+            "No folder has the name of this camera, and the camera can't be left out: a folder has no camera, or fewer "
+            "than two cameras have a folder.",
             "Add the folder, or remove the camera from the calibration.",
         ),
         ProblemCode("camera_with_two_folders", _FILES, "Two folders belong to one camera.", "Remove one of them."),

@@ -28,7 +28,7 @@ SPECS = CodeGroup(
         ProblemCode(
             "detector_not_installed",
             ("422",),
-            "Not every ready worker has the detector.",
+            "Not every ready worker has the networks of the job.",
             "The operator runs the command in `hint` on the workers' machine.",
         ),
         ProblemCode("callback_invalid", ("422",), "`callback_url` has an impossible host or port.", "Correct it."),
@@ -109,7 +109,7 @@ READINESS = CodeGroup(
         ProblemCode(
             "model_unavailable",
             _READYZ,
-            "A worker lacks the default detector.",
+            "A worker lacks a network of the default profile.",
             "Run the command in `hint` on the workers' machine.",
         ),
     ),

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.skeleton.model import INDEX, SKELETON
+from pipeline.skeleton.model import INDEX, skeleton_of
 
 # Half widths (to the side, to the front) of the ellipsoid around a bone, as shares of the bone's length, by the kind of
 # the bone's end.
@@ -24,6 +24,19 @@ _HALF_WIDTHS = {
     "Leg": (0.19, 0.19),
     "Foot": (0.14, 0.14),
     "FootEnd": (0.22, 0.18),
+}
+# The same for hands with fingers, in the rest pose downwards and to the front. The palm is the ellipsoid around the
+# bone to the middle finger; the bones to the other fingers' bases lie within it.
+_HAND_HALF_WIDTHS = {
+    "HandMiddle1": (0.17, 0.5),
+    "HandThumb2": (0.26, 0.26),
+    "HandThumb3": (0.27, 0.27),
+    "HandThumb3End": (0.3, 0.3),
+    **{
+        f"Hand{finger}{number}": (share, share)
+        for finger in ("Index", "Middle", "Ring", "Pinky")
+        for number, share in (("2", 0.18), ("3", 0.28), ("3End", 0.38))
+    },
 }
 # Kinds of bones whose ellipsoid is centred on the joint.
 _CENTRED = frozenset({"HeadEnd"})
@@ -43,7 +56,7 @@ class BodyMesh:
     vertices, normals
         Positions and unit normals, in the unit and axes of the skeleton's offsets.
     joint
-        Index in ``SKELETON`` of the joint that moves each vertex.
+        Index in the skeleton of the joint that moves each vertex.
     triangles
         Indices of ``vertices``, counterclockwise from outside.
     """
@@ -82,15 +95,21 @@ def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "j
     Parameters
     ----------
     offsets
-        Offsets of all joints from their parents in the rest pose.
+        Offsets of all joints from their parents in the rest pose. A skeleton with fingers has palms and fingers in
+        place of plain hands.
     rest
         Positions of all joints in the rest pose.
     """
     egg, egg_normals, triangles = _egg()
+    skeleton = skeleton_of(len(offsets))
+    half_widths = _HALF_WIDTHS
+    if any(joint.kind in _HAND_HALF_WIDTHS for joint in skeleton):
+        half_widths = _HALF_WIDTHS | _HAND_HALF_WIDTHS
+        del half_widths["HandEnd"]
     vertices, normals, carriers = [], [], []
-    for index, joint in enumerate(SKELETON):
+    for index, joint in enumerate(skeleton):
         length = np.linalg.norm(offsets[index])
-        if joint.parent is None or joint.kind not in _HALF_WIDTHS or length == 0.0:
+        if joint.parent is None or joint.kind not in half_widths or length == 0.0:
             continue
         parent = INDEX[joint.parent]
         along = offsets[index] / length
@@ -98,7 +117,7 @@ def body_mesh(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "j
         axes = np.column_stack([side / np.linalg.norm(side), np.cross(along, side / np.linalg.norm(side)), along])
         is_centred = joint.kind in _CENTRED
         half_length = _CENTRED_HALF_LENGTH if is_centred else _HALF_LENGTH
-        radii = length * np.array([*_HALF_WIDTHS[joint.kind], half_length])
+        radii = length * np.array([*half_widths[joint.kind], half_length])
         middle = rest[parent] + (0.0 if is_centred else 0.5) * offsets[index]
         vertices.append(middle + (egg * radii) @ axes.T)
         normal = (egg_normals / radii) @ axes.T

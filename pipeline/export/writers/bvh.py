@@ -4,7 +4,7 @@ A preset defines names, axes, unit, rest pose and order of rotations. Lengths ar
 0.0001 degrees; the frame time has full precision. The file begins at the person's first frame.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.data import SkeletonMotion
 from pipeline.export.presets import Convention
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
-from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON
+from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of
 
 # Gimbal lock: cosine of the middle angle below which the other two rotations have the same axis.
 _GIMBAL_LOCK = 1e-6
@@ -74,16 +74,15 @@ def _decimals(convention: Convention) -> int:
     return 5 - round(np.log10(convention.units_per_m))
 
 
-def _depth_first(name: str) -> Iterator[str]:
+def _depth_first(name: str, children: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
     """Names of the joints with channels, in depth-first order."""
-    if CHILDREN[name]:
+    if children[name]:
         yield name
-        for child in CHILDREN[name]:
-            yield from _depth_first(child)
+        for child in children[name]:
+            yield from _depth_first(child, children)
 
 
 _ROOT = SKELETON[0].name
-_ORDER = [INDEX[name] for name in _depth_first(_ROOT)]
 
 
 def encode(motion: SkeletonMotion, convention: Convention) -> Iterator[bytes]:
@@ -93,9 +92,10 @@ def encode(motion: SkeletonMotion, convention: Convention) -> Iterator[bytes]:
     """
     yield "".join(f"{line}\n" for line in _head(motion, convention)).encode("utf-8")
     decimals = _decimals(convention)
-    angles_deg = np.zeros((1, len(_ORDER), 3))
+    order = [INDEX[name] for name in _depth_first(_ROOT, children_of(len(motion.bone_length_m)))]
+    angles_deg = np.zeros((1, len(order), 3))
     for rows in frame_blocks(len(motion.root_m)):
-        quat = convention.parent_from_joint(motion.parent_from_joint[rows])[:, _ORDER]
+        quat = convention.parent_from_joint(motion.parent_from_joint[rows])[:, order]
         rotations = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
         angles_deg = euler_deg(rotations, convention.rotation_order, angles_deg[-1])
         positions = fixed(convention.file_from_xyz_m(motion.root_m[rows]), decimals)
@@ -106,16 +106,18 @@ def encode(motion: SkeletonMotion, convention: Convention) -> Iterator[bytes]:
 def _head(motion: SkeletonMotion, convention: Convention) -> Iterator[str]:
     offsets = fixed(convention.rest_offsets(motion.bone_length_m), _decimals(convention))
     yield "HIERARCHY"
-    yield from _hierarchy(_ROOT, offsets, convention, 0)
+    yield from _hierarchy(_ROOT, children_of(len(offsets)), offsets, convention, 0)
     yield "MOTION"
     yield f"Frames: {len(motion.root_m)}"
     yield f"Frame Time: {np.format_float_positional(1.0 / motion.frame_rate_hz)}"
 
 
-def _hierarchy(joint: str, offsets: list[str], convention: Convention, depth: int) -> Iterator[str]:
+def _hierarchy(
+    joint: str, children_by_name: Mapping[str, tuple[str, ...]], offsets: list[str], convention: Convention, depth: int
+) -> Iterator[str]:
     """Lines of a joint and its descendants."""
     indent = "\t" * depth
-    children = CHILDREN[joint]
+    children = children_by_name[joint]
     kind = "JOINT" if depth else "ROOT"
     yield f"{indent}{kind} {convention.name(joint)}" if children else f"{indent}End Site"
     yield f"{indent}{{"
@@ -125,14 +127,14 @@ def _hierarchy(joint: str, offsets: list[str], convention: Convention, depth: in
         rotations = " ".join(f"{axis}rotation" for axis in convention.rotation_order)
         yield f"{indent}\tCHANNELS {3 if depth else 6} {positions}{rotations}"
     for child in children:
-        yield from _hierarchy(child, offsets, convention, depth + 1)
+        yield from _hierarchy(child, children_by_name, offsets, convention, depth + 1)
     yield f"{indent}}}"
 
 
 def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the joints of ``SKELETON`` from a file of ``encode``, block by block."""
-    offsets = np.zeros((len(SKELETON), 3))
-    index_of = {convention.name(joint.name): index for index, joint in enumerate(SKELETON)}
+    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, block by block."""
+    offset_by_joint: dict[int, list[float]] = {}
+    index_of = {convention.name(name): index for name, index in INDEX.items()}
     above: list[int] = []
     order: list[int] = []
     with path.open(encoding="utf-8") as file:
@@ -142,13 +144,14 @@ def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray,
                     above.append(index_of[name])
                     order.append(above[-1])
                 case ["End", "Site"]:
-                    above.append(INDEX[f"{SKELETON[above[-1]].name}End"])
+                    above.append(INDEX[f"{WHOLE_SKELETON[above[-1]].name}End"])
                 case ["OFFSET", *offset]:
-                    offsets[above[-1]] = [float(number) for number in offset]
+                    offset_by_joint[above[-1]] = [float(number) for number in offset]
                 case ["}"]:
                     above.pop()
                 case ["Frame", "Time:", _]:
                     break
+        offsets = np.array([offset_by_joint[index] for index in range(len(offset_by_joint))])
         for values in read_rows(file, " "):
             yield convention.xyz_m_from_file(_positions(values, offsets, order, convention.rotation_order))
 
@@ -156,13 +159,12 @@ def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray,
 def _positions(
     values: Float[np.ndarray, "frames channels"], offsets: Float[np.ndarray, "joints 3"], order: list[int], axes: str
 ) -> Float[np.ndarray, "frames joints 3"]:
-    positions = np.empty((len(values), len(SKELETON), 3))
+    positions = np.empty((len(values), len(offsets), 3))
     file_from_joint: dict[int, Rotation] = {}
-    for index, joint in enumerate(SKELETON):
-        if joint.parent is None:
+    for index, parent in enumerate(parents_of(len(offsets))):
+        if index == 0:
             positions[:, index], file_from_parent = values[:, :3], Rotation.identity()
         else:
-            parent = INDEX[joint.parent]
             file_from_parent = file_from_joint[parent]
             positions[:, index] = positions[:, parent] + file_from_parent.apply(offsets[index])
         if index in order:

@@ -18,7 +18,7 @@ from pipeline.data import SkeletonMotion
 from pipeline.export.colors import color_rgb
 from pipeline.export.presets import GLTF
 from pipeline.export.writers.body_mesh import BodyMesh, body_mesh
-from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON
+from pipeline.skeleton.model import INDEX, children_of, parents_of, skeleton_of
 
 # NumPy types of the components of accessors.
 _COMPONENTS: dict[int, np.dtype[Any]] = {
@@ -76,8 +76,8 @@ def encode(motion: SkeletonMotion) -> Iterator[bytes]:
     """
     offsets_m = GLTF.rest_offsets(motion.bone_length_m)
     rest_m = np.zeros_like(offsets_m)
-    for index, joint in enumerate(SKELETON[1:], 1):
-        rest_m[index] = rest_m[INDEX[str(joint.parent)]] + offsets_m[index]
+    for index, parent in enumerate(parents_of(len(offsets_m))[1:], 1):
+        rest_m[index] = rest_m[parent] + offsets_m[index]
     rest_m[:, 1] -= rest_m[:, 1].min()
     offsets_m[_ROOT] = rest_m[_ROOT]
 
@@ -85,7 +85,7 @@ def encode(motion: SkeletonMotion) -> Iterator[bytes]:
     file = gltf.GLTF2(
         asset=gltf.Asset(generator="Multicap"),
         scene=0,
-        scenes=[gltf.Scene(nodes=[0, _FIRST_JOINT + len(SKELETON)])],
+        scenes=[gltf.Scene(nodes=[0, _FIRST_JOINT + len(offsets_m)])],
         nodes=[
             gltf.Node(name=motion.name, children=[_FIRST_JOINT + _ROOT]),
             *_joint_nodes(offsets_m),
@@ -104,13 +104,14 @@ def encode(motion: SkeletonMotion) -> Iterator[bytes]:
 
 
 def _joint_nodes(offsets_m: Float[np.ndarray, "joints 3"]) -> list[gltf.Node]:
+    children = children_of(len(offsets_m))
     return [
         gltf.Node(
             name=GLTF.name(joint.name),
             translation=offset_m.tolist(),
-            children=[_FIRST_JOINT + INDEX[child] for child in CHILDREN[joint.name]],
+            children=[_FIRST_JOINT + INDEX[child] for child in children[joint.name]],
         )
-        for joint, offset_m in zip(SKELETON, offsets_m, strict=True)
+        for joint, offset_m in zip(skeleton_of(len(offsets_m)), offsets_m, strict=True)
     ]
 
 
@@ -144,7 +145,7 @@ def _skin(rest_m: Float[np.ndarray, "joints 3"], buffer: _Buffer) -> gltf.Skin:
     joint_from_file[:, :3, 3] = -rest_m
     # Matrices are stored column by column.
     matrices = buffer.add(joint_from_file.swapaxes(1, 2), gltf.MAT4)
-    nodes = list(range(_FIRST_JOINT, _FIRST_JOINT + len(SKELETON)))
+    nodes = list(range(_FIRST_JOINT, _FIRST_JOINT + len(rest_m)))
     return gltf.Skin(inverseBindMatrices=matrices, joints=nodes, skeleton=0)
 
 
@@ -153,10 +154,11 @@ def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
     times = buffer.add(np.arange(len(motion.root_m)) / motion.frame_rate_hz, gltf.SCALAR)
     paths = [(_ROOT, gltf.TRANSLATION, buffer.add(GLTF.file_from_xyz_m(motion.root_m), gltf.VEC3))]
     quat_xyzw = GLTF.parent_from_joint(motion.parent_from_joint)
+    children = children_of(len(motion.bone_length_m))
     paths += [
-        (index, gltf.ROTATION, buffer.add(quat_xyzw[:, index], gltf.VEC4))
-        for index, joint in enumerate(SKELETON)
-        if CHILDREN[joint.name]
+        (INDEX[name], gltf.ROTATION, buffer.add(quat_xyzw[:, INDEX[name]], gltf.VEC4))
+        for name in children
+        if children[name]
     ]
     return gltf.Animation(
         name=motion.name,
@@ -172,7 +174,7 @@ def _animation(motion: SkeletonMotion, buffer: _Buffer) -> gltf.Animation:
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the joints of ``SKELETON`` from the animation in a file of ``encode``."""
+    """Read world positions (metres) of the skeleton's joints from the animation in a file of ``encode``."""
     file = gltf.GLTF2.load_binary(str(path))
     content = file.binary_blob()
 
@@ -192,7 +194,7 @@ def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     parents = {child: number for number, node in enumerate(file.nodes) for child in node.children or ()}
     num_frames = len(array(animation.samplers[0].input))
     # Parents come before their children.
-    for number in range(_FIRST_JOINT, _FIRST_JOINT + len(SKELETON)):
+    for number in file.skins[0].joints:
         still = np.tile(file.nodes[number].translation, (num_frames, 1))
         offsets_m = animated.get((number, gltf.TRANSLATION), still)
         turn = Rotation.from_quat(animated.get((number, gltf.ROTATION), np.tile([0.0, 0.0, 0.0, 1.0], (num_frames, 1))))

@@ -188,3 +188,20 @@ def record(sampling, bodies, seen_px, lenses, xyz_m, sampled_px, score, error_px
         ours = sampled_px[frame], score[frame]
         _sample_frame(sampling, frame, bodies, seen_px, *ours)
         reproject_frame(lenses, xyz_m[frame], *ours, error_px[frame], mean_score[frame], views[frame])
+
+
+@kernel
+@no_type_check
+def sample(sampling, bodies, seen_px, sampled_px, score):
+    """Sample a person's observations as seen at the output instants.
+
+    Parameters
+    ----------
+    bodies, seen_px
+        ``observations.Bodies``, and their joints as seen, (detections, 2 * joints).
+    sampled_px, score
+        Outputs (frames, cameras, 2 * joints) and (frames, cameras, joints); NaN and 0 without an observation.
+    """
+    _rewind(sampling)
+    for frame in range(len(score)):
+        _sample_frame(sampling, frame, bodies, seen_px, sampled_px[frame], score[frame])

@@ -177,6 +177,7 @@ def test_parameters_of_clustering_that_can_not_be_are_refused(
         (["--ablation"], "no_ablation"),
         (["--ablation", "--method=clustering", "--evidence=bodies"], "no_ablation"),
         (["--views=4,many"], "wrong_number_of_views"),
+        (["--joints=face"], "unknown_joints"),
     ],
 )
 def test_evaluations_that_make_no_sense_are_refused(options: list[str], code: str) -> None:

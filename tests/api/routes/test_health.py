@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from pipeline.config import NETWORKS
+from pipeline.config import NETWORKS, JobChoices, networks_of
 from tests.api.conftest import Live, keypoint_form, problem_of
 from worker.jobs.worker_status import WorkerState, WorkerStatus
 
-READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
+READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=networks_of(JobChoices()).names)
 COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the numeric kernels", 5, 14)
 
 
@@ -46,14 +46,17 @@ def test_ready_with_a_worker_that_could_start(with_broker: Live) -> None:
 def test_a_worker_that_starts_says_how_far_it_is(with_broker: Live) -> None:
     with_broker.services.store.workers.report(COMPILING)
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
-    message = "A worker compiles the numeric kernels: 5 of 14 steps. A first start takes about a minute."
+    message = "A worker compiles the numeric kernels: 5 of 14 steps. A first start takes some minutes."
     assert (item["code"], item["message"]) == ("worker_starting", message)
 
 
 def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) -> None:
     with_broker.services.store.workers.report(WorkerStatus("host:3", WorkerState.READY, "A worker works"))
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
-    assert (item["code"], item["hint"]) == ("model_unavailable", "Run: multicap models install movenet-multipose")
+    assert (item["code"], item["hint"]) == (
+        "model_unavailable",
+        "Run: multicap models install movenet-multipose blazepose-full",
+    )
 
 
 @pytest.mark.parametrize("detector", ["openpose-mobilenet-thin", "human-pose-estimation-0001"])
@@ -91,3 +94,22 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
     listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
     assert listed == {name: name == "movenet-multipose" for name in NETWORKS}
+
+
+def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live) -> None:
+    live, session_id = with_broker, with_broker.session_id()
+    live.services.store.workers.report(READY)
+    spec = {"profile": "accurate", "joints": "whole"}
+    answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json=spec)
+    (item,) = problem_of(answer, 422, "invalid_request")["errors"]
+    assert (item["code"], item["pointer"]) == ("detector_not_installed", "/profile")
+    assert item["hint"] == "Run: multicap models install blazepose-heavy mediapipe-hand"
+    profiles = {one["name"]: one for one in live.client.get("/v1/options").json()["profiles"]}
+    installed = {
+        (name, one["joints"]): one["installed"] for name, profile in profiles.items() for one in profile["joints"]
+    }
+    assert {key for key, is_installed in installed.items() if is_installed} == {
+        ("balanced", "body"),
+        ("balanced", "feet"),
+    }
+    assert profiles["fast"]["default_joints"] == "body"

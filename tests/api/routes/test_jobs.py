@@ -20,23 +20,25 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
     assert int(answer.headers["retry-after"]) >= 1
     assert uuid.UUID(job["id"]).version == 7
     assert (job["session_id"], job["state"], job["attempt"]) == (session_id, "queued", 1)
-    assert [stage["name"] for stage in job["stages"]] == ["detect", "associate", "identify", "fit", "export"]
+    assert [stage["name"] for stage in job["stages"]] == ["look", "detect", "associate", "identify", "fit", "export"]
     # 60 frames of two cameras.
-    assert [stage["total"] for stage in job["stages"]] == [120, 6, 6, 6, 6]
+    assert [stage["total"] for stage in job["stages"]] == [24, 120, 6, 6, 6, 6]
     assert job["created_at"].endswith("Z")
     assert abs((datetime.now(UTC) - datetime.fromisoformat(job["created_at"])).total_seconds()) < 60
 
     live.finish(job["id"])
     done = live.client.get(f"/v1/jobs/{job['id']}").json()
     assert (done["state"], done["progress"], done["error"]) == ("succeeded", 1.0, None)
-    assert [stage["fraction"] for stage in done["stages"]] == [1, 1, 1, 1, 1]
+    assert [stage["fraction"] for stage in done["stages"]] == [1, 1, 1, 1, 1, 1]
 
 
 def test_job_without_a_body_is_as_by_default(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs")
     assert answer.json()["spec"] == {
         "method": "tracking",
-        "detector": "movenet-multipose",
+        "profile": "balanced",
+        "joints": "auto",
+        "detector": "auto",
         "smoothing": "fit",
         "feet": "auto",
         "appearance": "on",
@@ -163,7 +165,7 @@ def test_attempts_say_why_each_failed(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
-    again = Problem("internal_error", "It failed inside.", stage="detect", retryable=True)
+    again = Problem("internal_error", "It failed inside.", stage="look", retryable=True)
     live.services.store.leases.fail(claim.chunk_id, claim.lease_token, again)
     claim = live.services.store.leases.claim("worker", 60.0)
     assert claim is not None
@@ -175,8 +177,8 @@ def test_attempts_say_why_each_failed(live: Live) -> None:
     first, second = live.client.get(link).raise_for_status().json()["attempts"]
     assert (first["attempt"], first["state"], first["error"]["camera"]) == (1, "failed", "left")
     assert [(one["stage"], one["chunk"], one["chunk_try"], one["reason"]["code"]) for one in first["failures"]] == [
-        ("detect", 0, 1, "internal_error"),
-        ("detect", 0, 2, "input_error"),
+        ("look", 0, 1, "internal_error"),
+        ("look", 0, 2, "input_error"),
     ]
     assert (second["attempt"], second["state"], second["error"], second["failures"]) == (2, "queued", None, [])
 
@@ -195,9 +197,9 @@ def test_progress_of_a_running_stage(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
-    live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 30, 30.0)
+    live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 6, 30.0)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
-    assert (job["state"], job["stages"][0]["done"], job["stages"][0]["fraction"]) == ("running", 30, 0.25)
+    assert (job["state"], job["stages"][0]["done"], job["stages"][0]["fraction"]) == ("running", 6, 0.25)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ Send = Callable[[str, Sequence[Path], int], list[str]]
 
 def upload_with_tuspy(endpoint: str, paths: Sequence[Path], chunk_bytes: int) -> list[str]:
     def send(path: Path) -> str:
-        named = {"metadata": {"filename": path.name}, "retries": 200, "retry_delay": 0.05}
+        named = {"metadata": {"filename": path.name}, "retries": 200, "retry_delay": 0.3}
         with path.open("rb") as file:
             uploader = TusClient(endpoint).uploader(file_stream=file, chunk_size=chunk_bytes, **named)
             uploader.upload()

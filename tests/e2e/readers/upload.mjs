@@ -12,7 +12,7 @@ function send(file) {
       chunkSize: Number(chunkBytes),
       uploadSize: fs.statSync(file).size,
       uploadDataDuringCreation: true,
-      retryDelays: Array(200).fill(50),
+      retryDelays: Array(200).fill(300),
       metadata: { filename: path.basename(file) },
       onError: reject,
       onSuccess: () => resolve(upload.url),

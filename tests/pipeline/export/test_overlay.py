@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -6,7 +8,7 @@ from pipeline.export.colors import color_rgb
 from pipeline.export.overlay import draw_skeletons, encode_png
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
-from pipeline.joints import COCO_17
+from pipeline.joints import COCO_17, JointSet
 from tests.pipeline.skeleton.synthetic_tracks import walker, without
 
 GREY = np.full((480, 640, 3), 90, dtype=np.uint8)
@@ -35,6 +37,22 @@ def test_bones_are_drawn_where_the_camera_sees_them() -> None:
     points_px = project(CAMERA, person_m)
     assert np.abs(changed[:, 0].max() - points_px[:, 1].max()) < 8
     assert (GREY == 90).all()
+
+
+def test_fingers_are_thinner_than_arms() -> None:
+    # Two level bones of the same length, one a forearm and the other in a finger.
+    level_m = np.array([[-0.5, 0.0, 1.3], [0.5, 0.0, 1.3], [-0.5, 0.0, 0.7], [0.5, 0.0, 0.7]])
+    names = ("left_elbow", "left_wrist", "left_index_mcp", "left_index_pip")
+    joints = JointSet(names, ((names[0], names[1]), (names[2], names[3])))
+    large = replace(CAMERA, size_px=(1920, 1440), matrix=np.diag([3.0, 3.0, 1.0]) @ CAMERA.matrix)
+    grey = np.full((1440, 1920, 3), 90, dtype=np.uint8)
+    image = draw_skeletons(grey, large, {1: level_m}, joints)
+    arm, finger = (np.round(project(large, level_m[pair].mean(0))).astype(int) for pair in ([0, 1], [2, 3]))
+    high_arm, high_finger = (
+        (image[row - 12 : row + 12, column] != grey[0, 0]).any(-1).sum() for column, row in (arm, finger)
+    )
+    assert 2 < high_finger < high_arm
+    np.testing.assert_array_equal(image[finger[1], finger[0]], color_rgb(1))
 
 
 def test_people_have_different_colours() -> None:

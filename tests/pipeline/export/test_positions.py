@@ -13,7 +13,7 @@ from trc import TRCData
 
 from pipeline.data import Timebase, Track3D
 from pipeline.export.writers import c3d_file, csv_table, trc
-from pipeline.joints import COCO_17
+from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 RATES_HZ = (25.0, 30000 / 1001, 120000 / 1001)
@@ -26,6 +26,13 @@ def track() -> Track3D:
     xyz_m[5:9, 3] = np.nan
     xyz_m[:, 10] = np.nan
     xyz_m[20] = np.nan
+    return track_of(xyz_m, start_frame=START)
+
+
+def larger_track(joints: JointSet) -> Track3D:
+    """Track of a walk with feet, or feet and hands, near the joints of the body; some joints are unknown."""
+    xyz_m = np.resize(np.moveaxis(track().xyz_m, 1, 0), (len(joints.names), 40, 3)).swapaxes(0, 1).copy()
+    xyz_m += 0.01 * np.arange(len(joints.names))[:, None]
     return track_of(xyz_m, start_frame=START)
 
 
@@ -80,6 +87,38 @@ def test_c3d_by_another_reader(tmp_path: Path) -> None:
         known = np.isfinite(expected_m).all(-1)
         np.testing.assert_array_equal(points[:, 3] >= 0, known)
         np.testing.assert_allclose(points[known, :3] / 1000.0, expected_m[known], atol=1e-4)
+
+
+@pytest.mark.parametrize("joints", [BODY_FEET, WHOLE_BODY])
+def test_feet_and_hands_in_all_formats(joints: JointSet, tmp_path: Path) -> None:
+    larger, clock = larger_track(joints), timebase(25.0)
+    path = tmp_path / "person-1.c3d"
+    path.write_bytes(b"".join(c3d_file.encode(larger, joints, clock)))
+    np.testing.assert_allclose(np.concatenate(list(c3d_file.read_xyz_m(path))), larger.xyz_m, atol=1e-4)
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that there are no analog channels
+        reader = c3d.Reader(file)
+        assert [label.strip() for label in reader.point_labels] == list(joints.names)
+        frames = [points.copy() for _, points, _ in reader.read_frames()]
+    known = np.isfinite(larger.xyz_m).all(-1)
+    np.testing.assert_allclose(np.array(frames)[known][:, :3] / 1000.0, larger.xyz_m[known], atol=1e-4)
+
+    path = tmp_path / "person-1.trc"
+    path.write_bytes(b"".join(trc.encode(larger, joints, clock, path.name)))
+    np.testing.assert_allclose(np.concatenate(list(trc.read_xyz_m(path))), larger.xyz_m, atol=1e-4)
+    read = TRCData()
+    read.load(str(path))
+    assert list(read["Markers"]) == list(joints.names)
+    assert int(read["NumMarkers"]) == len(joints.names)
+    np.testing.assert_allclose(np.array(read[40][1], float), y_up(larger.xyz_m)[39], atol=1e-4)
+
+    path = tmp_path / "person-1.csv"
+    path.write_bytes(b"".join(csv_table.encode(larger, joints, clock)))
+    np.testing.assert_allclose(np.concatenate(list(csv_table.read_xyz_m(path))), larger.xyz_m, atol=1e-4)
+    with path.open(newline="", encoding="ascii") as file:
+        header = next(csv.reader(file))
+    assert header[-3:] == [f"{joints.names[-1]}_{axis}_m" for axis in "xyz"]
+    assert len(header) == 2 + 3 * len(joints.names)
 
 
 def test_csv() -> None:

@@ -1,5 +1,6 @@
 """Export presets: names, axes, unit and rest pose, read by bvhio."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,9 @@ from pipeline.config import Preset
 from pipeline.data import SkeletonMotion
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
-from pipeline.skeleton.model import SKELETON, forward_kinematics
+from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
-from tests.pipeline.export.writers.test_bvh import encoded, walk
+from tests.pipeline.export.writers.test_bvh import MOTIONS, encoded, walk
 
 SOME_NAMES: dict[Preset, set[str]] = {
     "default": {"Hips", "Chest", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot"},
@@ -19,6 +20,28 @@ SOME_NAMES: dict[Preset, set[str]] = {
     "unity-humanoid": {"Hips", "Chest", "LeftUpperArm", "RightLowerArm", "LeftUpperLeg", "RightFoot"},
     "unreal": {"pelvis", "spine_03", "upperarm_l", "lowerarm_r", "thigh_l", "foot_r"},
     "mixamo": {f"mixamorig:{name}" for name in ("Hips", "Spine2", "LeftArm", "RightForeArm", "LeftUpLeg", "RightFoot")},
+}
+
+
+# Joints of a thumb and of a little finger from the palm.
+FINGERS: dict[Preset, list[str]] = {
+    "default": ["LeftHandThumb1", "LeftHandThumb2", "LeftHandThumb3", "RightHandPinky1", "RightHandPinky3"],
+    "blender": ["thumb.01.L", "thumb.02.L", "thumb.03.L", "f_pinky.01.R", "f_pinky.03.R"],
+    "unity-humanoid": [
+        "LeftThumbProximal",
+        "LeftThumbIntermediate",
+        "LeftThumbDistal",
+        "RightLittleProximal",
+        "RightLittleDistal",
+    ],
+    "unreal": ["thumb_01_l", "thumb_02_l", "thumb_03_l", "pinky_01_r", "pinky_03_r"],
+    "mixamo": [
+        "mixamorig:LeftHandThumb1",
+        "mixamorig:LeftHandThumb2",
+        "mixamorig:LeftHandThumb3",
+        "mixamorig:RightHandPinky1",
+        "mixamorig:RightHandPinky3",
+    ],
 }
 
 
@@ -58,14 +81,29 @@ def test_arms_are_stretched_out_or_lowered(preset: Preset, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_our_own_reader_agrees_with_another(preset: Preset, tmp_path: Path) -> None:
-    motion: SkeletonMotion = walk(700, frame_rate_hz=119.88)
+def test_fingers_have_the_names_of_the_target_software(preset: Preset) -> None:
+    convention = PRESETS[preset]
+    ours = ["LeftHandThumb1", "LeftHandThumb2", "LeftHandThumb3", "RightHandPinky1", "RightHandPinky3"]
+    assert [convention.name(name) for name in ours] == FINGERS[preset]
+    assert len({convention.name(joint.name) for joint in WHOLE_SKELETON}) == len(WHOLE_SKELETON)
+
+
+def test_mixamo_numbers_the_ends_of_fingers() -> None:
+    assert PRESETS["mixamo"].name("LeftHandIndex3End") == "mixamorig:LeftHandIndex4"
+
+
+@MOTIONS
+@pytest.mark.parametrize("preset", PRESETS)
+def test_our_own_reader_agrees_with_another(
+    preset: Preset, dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path
+) -> None:
+    motion = dressed(walk(200, frame_rate_hz=119.88))
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(motion, preset))
     own_m = np.concatenate(list(bvh.read_xyz_m(path, PRESETS[preset])))
     np.testing.assert_allclose(own_m, forward_kinematics(motion), atol=2e-4)
     found = read_with_bvhio(path)
-    for index, joint in enumerate(SKELETON):
+    for index, joint in enumerate(skeleton_of(own_m.shape[1])):
         if not joint.name.endswith("End"):
             expected = PRESETS[preset].file_from_xyz_m(own_m[:, index])
             other = found[PRESETS[preset].name(joint.name)]

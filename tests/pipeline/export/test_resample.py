@@ -16,6 +16,7 @@ from pipeline.export.resample import _rotations_at, resample
 from pipeline.export.results import write_results
 from pipeline.skeleton.model import forward_kinematics
 from pipeline.stages.local import reconstruct
+from tests.pipeline.export.writers.test_bvh import with_fingers
 from tests.pipeline.test_restrict import session
 
 __all__ = ["session"]
@@ -108,6 +109,18 @@ def test_quaternions_that_are_continuous_stay_so(take: Reconstruction) -> None:
     for motion in resample(take, 2.5 * take.timebase.frame_rate_hz).motions:
         quat = motion.parent_from_joint
         assert ((quat[1:] * quat[:-1]).sum(-1) > 0).all()
+
+
+def test_fingers_are_resampled_with_the_body(take: Reconstruction) -> None:
+    motions = tuple(with_fingers(motion) for motion in take.motions)
+    whole = replace(take, animation=replace(take.animation, motions=motions))
+    rate_hz = 2 * take.timebase.frame_rate_hz
+    for motion, body, old in zip(
+        resample(whole, rate_hz).motions, resample(take, rate_hz).motions, motions, strict=True
+    ):
+        np.testing.assert_array_equal(motion.parent_from_joint[:, :24], body.parent_from_joint)
+        assert motion.parent_from_joint.shape[1] == 64
+        np.testing.assert_allclose(forward_kinematics(motion)[::2], forward_kinematics(old), atol=1e-9)
 
 
 def test_a_single_frame_keeps_its_rotations() -> None:

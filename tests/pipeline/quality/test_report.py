@@ -4,14 +4,27 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.data import Animation, Camera, Doubt, Observations, Reconstruction, Source, Timebase, Track3D
+from pipeline.data import (
+    Animation,
+    Camera,
+    Doubt,
+    FootContact,
+    FootPart,
+    Observations,
+    Reconstruction,
+    Source,
+    Timebase,
+    Track3D,
+)
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
-from pipeline.joints import COCO_17
+from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, finger_joints
 from pipeline.quality.report import acceleration_m_s2, bone_length_std_cm, encode, estimate_stature_m, quality_report
+from tests.pipeline.skeleton.hands.people import gesturing, landmarks_of
 from tests.pipeline.skeleton.synthetic_tracks import SHIN_M, THIGH_M, TRUNK_M, track_of, walker, without
 
 RATE_HZ = 30.0
+NUM_BODY = len(BODY_FEET.names)
 
 
 def camera(name: str, angle_deg: float, height_m: float = 1.5, distortion: tuple[float, ...] = ()) -> Camera:
@@ -78,6 +91,68 @@ def test_a_perfect_walk_has_perfect_figures() -> None:
         },
         "identity": {"confidence": 1.0, "doubts": []},
     }
+
+
+def test_hands_have_figures_of_their_own() -> None:
+    """The left hand is measured in half of the frames, the right hand never."""
+    track = track_of(landmarks_of(gesturing(40)))
+    source = track.source.copy()
+    fingers = {side: WHOLE_BODY.indices(finger_joints(side)) for side in ("left", "right")}
+    source[:20, fingers["left"][:12]], source[:, fingers["right"]] = Source.PREDICTED, Source.PREDICTED
+    off = shifted(observe(track), 0, (3.0, 4.0))
+    score = off.score.copy()
+    score[:, 1:, fingers["left"]], score[:, :, fingers["right"]] = 0.0, 0.0
+    found = dataclasses.replace(
+        reconstruction(
+            dataclasses.replace(track, source=source), observations=(dataclasses.replace(off, score=score),)
+        ),
+        joints=WHOLE_BODY,
+    )
+    (person,) = quality_report(found)["people"]
+    assert person["hands"] == {
+        "left": {"measured": 0.5, "reprojection_error_px": 5.0},
+        "right": {"measured": 0.0, "reprojection_error_px": None},
+    }
+
+
+def test_fingers_count_for_hands_alone() -> None:
+    """Fingers that are far off and predicted change no figure of the body."""
+    whole = track_of(landmarks_of(gesturing(40)))
+    source = whole.source.copy()
+    source[:, NUM_BODY:] = Source.PREDICTED
+    whole = dataclasses.replace(whole, source=source)
+    seen = observe(whole)
+    points_px = seen.points_px.copy()
+    points_px[:, :, NUM_BODY:] += 50.0
+    body = dataclasses.replace(
+        whole,
+        **{name: getattr(whole, name)[:, :NUM_BODY] for name in ("xyz_m", "score", "source", "error_px", "views")},
+    )
+    with_fingers, without = (
+        quality_report(dataclasses.replace(reconstruction(track, observations=(observations,)), joints=joints))
+        for track, observations, joints in (
+            (whole, dataclasses.replace(seen, points_px=points_px), WHOLE_BODY),
+            (body, observe(body), BODY_FEET),
+        )
+    )
+    assert with_fingers["people"][0].pop("hands")
+    by_joint = with_fingers["reprojection_error_px"]["by_joint"]
+    assert by_joint["left_thumb_tip"] == pytest.approx(np.hypot(50.0, 50.0), abs=0.01)
+    for report in (with_fingers, without):
+        del report["reprojection_error_px"]["by_joint"], report["reprojection_error_px"]["p95_by_joint"]
+    assert with_fingers == without
+
+
+@pytest.mark.parametrize(("part", "named"), [("foot", {}), ("heel", {"part": "heel"}), ("toe", {"part": "toe"})])
+def test_contacts_of_parts_are_named(part: FootPart, named: dict[str, str]) -> None:
+    contact = FootContact("left", 3, 5, 0.9, pinned=True, slide_before_m=0.01, slide_after_m=0.0, part=part)
+    walked = reconstruction(track_of(walker(40)))
+    motion = dataclasses.replace(gesturing(40), contacts=(contact,))
+    animation = dataclasses.replace(walked.animation, motions=(motion,))
+    (person,) = quality_report(dataclasses.replace(walked, animation=animation))["people"]
+    assert person["feet"]["contacts"] == [
+        {"foot": "left", "start_frame": 3, "num_frames": 5, "confidence": 0.9, "pinned": True, **named}
+    ]
 
 
 def test_doubts_about_identity_are_listed_with_their_product() -> None:

@@ -13,6 +13,7 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import ReconstructionConfig
 from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.detector import Detector
+from pipeline.detect.profiles import detection
 from pipeline.detect.registry import Head, NetworkInput
 from pipeline.joints import COCO_17
 from pipeline.stages import run
@@ -24,7 +25,7 @@ from tests.pipeline.media import write_video
 
 NUM_FRAMES, SIZE_PX = 24, (96, 80)
 NUM_COLOURED = 19  # the other pictures are too dark for the network
-CONFIG = ReconstructionConfig(chunk_frames=10, smoothing="none")
+CONFIG = ReconstructionConfig(detector="movenet-multipose", chunk_frames=10, smoothing="none")
 
 
 class FakeNetwork:
@@ -64,7 +65,7 @@ def session(tmp_path: Path) -> CaptureSession:
 def network(monkeypatch: pytest.MonkeyPatch) -> FakeNetwork:
     fake = FakeNetwork()
     detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), Head.MOVENET_MULTIPOSE, COCO_17)
-    monkeypatch.setattr(run, "load_detector", lambda name: detector)
+    monkeypatch.setattr(detection, "load_detector", lambda name: detector)
     return fake
 
 

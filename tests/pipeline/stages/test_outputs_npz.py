@@ -3,6 +3,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession
@@ -12,6 +13,8 @@ from pipeline.data import (
     Camera,
     DamagedVideo,
     Detections,
+    FootContact,
+    FootPart,
     FrameTimes,
     MapGrid,
     Observations,
@@ -173,6 +176,39 @@ def test_uncertainty_comes_back_where_there_is_any() -> None:
     back = decode_animation(encode_animation(Animation((certain, second), motions, None)))
     assert_equal(certain, back.tracks[0])
     assert back.tracks[1].uncertainty_m is None
+
+
+@pytest.mark.parametrize("num_joints", [24, 64])
+def test_motions_with_and_without_fingers_come_back(num_joints: int) -> None:
+    motions = tuple(
+        SkeletonMotion(
+            track.track_id,
+            "person",
+            track.start_frame,
+            25.0,
+            RNG.uniform(size=num_joints),
+            RNG.normal(size=(track.num_frames, 3)),
+            RNG.normal(size=(track.num_frames, num_joints, 4)),
+            (),
+        )
+        for track in people_of_two_lengths().tracks
+    )
+    back = decode_animation(encode_animation(Animation(tuple(people_of_two_lengths().tracks), motions, None)))
+    for motion, found in zip(motions, back.motions, strict=True):
+        for name in ("bone_length_m", "root_m", "parent_from_joint"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(motion, name))
+
+
+@pytest.mark.parametrize("part", ["foot", "heel", "toe"])
+def test_contacts_come_back_with_their_part(part: FootPart) -> None:
+    contact = FootContact("right", 3, 5, 0.9, pinned=True, slide_before_m=0.01, slide_after_m=0.002, part=part)
+    (track,) = people_of_two_lengths().tracks[:1]
+    turned = np.zeros((track.num_frames, 24, 4))
+    motion = SkeletonMotion(
+        track.track_id, "", track.start_frame, 25.0, np.ones(24), np.zeros((track.num_frames, 3)), turned, (contact,)
+    )
+    back = decode_animation(encode_animation(Animation((track,), (motion,), None)))
+    assert back.motions[0].contacts == (contact,)
 
 
 def test_equal_people_are_equal_bytes(tmp_path: Path) -> None:

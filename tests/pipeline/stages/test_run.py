@@ -1,4 +1,4 @@
-"""Offsets of joint centres that a session is fitted with."""
+"""Joints of detections, and offsets of joint centres that a session is fitted with."""
 
 import pytest
 
@@ -6,9 +6,9 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.config import JointCenters, ReconstructionConfig
 from pipeline.data import Timebase
-from pipeline.detect.registry import REGISTRY
-from pipeline.joints import COCO_17
-from pipeline.stages.run import used_offsets
+from pipeline.detect.entries import REGISTRY
+from pipeline.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointSet
+from pipeline.stages.run import detection_joints, used_offsets
 
 VIDEOS = CaptureSession((), (), {}, ())
 KEYPOINTS = KeypointSession((), {}, Timebase(0.0, 25.0, 1), {}, COCO_17, {}, ())
@@ -17,7 +17,7 @@ KEYPOINTS = KeypointSession((), {}, Timebase(0.0, 25.0, 1), {}, COCO_17, {}, ())
 @pytest.mark.parametrize(
     ("choice", "of_videos", "of_keypoints"),
     [
-        ("auto", "movenet-multipose", None),
+        ("auto", "blazepose-full", None),
         ("off", None, None),
         ("openpose-mobilenet-thin", "openpose-mobilenet-thin", "openpose-mobilenet-thin"),
     ],
@@ -34,3 +34,24 @@ def test_smoothing_other_than_the_fit_moves_nothing_and_a_network_without_offset
     assert REGISTRY["movenet-multipose"].offsets
     assert used_offsets(VIDEOS, ReconstructionConfig(smoothing="none")) == {}
     assert used_offsets(VIDEOS, ReconstructionConfig(detector="human-pose-estimation-0001")) == {}
+
+
+def test_joints_that_crops_do_not_refine_have_the_offsets_of_the_detector_of_bodies() -> None:
+    alone = ReconstructionConfig(detector="movenet-multipose")
+    assert used_offsets(VIDEOS, alone) == REGISTRY["movenet-multipose"].offsets
+    accurate = ReconstructionConfig(profile="accurate")
+    assert used_offsets(VIDEOS, accurate) == REGISTRY["blazepose-heavy"].offsets
+    assert used_offsets(VIDEOS, accurate)["shoulder"].up < used_offsets(VIDEOS, alone)["shoulder"].up
+
+
+@pytest.mark.parametrize(
+    ("config", "joints"),
+    [
+        (ReconstructionConfig(), BODY_FEET),
+        (ReconstructionConfig(joints="body"), COCO_17),
+        (ReconstructionConfig(joints="whole"), WHOLE_BODY),
+        (ReconstructionConfig(detector="openpose-mobilenet-thin"), COCO_18),
+    ],
+)
+def test_detections_have_the_joints_that_are_asked_for(config: ReconstructionConfig, joints: JointSet) -> None:
+    assert detection_joints(config) is joints

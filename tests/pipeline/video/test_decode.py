@@ -63,6 +63,24 @@ def test_a_range_beyond_the_end_gives_what_there_is(video: VideoInfo) -> None:
     assert list(decode(video, 5, 5)) == []
 
 
+@pytest.mark.parametrize("chosen", [[0], [3, 4, 30], [NUM_FRAMES - 1, 7, 7, NUM_FRAMES + 3]])
+def test_chosen_frames_alone_are_given(video: VideoInfo, chosen: list[int]) -> None:
+    damaged: list[int] = []
+    found = [(number, image_rgb.copy()) for number, image_rgb in decode(video, 0, 99, damaged.append, only=chosen)]
+    assert [number for number, _ in found] == sorted({number for number in chosen if number < NUM_FRAMES})
+    for number, image_rgb in found:
+        np.testing.assert_array_equal(image_rgb, straight(video)[number])
+    assert damaged == []
+
+
+def test_keyframes_alone_are_decoded(video: VideoInfo) -> None:
+    keyframes = np.flatnonzero(np.isin(video.pts, video.keyframe_pts)).tolist()
+    found = [(number, image_rgb.copy()) for number, image_rgb in decode(video, 0, NUM_FRAMES, only=keyframes)]
+    assert [number for number, _ in found] == keyframes
+    for number, image_rgb in found:
+        np.testing.assert_array_equal(image_rgb, straight(video)[number])
+
+
 CONTAINERS: dict[str, dict[str, Any]] = {
     "h264.ts": {"codec": "libx264", "options": {"bf": "2", "g": "12"}},
     "h264.mkv": {"codec": "libx264", "options": {"bf": "2", "g": "12"}},

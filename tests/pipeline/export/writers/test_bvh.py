@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,15 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
 from pipeline.joints import COCO_17
 from pipeline.skeleton.fitting.fit import SkeletonFit
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.skeleton.model import (
+    INDEX,
+    SKELETON,
+    WHOLE_SKELETON,
+    SkeletonJoint,
+    children_of,
+    forward_kinematics,
+    skeleton_of,
+)
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.skeleton.synthetic_tracks import timebase, track_of, walker
 
@@ -26,6 +35,23 @@ def walk(num_frames: int = 50, frame_rate_hz: float = NTSC_HZ) -> SkeletonMotion
     xyz_m = walker(num_frames, frame_rate_hz, turn_rad=2 * np.pi)
     xyz_m += np.random.default_rng(0).normal(scale=0.02, size=xyz_m.shape)
     return SkeletonFit(track_of(xyz_m), COCO_17, timebase(num_frames, frame_rate_hz), "person-1").motion()
+
+
+def with_fingers(motion: SkeletonMotion) -> SkeletonMotion:
+    """Add hands that open and close: each joint of a finger turns by an angle of its own about all axes."""
+    num_frames, fingers = len(motion.root_m), WHOLE_SKELETON[len(SKELETON) :]
+    stature_m = motion.bone_length_m[INDEX["Head"]] / SKELETON[INDEX["Head"]].stature_share
+    phase = np.linspace(0.0, 2.0 * np.pi, num_frames)[:, None, None] + np.arange(3 * len(fingers)).reshape(-1, 3)
+    turns = Rotation.from_rotvec(0.4 * np.sin(phase).reshape(-1, 3)).as_quat().reshape(num_frames, -1, 4)
+    turns[:, [not children_of(64)[joint.name] for joint in fingers]] = [0.0, 0.0, 0.0, 1.0]
+    return replace(
+        motion,
+        bone_length_m=np.append(motion.bone_length_m, [stature_m * joint.stature_share for joint in fingers]),
+        parent_from_joint=np.concatenate([motion.parent_from_joint, turns], axis=1),
+    )
+
+
+MOTIONS = pytest.mark.parametrize("dressed", [lambda motion: motion, with_fingers], ids=["body", "fingers"])
 
 
 def positions_cm(motion: SkeletonMotion) -> np.ndarray:
@@ -44,8 +70,9 @@ def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
     num_frames, frame_time, *rows = motion.splitlines()
     values = np.array([row.split() for row in rows], dtype=float)
     assert num_frames == f"Frames: {len(values)}"
-    positions = np.zeros((len(values), len(SKELETON), 3))
-    rest = np.zeros((len(SKELETON), 3))
+    num_joints = header.count("OFFSET")
+    positions = np.zeros((len(values), num_joints, 3))
+    rest = np.zeros((num_joints, 3))
     stack: list[tuple[str, Rotation]] = []
     column, name = 0, ""
     for line in header.splitlines():
@@ -75,17 +102,32 @@ def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
     return float(frame_time.removeprefix("Frame Time: ")), positions, rest
 
 
+@MOTIONS
 @pytest.mark.parametrize("read", [read_with_bvhio, read_with_bvh_converter])
-def test_other_readers_find_the_same_positions(tmp_path: Path, read: Callable[[Path], dict[str, np.ndarray]]) -> None:
-    motion = walk()
+def test_other_readers_find_the_same_positions(
+    tmp_path: Path,
+    read: Callable[[Path], dict[str, np.ndarray]],
+    dressed: Callable[[SkeletonMotion], SkeletonMotion],
+) -> None:
+    motion = dressed(walk())
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(motion))
     expected_cm = positions_cm(motion)
     found = read(path)
-    assert {name for name in INDEX if not name.endswith("End")} <= set(found) <= set(INDEX)
+    names = {joint.name for joint in skeleton_of(len(motion.bone_length_m))}
+    assert {name for name in names if not name.endswith("End")} <= set(found) <= names
     for name, found_cm in found.items():
         assert found_cm.shape == (50, 3)
         assert np.linalg.norm(found_cm - expected_cm[:, INDEX[name]], axis=-1).max() < TOLERANCE_CM, name
+
+
+def test_fingers_leave_the_lines_of_the_body_as_they_are() -> None:
+    body, whole = encoded(walk(3)).decode().split("MOTION\n"), encoded(with_fingers(walk(3))).decode().split("MOTION\n")
+    # Lines of the body, in their order, are a part of the hierarchy with fingers.
+    lines = iter(whole[0].splitlines())
+    assert all(line in lines for line in body[0].splitlines())
+    assert whole[0].count("JOINT") == body[0].count("JOINT") + 30
+    assert "JOINT LeftHandThumb1\n" in whole[0]
 
 
 def test_other_readers_find_the_frame_rate(tmp_path: Path) -> None:
@@ -111,9 +153,9 @@ angles_deg = st.one_of(st.floats(-200, 200), st.sampled_from([-180.0, -90.0, 0.0
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.data(), st.integers(1, 4))
-def test_rotations_survive_the_file(data: st.DataObject, num_frames: int) -> None:
-    size = num_frames * len(SKELETON) * 3
+@given(st.data(), st.integers(1, 4), st.sampled_from([SKELETON, WHOLE_SKELETON]))
+def test_rotations_survive_the_file(data: st.DataObject, num_frames: int, skeleton: tuple[SkeletonJoint, ...]) -> None:
+    size = num_frames * len(skeleton) * 3
     # A few drawn angles everywhere cover more than a list as long as the body.
     drawn = data.draw(st.lists(angles_deg, min_size=1, max_size=12))
     euler = np.resize(drawn, size).reshape(-1, 3)
@@ -122,7 +164,7 @@ def test_rotations_survive_the_file(data: st.DataObject, num_frames: int) -> Non
         name="person-1",
         start_frame=0,
         frame_rate_hz=25.0,
-        bone_length_m=np.array([1.8 * joint.stature_share for joint in SKELETON]),
+        bone_length_m=np.array([1.8 * joint.stature_share for joint in skeleton]),
         root_m=np.resize(drawn, num_frames * 3).reshape(-1, 3) / 50.0,
         parent_from_joint=Rotation.from_euler("YXZ", euler, degrees=True).as_quat().reshape(num_frames, -1, 4),
         contacts=(),

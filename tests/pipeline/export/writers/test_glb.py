@@ -1,23 +1,29 @@
 """GLB files, checked by Khronos' validator and three.js, and their body mesh."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pipeline.data import SkeletonMotion
+from pipeline.export.presets import GLTF
 from pipeline.export.writers import glb
-from pipeline.export.writers.body_mesh import body_mesh
-from pipeline.skeleton.model import CHILDREN, INDEX, SKELETON, forward_kinematics, rest_offsets_m
+from pipeline.export.writers.body_mesh import BodyMesh, body_mesh
+from pipeline.skeleton.model import INDEX, children_of, forward_kinematics, parents_of, rest_offsets_m, skeleton_of
 from tests.e2e.foreign import read_with_three, validate_with_khronos
-from tests.pipeline.export.writers.test_bvh import walk
+from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
 
 
 @pytest.mark.parametrize("num_frames", [1, 2, 700])
 @pytest.mark.parametrize("rate_hz", [25.0, 30000 / 1001, 120000 / 1001])
-def test_takes_of_any_length_and_rate(num_frames: int, rate_hz: float, tmp_path: Path) -> None:
-    motion = walk(num_frames, rate_hz)
+@MOTIONS
+def test_takes_of_any_length_and_rate(
+    num_frames: int, rate_hz: float, dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path
+) -> None:
+    motion = dressed(walk(num_frames, rate_hz))
     path = tmp_path / "person.glb"
     path.write_bytes(b"".join(glb.encode(motion)))
     issues = validate_with_khronos([path])[path]
@@ -26,9 +32,9 @@ def test_takes_of_any_length_and_rate(num_frames: int, rate_hz: float, tmp_path:
     (own_m,) = glb.read_xyz_m(path)
     np.testing.assert_allclose(own_m, expected_m, atol=1e-5)
     found = read_with_three([path])[path]
-    for joint, index in INDEX.items():
+    for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
         x, y, z = expected_m[:, index].T
-        np.testing.assert_allclose(found.positions[joint], np.column_stack([x, z, -y]), atol=1e-4)
+        np.testing.assert_allclose(found.positions[joint.name], np.column_stack([x, z, -y]), atol=1e-4)
     assert num_frames == 1 or found.frame_rate_hz == pytest.approx(rate_hz, rel=1e-4)
 
 
@@ -48,13 +54,22 @@ def test_the_same_motion_gives_the_same_bytes() -> None:
     assert b"".join(glb.encode(walk(5))) == b"".join(glb.encode(walk(5)))
 
 
-def test_the_body_is_closed_about_every_bone_and_shows_its_outside() -> None:
-    offsets_m = rest_offsets_m(walk(1).bone_length_m)
+def mesh_of(motion: SkeletonMotion) -> tuple[BodyMesh, np.ndarray]:
+    """Build the mesh of a motion's body in world axes; also return the rest positions of its joints."""
+    offsets_m = rest_offsets_m(motion.bone_length_m)
     rest_m = np.zeros_like(offsets_m)
-    for index, joint in enumerate(SKELETON[1:], 1):
-        rest_m[index] = rest_m[INDEX[str(joint.parent)]] + offsets_m[index]
-    mesh = body_mesh(offsets_m, rest_m)
-    with_bones = {INDEX[name] for name in INDEX if set(CHILDREN[name]) - {"LeftShoulder", "RightShoulder"}}
+    for index, parent in enumerate(parents_of(len(offsets_m))[1:], 1):
+        rest_m[index] = rest_m[parent] + offsets_m[index]
+    return body_mesh(offsets_m, rest_m), rest_m
+
+
+@MOTIONS
+def test_the_body_is_closed_about_every_bone_and_shows_its_outside(
+    dressed: Callable[[SkeletonMotion], SkeletonMotion],
+) -> None:
+    mesh, rest_m = mesh_of(dressed(walk(1)))
+    children = children_of(len(rest_m))
+    with_bones = {INDEX[name] for name in children if set(children[name]) - {"LeftShoulder", "RightShoulder"}}
     assert set(mesh.joint.tolist()) == with_bones
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1.0)
     corners_m = mesh.vertices[mesh.triangles]
@@ -65,3 +80,32 @@ def test_the_body_is_closed_about_every_bone_and_shows_its_outside() -> None:
     volume_m3 = (facing[:, 2] / 2 * corners_m[..., 2].mean(1)).sum()
     assert 0.03 < volume_m3 < 0.12
     assert mesh.vertices[:, 2].max() == pytest.approx(rest_m[INDEX["HeadEnd"], 2], abs=0.01)
+
+
+def test_fingers_are_thin_and_apart_and_begin_in_a_flat_palm() -> None:
+    motion = with_fingers(walk(1))
+    # The axes of GLB files, to which the widths of bones refer.
+    offsets_m = GLTF.rest_offsets(motion.bone_length_m)
+    rest_m = np.zeros_like(offsets_m)
+    for index, parent in enumerate(parents_of(64)[1:], 1):
+        rest_m[index] = rest_m[parent] + offsets_m[index]
+    mesh = body_mesh(offsets_m, rest_m)
+
+    def box_m(*names: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and highest coordinates of the vertices that joints move: to the left, up, to the front."""
+        moved_m = mesh.vertices[np.isin(mesh.joint, [INDEX[name] for name in names])]
+        return moved_m.min(0), moved_m.max(0)
+
+    palm_low_m, palm_high_m = box_m("LeftHand")
+    length_m, height_m, width_m = palm_high_m - palm_low_m
+    assert height_m < 0.04
+    assert 0.07 < width_m < 0.11
+    assert 0.07 < length_m < 0.11
+    for finger in ("Index", "Middle", "Ring", "Pinky"):
+        low_m, high_m = box_m(*(f"LeftHand{finger}{number}" for number in (1, 2, 3)))
+        base_m = rest_m[INDEX[f"LeftHand{finger}1"]]
+        assert (np.maximum(palm_low_m, base_m - 0.015) < np.minimum(palm_high_m, base_m + 0.015)).all()
+        assert 0.01 < high_m[1] - low_m[1] < 0.022
+        np.testing.assert_allclose(high_m[0], rest_m[INDEX[f"LeftHand{finger}3End"], 0], atol=0.005)
+    # No vertex of the index finger is behind one of the ring finger.
+    assert box_m("LeftHandIndex2")[0][2] > box_m("LeftHandRing2")[1][2]

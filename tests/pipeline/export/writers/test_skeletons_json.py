@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.data import Animation, Reconstruction, Source, Timebase, Track3D
 from pipeline.export.writers import skeletons_json
-from pipeline.joints import JointSet
+from pipeline.joints import BODY_FEET, WHOLE_BODY, JointSet
 
 
 def encoded(of: Reconstruction) -> bytes:
@@ -88,3 +88,33 @@ def test_numbers_that_json_does_not_know_are_refused() -> None:
     broken = Reconstruction((), JOINTS, Timebase(0.0, np.nan, 1), (), (), Animation((), (), None))
     with pytest.raises(ValueError, match="not JSON compliant"):
         encoded(broken)
+
+
+@pytest.mark.parametrize("joints", [BODY_FEET, WHOLE_BODY])
+def test_feet_and_hands_have_all_series(joints: JointSet, tmp_path: Path) -> None:
+    num_joints = len(joints.names)
+    rng = np.random.default_rng(0)
+    sigma_m = rng.uniform(size=(3, num_joints))
+    source = np.resize([Source.MEASURED, Source.PREDICTED, Source.INTERPOLATED], (3, num_joints)).astype(np.int8)
+    larger = Track3D(
+        track_id=1,
+        start_frame=0,
+        xyz_m=rng.normal(size=(3, num_joints, 3)),
+        score=rng.uniform(size=(3, num_joints)),
+        source=source,
+        error_px=rng.uniform(size=(3, num_joints)),
+        views=np.full((3, num_joints), 2),
+        uncertainty_m=sigma_m,
+    )
+    content = encoded(replace(reconstruction(larger), joints=joints))
+    document = json.loads(content)
+    assert document["joint_names"] == list(joints.names)
+    assert [tuple(bone) for bone in document["bones"]] == list(joints.bones)
+    (written,) = document["tracks"]
+    assert written["sources"] == ["".join("-mip"[one] for one in frame) for frame in source.tolist()]
+    np.testing.assert_allclose(written["scores"], larger.score, atol=1e-3)
+    np.testing.assert_allclose(written["uncertainty_m"], sigma_m, atol=1e-4)
+    path = tmp_path / "skeletons.json"
+    path.write_bytes(content)
+    (read_m,) = skeletons_json.read_xyz_m(path)
+    np.testing.assert_allclose(read_m, larger.xyz_m, atol=1e-4)
