@@ -1,0 +1,1 @@
+"""Refinement of a given calibration from the people of a take."""

@@ -1,0 +1,159 @@
+"""Refine a given calibration: rotations, then positions, then focal lengths, as far as the sightings determine them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.refinement.adjust import (
+    FOCAL,
+    NUM_PARAMETERS,
+    POSITION,
+    ROTATION,
+    Free,
+    adjust,
+    triangulate_sightings,
+)
+from pipeline.calibration.refinement.bumps import Step, find_step
+from pipeline.calibration.refinement.gauge import align_world
+from pipeline.calibration.refinement.sightings import Sightings
+from pipeline.data import Camera
+from pipeline.geometry.camera import project
+
+MAX_ERROR_SHARE = 0.75
+"""Largest share of the given cameras' error that refined cameras may leave; else the given ones are kept."""
+
+_MIN_POINTS = 60
+_LEVELS = ((ROTATION,), (ROTATION, POSITION), (ROTATION, POSITION, FOCAL))
+# More parameters are freed if they lower the error of sightings that they were not fitted to by at least this share.
+_MIN_GAIN = 0.002
+# Largest standard deviation of a parameter that is freed.
+_MAX_SIGMA = ((ROTATION, np.radians(0.25)), (POSITION, 0.03), (FOCAL, 0.01))
+_BLOCK_S, _MIN_BLOCKS = 2.0, 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedCameras:
+    """Result of a refinement.
+
+    Parameters
+    ----------
+    cameras
+        Refined cameras in the given world; the given ones if they are about as good.
+    is_refined
+        Whether the cameras are refined ones.
+    error_before_px, error_after_px
+        Median reprojection error of the given and of the refined cameras, cross-validated; NaN without sightings.
+    steps
+        Cameras that were moved in the middle of the take.
+    num_points
+        Number of points.
+    """
+
+    cameras: tuple[Camera, ...]
+    is_refined: bool
+    error_before_px: float
+    error_after_px: float
+    steps: tuple[Step, ...]
+    num_points: int
+
+
+def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings) -> RefinedCameras:
+    """Refine cameras from sightings of people.
+
+    Refined cameras are taken if the cross-validated reprojection error falls by more than a quarter. The world stays:
+    most cameras are as close to their given poses as the sightings allow.
+
+    Parameters
+    ----------
+    given
+        Cameras as calibrated.
+    start
+        Cameras with which the search begins: the given ones, or those of an earlier refinement.
+    sightings
+        Joints of people.
+    """
+    unchanged = RefinedCameras(tuple(given), False, np.nan, np.nan, (), len(sightings))
+    if len(sightings) < _MIN_POINTS:
+        return unchanged
+    fitted, steps, kept = _without_steps(given, start, sightings)
+    error_before_px = _median(_errors_px(given, kept))
+    best, error_px = _choose_level(given, fitted, kept, error_before_px)
+    if best is None or error_px > MAX_ERROR_SHARE * error_before_px:
+        return RefinedCameras(tuple(given), False, error_before_px, error_px, steps, len(kept))
+    cameras = adjust(given, fitted, kept, best).cameras
+    if best[:, : FOCAL.start].all():
+        cameras = align_world(given, cameras)
+    return RefinedCameras(cameras, True, error_before_px, error_px, steps, len(kept))
+
+
+def _without_steps(
+    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings
+) -> tuple[tuple[Camera, ...], tuple[Step, ...], Sightings]:
+    """Cameras that fit the take, the cameras that were moved, and the sightings without the shorter parts of these."""
+    steps: list[Step] = []
+    while True:
+        free = _free(len(given), (ROTATION, POSITION))
+        fitted = adjust(given, start, sightings, free).cameras
+        step = find_step(fitted, sightings)
+        if step is None or step.camera in {other.camera for other in steps}:
+            return fitted, tuple(steps), sightings
+        steps.append(step)
+        sightings = sightings.without(step.hidden(sightings))
+
+
+def _choose_level(
+    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, error_px: float
+) -> tuple[Free | None, float]:
+    """Choose the free parameters by cross-validation over time; ``None``: no parameters lower the error."""
+    best = None
+    for level in _LEVELS:
+        free = _determined(given, start, sightings, _free(len(given), level))
+        level_error_px = _cross_validated_px(given, start, sightings, free)
+        if free.any() and level_error_px < (1.0 - _MIN_GAIN) * error_px:
+            best, error_px = free, level_error_px
+    return best, error_px
+
+
+def _free(num_cameras: int, level: Sequence[slice]) -> Free:
+    free = np.zeros((num_cameras, NUM_PARAMETERS), bool)
+    for parameters in level:
+        free[:, parameters] = True
+    return free
+
+
+def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free) -> Free:
+    """Parameters of each camera that the sightings determine, in groups: all three of a rotation, or none."""
+    sigma = adjust(given, start, sightings, free).sigma
+    determined = free.copy()
+    for parameters, largest in _MAX_SIGMA:
+        determined[:, parameters] &= (sigma[:, parameters].max(-1) <= largest)[:, None]
+    # A position without a rotation would explain the error of the rotation.
+    determined[:, POSITION] &= determined[:, ROTATION]
+    return determined
+
+
+def _cross_validated_px(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free) -> float:
+    """Median reprojection error of each half of the take with cameras that were fitted to the other half."""
+    begin_s, end_s = sightings.time_s.min(), sightings.time_s.max()
+    block_s = min(_BLOCK_S, max((end_s - begin_s) / _MIN_BLOCKS, 1e-3))
+    is_odd = np.floor((sightings.time_s - begin_s) / block_s) % 2 == 1
+    errors_px = []
+    for half in (is_odd, ~is_odd):
+        fitted = adjust(given, start, sightings.subset(half), free).cameras
+        errors_px.append(_errors_px(fitted, sightings.subset(~half)))
+    return _median(np.concatenate(errors_px))
+
+
+def _errors_px(cameras: Sequence[Camera], sightings: Sightings) -> Float[np.ndarray, " views"]:
+    """Distance of each view from the projection of its triangulated point; infinite where there is no projection."""
+    xyz_m = triangulate_sightings(cameras, sightings.points_px)
+    projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)
+    error_px = np.linalg.norm(projected_px - sightings.points_px, axis=-1)
+    error_px[np.isnan(error_px)] = np.inf
+    return error_px[np.isfinite(sightings.points_px).all(-1)]
+
+
+def _median(errors_px: Float[np.ndarray, " views"]) -> float:
+    return float(np.median(errors_px)) if len(errors_px) else np.nan
