@@ -133,6 +133,12 @@ JointCenters = (
     | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
     | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
 )
+RefineCalibration = (
+    Annotated[Literal["off"], Value("The calibration as it is given")]
+    | Annotated[
+        Literal["auto"], Value("Cameras are moved to fit the people where that lowers the error by more than a quarter")
+    ]
+)
 Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
@@ -221,6 +227,14 @@ class MotionChoices:
             noun="joint_centers",
         ),
     ] = "auto"
+    refine_calibration: Annotated[
+        RefineCalibration,
+        About(
+            "Refinement of the calibration",
+            "Whether the calibration is refined from the people of the take.",
+            noun="refine_calibration",
+        ),
+    ] = "off"
 
 
 @dataclass(frozen=True, slots=True)

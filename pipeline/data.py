@@ -480,6 +480,72 @@ class DamagedVideo:
     last_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class CameraMove:
+    """Difference of a refined camera from the given one.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    rotation_deg, translation_m
+        Angle between the orientations, and distance between the centres.
+    focal_ratio
+        Refined focal length over the given one.
+    """
+
+    camera: str
+    rotation_deg: float
+    translation_m: float
+    focal_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraBump:
+    """A camera that was moved in the middle of a take.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    time_s
+        Time of the bump on the session's clock.
+    rotation_deg
+        Angle by which the camera turned.
+    """
+
+    camera: str
+    time_s: float
+    rotation_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """Report of the refinement of a calibration.
+
+    Parameters
+    ----------
+    refined
+        Whether refined cameras took the place of the given ones.
+    error_before_px, error_after_px
+        Median reprojection error with the given and with refined cameras, cross-validated over time; NaN without
+        people.
+    num_points
+        Number of joints that the cameras were compared with.
+    moved
+        Refined cameras that differ from the given ones, in the cameras' order.
+    bumped
+        Cameras that were moved in the middle of the take, in order of time.
+    """
+
+    refined: bool
+    error_before_px: float
+    error_after_px: float
+    num_points: int
+    moved: tuple[CameraMove, ...] = ()
+    bumped: tuple[CameraBump, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
     """Result of a reconstruction.
@@ -487,7 +553,7 @@ class Reconstruction:
     Parameters
     ----------
     cameras, joints, timebase
-        Cameras of the session, joints of the tracks, and times of the output frames.
+        Cameras of the session, refined if they were, joints of the tracks, and times of the output frames.
     located
         Tracks with joints as association located them, before smoothing and fit.
     observations
@@ -504,6 +570,8 @@ class Reconstruction:
         Doubts about the identity of each person, in the tracks' order; empty if nobody looked for them.
     offsets
         Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
+    refinement
+        Report of the refinement of the calibration; ``None`` if none was asked for.
     """
 
     cameras: tuple[Camera, ...]
@@ -517,6 +585,7 @@ class Reconstruction:
     damaged: tuple[DamagedVideo, ...] = ()
     doubts: Sequence[Sequence[Doubt]] = ()
     offsets: JointOffsets = field(default_factory=dict)
+    refinement: Refinement | None = None
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.calibration.write import encode as encode_calibration
 from pipeline.config import (
     FILE_FORMATS,
     MAX_OUTPUT_FRAMES,
@@ -29,6 +30,8 @@ from pipeline.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 METRICS = "metrics.json"
+CALIBRATION = "calibration.json"
+"""Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
 _MM_PER_M = 1000.0
 _DECIMALS_MM = 4
@@ -73,8 +76,8 @@ def write_results(
     """Write all result files into a folder, which is created if missing; yield each path when its file is complete.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
-    ``metrics.json`` is the last file. It contains the largest distance, for each format, between joints read back and
-    their true positions.
+    ``calibration.json`` is written if the calibration was refined. ``metrics.json`` is the last file. It contains the
+    largest distance, for each format, between joints read back and their true positions.
 
     Parameters
     ----------
@@ -120,6 +123,11 @@ def write_results(
                 far_mm[export].append(_furthest_mm(path, expected_m, found_m, on_read))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
+    if reconstruction.refinement is not None and reconstruction.refinement.refined:
+        path = folder / CALIBRATION
+        with _replacing(path, [encode_calibration(reconstruction.cameras)]):
+            pass
+        yield path
     path = folder / METRICS
     with _replacing(path, [encode_metrics(quality_report(reconstruction) | {"exports": check})]):
         pass

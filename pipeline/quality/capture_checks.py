@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from pipeline.data import DamagedVideo, Reconstruction
+from pipeline.data import DamagedVideo, Reconstruction, Refinement
 from pipeline.quality.names import first_names
 
 # With fewer views, a wrong observation can't be detected.
@@ -37,6 +37,7 @@ def capture_checks(
         _check_views(names, seen),
         _check_association(reconstruction),
         _check_identity(reconstruction),
+        _check_refinement(reconstruction.refinement),
     )
     return [{"code": code, "message": message} for check in checks for code, message in check]
 
@@ -127,6 +128,34 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]
             f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
             "metrics.json lists all of them.",
         )
+
+
+def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]]:
+    if refinement is None:
+        return
+    if refinement.refined:
+        moves = [f"{move.camera} by {move.rotation_deg:.1f} degrees" for move in refinement.moved]
+        yield (
+            "calibration_refined",
+            f"The calibration did not fit the people: {refinement.error_before_px:.1f} px. It was refined to "
+            f"{refinement.error_after_px:.1f} px, and turned {first_names(moves)}. Use calibration.json for takes of "
+            "the same cameras.",
+        )
+    if refinement.bumped:
+        bumps = [
+            f"{bump.camera} from {_minutes(bump.time_s)} on ({bump.rotation_deg:.1f} degrees)"
+            for bump in refinement.bumped
+        ]
+        yield (
+            "camera_bumped",
+            f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
+            "their own.",
+        )
+
+
+def _minutes(time_s: float) -> str:
+    """Minutes and seconds, such as 02:14."""
+    return f"{int(time_s) // 60:02d}:{int(time_s) % 60:02d}"
 
 
 def _has_few_views(frames: Bool[np.ndarray, "frames cameras"]) -> bool:

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data import Camera, Doubt, Floor, FootContact, Observations, Reconstruction, Source, Track3D
+from pipeline.data import Camera, Doubt, Floor, FootContact, Observations, Reconstruction, Refinement, Source, Track3D
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, LIMBS, SIDES, JointSet, finger_joints
 from pipeline.quality.capture_checks import capture_checks
@@ -126,8 +126,33 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
             }
             for whole, track, figures, doubts in zip(reconstruction.tracks, tracks, views, all_doubts, strict=True)
         ],
+        "calibration": _describe_refinement(reconstruction.refinement),
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
+    }
+
+
+def _describe_refinement(refinement: Refinement | None) -> dict[str, Any] | None:
+    if refinement is None:
+        return None
+    return {
+        "refined": refinement.refined,
+        "error_before_px": _rounded(refinement.error_before_px, 3),
+        "error_after_px": _rounded(refinement.error_after_px, 3),
+        "num_points": refinement.num_points,
+        "moved": [
+            {
+                "camera": move.camera,
+                "rotation_deg": round(move.rotation_deg, 3),
+                "translation_m": round(move.translation_m, 4),
+                "focal_ratio": round(move.focal_ratio, 4),
+            }
+            for move in refinement.moved
+        ],
+        "bumped": [
+            {"camera": bump.camera, "time_s": round(bump.time_s, 3), "rotation_deg": round(bump.rotation_deg, 2)}
+            for bump in refinement.bumped
+        ],
     }
 
 

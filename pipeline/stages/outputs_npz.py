@@ -12,6 +12,9 @@ from pipeline.capture.preflight_npz import DETECTION_ARRAYS
 from pipeline.clustering.bone_lengths import LimbLengths
 from pipeline.data import (
     Animation,
+    Camera,
+    CameraBump,
+    CameraMove,
     DamagedVideo,
     Detections,
     Doubt,
@@ -23,12 +26,15 @@ from pipeline.data import (
     PafFields,
     People,
     Poses3D,
+    Refinement,
     SkeletonMotion,
     Track3D,
     no_detections,
     no_frames,
+    read_only,
 )
 from pipeline.detect.profiles.sizes import CameraSizes
+from pipeline.geometry.rigid import Rigid3
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
 
 _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
@@ -92,6 +98,42 @@ def decode_sizes(content: bytes) -> CameraSizes:
     arrays = decode_arrays(content)
     border_px = float(arrays["border_px"])
     return CameraSizes(tuple(arrays["scaled_px"].tolist()), None if np.isnan(border_px) else border_px)
+
+
+def encode_refinement(cameras: Sequence[Camera], refinement: Refinement) -> bytes:
+    """Write refined cameras, and the report of the refinement."""
+    return encode_arrays(
+        {
+            "matrix": np.array([camera.matrix for camera in cameras]),
+            "rotation": np.array([camera.cam_from_world.rotation for camera in cameras]),
+            "translation_m": np.array([camera.cam_from_world.translation_m for camera in cameras]),
+            "report": np.array(json.dumps(asdict(refinement))),
+        }
+    )
+
+
+def decode_refinement(cameras: Sequence[Camera], content: bytes) -> tuple[tuple[Camera, ...], Refinement]:
+    """Read what ``encode_refinement`` wrote.
+
+    Parameters
+    ----------
+    cameras
+        The session's cameras: names, sizes and distortion are theirs.
+    """
+    arrays = decode_arrays(content)
+    rows = zip(cameras, arrays["matrix"], arrays["rotation"], arrays["translation_m"], strict=True)
+    refined = tuple(
+        replace(
+            camera,
+            matrix=read_only(matrix.copy()),
+            cam_from_world=Rigid3(read_only(rotation.copy()), read_only(translation_m.copy())),
+        )
+        for camera, matrix, rotation, translation_m in rows
+    )
+    report = json.loads(str(arrays["report"]))
+    report["moved"] = tuple(CameraMove(**move) for move in report["moved"])
+    report["bumped"] = tuple(CameraBump(**bump) for bump in report["bumped"])
+    return refined, Refinement(**report)
 
 
 def encode_detections(detections: Detections) -> bytes:

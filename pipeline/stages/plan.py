@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from pipeline.config import JobChoices, ReconstructionConfig, detected_joints, networks_of
 
-LOOK, DETECT, LENGTHS, POSES, ASSOCIATE = "look", "detect", "lengths", "poses", "associate"
+LOOK, DETECT, REFINE, LENGTHS, POSES, ASSOCIATE = "look", "detect", "refine", "lengths", "poses", "associate"
 IDENTIFY, FIT, EXPORT = "identify", "fit", "export"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
@@ -151,6 +151,10 @@ def _is_clustering(_: SessionFacts, config: JobChoices) -> bool:
     return config.method == "clustering"
 
 
+def _is_refining(_: SessionFacts, config: JobChoices) -> bool:
+    return config.refine_calibration == "auto"
+
+
 def _is_sized(facts: SessionFacts, config: JobChoices) -> bool:
     return facts.has_videos and networks_of(config).is_sized
 
@@ -178,10 +182,19 @@ STAGES = (
         leaves_interim=lambda config: config.uses_colours,
     ),
     Stage(
+        REFINE,
+        "Refine calibration",
+        cut="whole",
+        follows=(DETECT,),
+        choices=("refine_calibration", "method", "frame_range", "tracking", "clustering"),
+        function="refine_calibration",
+        is_planned=_is_refining,
+    ),
+    Stage(
         LENGTHS,
         "Measure bones",
         cut="whole",
-        follows=(DETECT,),
+        follows=(DETECT, REFINE),
         choices=("frame_range", "clustering"),
         function="measure_lengths",
         is_planned=_is_clustering,
@@ -190,7 +203,7 @@ STAGES = (
         POSES,
         "Find people",
         cut="ranges",
-        follows=(DETECT, LENGTHS),
+        follows=(DETECT, REFINE, LENGTHS),
         choices=("frame_range", "clustering"),
         function="find_poses",
         is_planned=_is_clustering,
@@ -199,7 +212,7 @@ STAGES = (
         ASSOCIATE,
         "Track people",
         cut="whole",
-        follows=(DETECT, LENGTHS, POSES),
+        follows=(DETECT, REFINE, LENGTHS, POSES),
         choices=("method", "frame_range", "appearance", "tracking", "clustering"),
         function="associate_people",
     ),
@@ -207,7 +220,7 @@ STAGES = (
         IDENTIFY,
         "Tell people apart",
         cut="whole",
-        follows=(DETECT, ASSOCIATE),
+        follows=(DETECT, REFINE, ASSOCIATE),
         choices=("people",),
         function="identify_people",
     ),
@@ -215,7 +228,7 @@ STAGES = (
         FIT,
         "Fit skeletons",
         cut="whole",
-        follows=(IDENTIFY,),
+        follows=(REFINE, IDENTIFY),
         choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="fit_skeletons",
     ),
@@ -223,7 +236,7 @@ STAGES = (
         EXPORT,
         "Write files",
         cut="whole",
-        follows=(IDENTIFY, FIT),
+        follows=(REFINE, IDENTIFY, FIT),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
         is_reusable=False,

@@ -5,13 +5,14 @@
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
-from pipeline.data import Animation, DamagedVideo, Detections, Reconstruction
+from pipeline.data import Animation, Camera, DamagedVideo, Detections, Reconstruction, Refinement
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.entries import entry_of
@@ -44,6 +45,7 @@ from pipeline.stages.outputs_npz import (
     decode_fields,
     decode_lengths,
     decode_poses,
+    decode_refinement,
     decode_sizes,
     encode_animation,
     encode_colours,
@@ -51,6 +53,7 @@ from pipeline.stages.outputs_npz import (
     encode_fields,
     encode_lengths,
     encode_poses,
+    encode_refinement,
     encode_sizes,
     open_people,
     with_colours,
@@ -65,11 +68,13 @@ from pipeline.stages.plan import (
     LOOK,
     LOOKED_AT_FRAMES,
     POSES,
+    REFINE,
     STAGE_BY_NAME,
     FrameCut,
     SessionFacts,
     Task,
 )
+from pipeline.stages.refinement import refine_from_bodies, refine_from_fields
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 
@@ -211,9 +216,31 @@ def detect(task: Task, context: Context) -> Output:
         return Output(encode_detections(detections), interim=interim)
 
 
+def refine_calibration(task: Task, context: Context) -> Output:
+    """Refine the calibration from the people that a first association finds."""
+    session, joints = wanted_session(context.session(), context.config)
+    on_share = _on_share(task, context)
+    if context.config.uses_fields and not isinstance(session, KeypointSession):
+        cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
+
+        def chunks() -> Iterator[tuple[range, DetectionsByCamera]]:
+            for number, frames in enumerate(cut):
+                yield _from_first(frames, task.frames.start), _detected(context, session, joints, number)
+
+        refined, refinement = refine_from_fields(session, chunks, joints, context.config, on_share)
+    else:
+        detections = (
+            session.detections
+            if isinstance(session, KeypointSession)
+            else _bodies(session, joints, map(decode_detections, context.outputs(DETECT)))
+        )
+        refined, refinement = refine_from_bodies(session, detections, joints, context.config, on_share)
+    return Output(encode_refinement(refined, refinement))
+
+
 def measure_lengths(task: Task, context: Context) -> Output:
     """Measure everybody's bones in frames all over the session, a range of frames at a time."""
-    session, joints = wanted_session(context.session(), context.config)
+    session, joints = _wanted(context, context.session())
     cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
     damaged: list[DamagedFrames] = []
 
@@ -229,7 +256,7 @@ def measure_lengths(task: Task, context: Context) -> Output:
 
 def find_poses(task: Task, context: Context) -> Output:
     """Find people in a range of output frames, each instant by itself."""
-    session, joints = wanted_session(context.session(), context.config)
+    session, joints = _wanted(context, context.session())
     first = 0 if context.config.frames is None else context.config.frames.start
     detected = _detected(context, session, joints, task.index)
     lengths = decode_lengths(*context.outputs(LENGTHS))
@@ -243,13 +270,13 @@ def associate_people(task: Task, context: Context) -> Output:
     """Turn bodies or poses of all frames into tracks: one pass in time order."""
     on_share = _on_share(task, context)
     if context.config.method == "clustering":
-        session, joints = wanted_session(context.outline(), context.config)
+        session, joints = _wanted(context, context.outline())
         poses = map(decode_poses, context.outputs(POSES))
         people = link(session, poses, without_hands(joints), context.config, on_share)
         damaged = decode_damaged_videos(*context.outputs(LENGTHS))
     else:
         bodies, damaged = _gathered(context)
-        session, joints = wanted_session(context.outline(), context.config)
+        session, joints = _wanted(context, context.outline())
         bodies = without_fingers(bodies, joints)
         people = track(session, bodies, context.config, on_share)
         del bodies
@@ -261,7 +288,7 @@ def associate_people(task: Task, context: Context) -> Output:
 
 def identify_people(task: Task, context: Context) -> Output:
     """Find out who is who, from the tracks of the whole session, and attach people's hands."""
-    session, joints = wanted_session(context.outline(), context.config)
+    session, joints = _wanted(context, context.outline())
     archive = _archive_of_people(context, ASSOCIATE)
     colour = _gathered(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
     people = tell_apart(session, open_people(archive), without_hands(joints), context.config, colour)
@@ -296,9 +323,10 @@ def assemble(context: Context) -> Reconstruction:
 
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
-    session, joints = wanted_session(context.outline(), context.config)
+    session, joints = _wanted(context, context.outline())
     archive = _archive_of_people(context, IDENTIFY)
     animation = decode_animation(*context.outputs(FIT))
+    refined = _refinement(context, session.cameras)
     people = open_people(archive)
     return Reconstruction(
         cameras=session.cameras,
@@ -312,7 +340,23 @@ def assemble(context: Context) -> Reconstruction:
         damaged=decode_damaged_videos(archive),
         doubts=people.doubts,
         offsets=used_offsets(session, context.config),
+        refinement=None if refined is None else refined[1],
     )
+
+
+def _wanted(context: Context, session: Session) -> tuple[Session, JointSet]:
+    """Wanted session with refined cameras, if there are any, and the joints of its detections."""
+    wanted, joints = wanted_session(session, context.config)
+    if (refined := _refinement(context, wanted.cameras)) is None:
+        return wanted, joints
+    return replace(wanted, cameras=refined[0]), joints
+
+
+def _refinement(context: Context, cameras: Sequence[Camera]) -> tuple[tuple[Camera, ...], Refinement] | None:
+    """Refined cameras and the report; ``None`` if the calibration stays as it is given."""
+    if context.config.refine_calibration == "off":
+        return None
+    return decode_refinement(cameras, *context.outputs(REFINE))
 
 
 def _sizes(context: Context, camera: str) -> CameraSizes | None:
@@ -350,7 +394,7 @@ def _detected(context: Context, session: Session, joints: JointSet, number: int)
 
 def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
     """All cameras' bodies as tracking takes them, and the damaged videos among those that show them."""
-    session, joints = wanted_session(context.session(), context.config)
+    session, joints = _wanted(context, context.session())
     detections = (
         session.detections
         if isinstance(session, KeypointSession)
@@ -368,7 +412,7 @@ def _coloured(context: Context, chunks: Iterable[Detections]) -> Iterable[Detect
 
 
 def _animation(task: Task, context: Context) -> Animation:
-    session, joints = wanted_session(context.outline(), context.config)
+    session, joints = _wanted(context, context.outline())
     people = open_people(_archive_of_people(context, IDENTIFY))
     # Windows of all observations are asked for again and again, a track but once.
     in_memory = tuple(people.observations)
@@ -397,6 +441,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
     for function in (
         look,
         detect,
+        refine_calibration,
         measure_lengths,
         find_poses,
         associate_people,

@@ -235,6 +235,7 @@ def command(
                     for track in reconstruction.tracks
                 ],
                 "metrics": metrics,
+                "calibration": metrics["calibration"],
                 "files": [str(path) for path in paths],
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
                 "reused": bars.reused,

@@ -154,6 +154,18 @@ WARNINGS = CodeGroup(
             "Two people may have been taken for each other at some moment.",
             "Look at the moments under `identity.doubts` in metrics.json; see [who is who](identity.md#doubts).",
         ),
+        ProblemCode(
+            "calibration_refined",
+            _WARNING,
+            "Cameras were moved to fit the people of the take.",
+            "Use the result calibration.json for other takes; see [refinement](calibration.md#refinement).",
+        ),
+        ProblemCode(
+            "camera_bumped",
+            _WARNING,
+            "A camera was moved during the take.",
+            "Reconstruct the frames before and after the time in the message on their own (`frame_range`).",
+        ),
         ProblemCode("upside_down", _WARNING, "Heads are below feet.", "Turn the calibration: Z must point up."),
         ProblemCode(
             "not_upright", _WARNING, "People lean in most frames.", "Check that the calibration's up axis is Z."

@@ -29,8 +29,8 @@ PRIOR_SIGMA = np.array([np.radians(5.0)] * 3 + [0.3] * 3 + [0.1])
 # Scale of the loss over the standard deviation of the inliers (95 % efficiency for normal errors), and its least value.
 _CAUCHY, _MIN_SIGMA_PX = 2.385, 0.3
 _MAX_STEPS, _NUM_SCALES = 15, 3
-# A step that changes no parameter by more than this share of its standard deviation ends the search.
-_SMALL_STEP = 1e-5
+# A step that changes no parameter by more than this share of its prior's standard deviation ends the search.
+_SMALL_STEP = 2e-4
 _STEP_OF_DERIVATIVE = 1e-5
 
 Free = Bool[np.ndarray, "cameras 7"]
@@ -74,7 +74,7 @@ def adjust(given: Sequence[Camera], start: Sequence[Camera], sightings: Sighting
     free
         Parameters that may change.
     """
-    begin = _offsets(given, start) * free
+    begin = camera_offsets(given, start) * free
     start = tuple(move_camera(camera, step) for camera, step in zip(given, begin, strict=True))
     xyz_m = triangulate_sightings(start, sightings.points_px)
     is_known = np.isfinite(xyz_m).all(-1)
@@ -103,7 +103,9 @@ class _Problem:
     sigma_px: float
 
 
-def _residuals(state: _State, points_px: Float[np.ndarray, "points cameras 2"]) -> Float[np.ndarray, "points cameras 2"]:
+def _residuals(
+    state: _State, points_px: Float[np.ndarray, "points cameras 2"]
+) -> Float[np.ndarray, "points cameras 2"]:
     """Projections minus observations; NaN where a camera sees nothing."""
     return np.stack([linearise(camera, state.xyz_m)[0] for camera in state.cameras], axis=1) - points_px
 
@@ -143,13 +145,13 @@ def _cost(problem: _Problem, state: _State) -> float:
     residuals_px = _residuals(state, problem.points_px)
     is_seen = np.isfinite(problem.points_px).all(-1)
     squared = (residuals_px[is_seen] ** 2).sum(-1) / (_CAUCHY * problem.sigma_px) ** 2
-    prior = float(((_offsets(problem.given, state.cameras) / PRIOR_SIGMA) ** 2).sum())
+    prior = float(((camera_offsets(problem.given, state.cameras) / PRIOR_SIGMA) ** 2).sum())
     loss = float(_CAUCHY**2 * np.log1p(squared).sum()) + prior
     return loss if np.isfinite(loss) else np.inf
 
 
-def _offsets(given: Sequence[Camera], cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras 7"]:
-    """Parameters of cameras relative to the given ones."""
+def camera_offsets(given: Sequence[Camera], cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras 7"]:
+    """Parameters of cameras relative to the given ones: the steps by which ``move_camera`` gets to them."""
     rows = [
         np.concatenate(
             [
@@ -189,7 +191,7 @@ class _Normal:
         for c in range(num_cameras):
             block = slice(c * NUM_PARAMETERS, (c + 1) * NUM_PARAMETERS)
             self._cameras[block, block] = own[c] + np.diag(precision)
-        offsets = _offsets(problem.given, state.cameras)
+        offsets = camera_offsets(problem.given, state.cameras)
         self._right = (np.einsum("pcia,pci->ca", of_cameras, residuals) + problem.free * precision * offsets).ravel()
         self._mixed = np.einsum("pcia,pcij->pcaj", of_cameras, of_points).reshape(num_points, size, 3)
         self._points = np.einsum("pcij,pcik->pjk", of_points, of_points)
@@ -208,7 +210,9 @@ class _Normal:
         inverse = np.linalg.inv(points)
         eliminated = self._mixed @ inverse
         size = len(self._right)
-        cameras = self._cameras - eliminated.swapaxes(0, 1).reshape(size, -1) @ self._mixed.swapaxes(0, 1).reshape(size, -1).T
+        cameras = (
+            self._cameras - eliminated.swapaxes(0, 1).reshape(size, -1) @ self._mixed.swapaxes(0, 1).reshape(size, -1).T
+        )
         right = self._right - np.einsum("paj,pj->a", eliminated, self._points_right)
         return cameras, right, inverse
 
@@ -240,9 +244,7 @@ def move_camera(camera: Camera, step: Float[np.ndarray, " 7"]) -> Camera:
 
 def linearise(
     camera: Camera, xyz_m: Float[np.ndarray, "points 3"]
-) -> tuple[
-    Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 7"], Float[np.ndarray, "points 2 3"]
-]:
+) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 7"], Float[np.ndarray, "points 2 3"]]:
     """Distorted projections and their derivatives by the camera's parameters and by the points."""
     rotation = camera.cam_from_world.rotation
     in_cam = camera.cam_from_world.apply(xyz_m)

@@ -106,7 +106,9 @@ def _fit_turn(
         left_px = np.linalg.norm(residual_px - by_turn @ turn, axis=-1)
         weight = 1.0 / np.maximum(left_px, 0.5)
         normal = np.einsum("p,pia,pib->ab", weight, by_turn, by_turn)
-        turn = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(3), np.einsum("p,pia,pi->a", weight, by_turn, residual_px))
+        turn = np.linalg.solve(
+            normal + 1e-9 * np.trace(normal) * np.eye(3), np.einsum("p,pia,pi->a", weight, by_turn, residual_px)
+        )
     return turn
 
 
@@ -118,8 +120,10 @@ def _time_of_step(
     after: Float[np.ndarray, " 3"],
 ) -> float:
     """Time of the first sighting after the step: the one that splits the sightings with the least distance left."""
-    gain_px = np.linalg.norm(residual_px - by_turn @ before, axis=-1) - np.linalg.norm(residual_px - by_turn @ after, axis=-1)
-    times_s, first = np.unique(time_s, return_index=True)
+    gain_px = np.linalg.norm(residual_px - by_turn @ before, axis=-1) - np.linalg.norm(
+        residual_px - by_turn @ after, axis=-1
+    )
+    times_s = np.unique(time_s)
     order = np.argsort(time_s, kind="stable")
     before_px = np.concatenate([[0.0], np.cumsum(gain_px[order])])
     starts = np.searchsorted(time_s[order], times_s)

@@ -13,6 +13,8 @@ from pipeline.calibration.refinement.adjust import (
     ROTATION,
     Free,
     adjust,
+    camera_offsets,
+    move_camera,
     triangulate_sightings,
 )
 from pipeline.calibration.refinement.bumps import Step, find_step
@@ -25,11 +27,15 @@ MAX_ERROR_SHARE = 0.75
 """Largest share of the given cameras' error that refined cameras may leave; else the given ones are kept."""
 
 _MIN_POINTS = 60
-_LEVELS = ((ROTATION,), (ROTATION, POSITION), (ROTATION, POSITION, FOCAL))
-# More parameters are freed if they lower the error of sightings that they were not fitted to by at least this share.
-_MIN_GAIN = 0.002
+# Groups of parameters, and the share by which the cross-validated error has to fall for the last group to be freed.
+# Focal lengths need more: they move cameras along their axes by centimetres.
+_LEVELS = (((ROTATION,), 0.0), ((ROTATION, POSITION), 0.0), ((ROTATION, POSITION, FOCAL), 0.005))
+_ERROR_LASTS_S = 0.2
+# Errors are clipped at so many medians where levels are compared: their mean tells more than their median.
+_CLIP = 5.0
 # Largest standard deviation of a parameter that is freed.
 _MAX_SIGMA = ((ROTATION, np.radians(0.25)), (POSITION, 0.03), (FOCAL, 0.01))
+_DECIMALS = 7
 _BLOCK_S, _MIN_BLOCKS = 2.0, 8
 
 
@@ -85,6 +91,9 @@ def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: Sighting
     cameras = adjust(given, fitted, kept, best).cameras
     if best[:, : FOCAL.start].all():
         cameras = align_world(given, cameras)
+    # The last digits depend on the number of threads of the linear algebra.
+    steps_of_cameras = np.round(camera_offsets(given, cameras), _DECIMALS)
+    cameras = tuple(move_camera(camera, step) for camera, step in zip(given, steps_of_cameras, strict=True))
     return RefinedCameras(cameras, True, error_before_px, error_px, steps, len(kept))
 
 
@@ -104,15 +113,20 @@ def _without_steps(
 
 
 def _choose_level(
-    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, error_px: float
+    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, error_before_px: float
 ) -> tuple[Free | None, float]:
-    """Choose the free parameters by cross-validation over time; ``None``: no parameters lower the error."""
+    """Choose the free parameters by cross-validation over time; ``None``: the sightings determine no parameter."""
+    error_px = error_before_px
     best = None
-    for level in _LEVELS:
+    clipped_px = np.inf
+    for level, min_gain in _LEVELS:
         free = _determined(given, start, sightings, _free(len(given), level))
-        level_error_px = _cross_validated_px(given, start, sightings, free)
-        if free.any() and level_error_px < (1.0 - _MIN_GAIN) * error_px:
-            best, error_px = free, level_error_px
+        if not free.any():
+            continue
+        errors_px = _cross_validated_px(given, start, sightings, free)
+        level_clipped_px = float(np.minimum(errors_px, _CLIP * error_before_px).mean())
+        if level_clipped_px < (1.0 - min_gain) * clipped_px:
+            best, clipped_px, error_px = free, level_clipped_px, _median(errors_px)
     return best, error_px
 
 
@@ -125,7 +139,7 @@ def _free(num_cameras: int, level: Sequence[slice]) -> Free:
 
 def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free) -> Free:
     """Parameters of each camera that the sightings determine, in groups: all three of a rotation, or none."""
-    sigma = adjust(given, start, sightings, free).sigma
+    sigma = adjust(given, start, sightings, free).sigma * _repetition(sightings)
     determined = free.copy()
     for parameters, largest in _MAX_SIGMA:
         determined[:, parameters] &= (sigma[:, parameters].max(-1) <= largest)[:, None]
@@ -134,8 +148,16 @@ def _determined(given: Sequence[Camera], start: Sequence[Camera], sightings: Sig
     return determined
 
 
-def _cross_validated_px(given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free) -> float:
-    """Median reprojection error of each half of the take with cameras that were fitted to the other half."""
+def _repetition(sightings: Sightings) -> float:
+    """Factor of standard deviations for instants that are closer than errors of a detector last."""
+    num_instants = len(np.unique(sightings.time_s))
+    return float(np.sqrt(num_instants / len(np.unique(np.floor(sightings.time_s / _ERROR_LASTS_S)))))
+
+
+def _cross_validated_px(
+    given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings, free: Free
+) -> Float[np.ndarray, " views"]:
+    """Reprojection errors of each half of the take with cameras that were fitted to the other half."""
     begin_s, end_s = sightings.time_s.min(), sightings.time_s.max()
     block_s = min(_BLOCK_S, max((end_s - begin_s) / _MIN_BLOCKS, 1e-3))
     is_odd = np.floor((sightings.time_s - begin_s) / block_s) % 2 == 1
@@ -143,7 +165,7 @@ def _cross_validated_px(given: Sequence[Camera], start: Sequence[Camera], sighti
     for half in (is_odd, ~is_odd):
         fitted = adjust(given, start, sightings.subset(half), free).cameras
         errors_px.append(_errors_px(fitted, sightings.subset(~half)))
-    return _median(np.concatenate(errors_px))
+    return np.concatenate(errors_px)
 
 
 def _errors_px(cameras: Sequence[Camera], sightings: Sightings) -> Float[np.ndarray, " views"]:

@@ -1,24 +1,19 @@
 """Sightings: joints of people in several cameras, chosen all over the take and the volume."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data import People, Timebase, read_only
-from pipeline.joints import JointSet
+from pipeline.data import People, Poses3D, Timebase, read_only
+from pipeline.joints import FINGER_JOINTS, JointSet
 
-MAX_POINTS = 4000
+MAX_POINTS = 8000
 """Largest number of points; more take longer and hardly move the cameras."""
 
-# Marks of the head and the feet differ more between views than these joints.
-_JOINTS = tuple(
-    f"{side}_{kind}" for kind in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
-)
 _MIN_SCORE = 0.3
-# Detections of consecutive frames have nearly equal errors.
-_STEP_S = 0.1
+_STEP_S, _MIN_INSTANTS = 0.1, 600
 _CELL_M = 0.5
 
 
@@ -51,57 +46,71 @@ class Sightings:
 
 
 def choose_sightings(
-    people: People, joints: JointSet, timebase: Timebase, max_points: int = MAX_POINTS
+    poses: Iterable[Poses3D], joints: JointSet, timebase: Timebase, max_points: int = MAX_POINTS
 ) -> Sightings:
     """Choose joints of people all over the take and the volume.
 
-    Instants lie at least 0.1 s apart. Every square of 0.5 m of the floor gives equally many instants, evenly spread
-    over time, as far as it has as many. Views with a score below 0.3 are left out, and fingers and faces.
+    Every square of 0.5 m of the floor gives equally many poses, evenly spread over time, as far as it has as many.
+    Views with a score below 0.3 are left out, and fingers.
 
     Parameters
     ----------
+    poses
+        Poses of people, such as those of ``sampled_poses``.
     joints
-        Joints of the people.
+        Joints of the poses.
     max_points
         Largest number of points, about.
     """
-    index = joints.indices(tuple(name for name in _JOINTS if name in joints.names))
-    step = max(1, round(_STEP_S * timebase.frame_rate_hz))
-    instants = list(_instants(people, index, step))
-    num_cameras = people.observations[0].points_px.shape[1] if len(people.observations) else 0
-    if not instants:
+    index = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
+    parts = [_usable(some, index) for some in poses]
+    if sum(len(frame) for frame, _, _ in parts) == 0:
+        num_cameras = parts[0][2].shape[2] if parts else 0
         return Sightings(np.empty(0), np.empty((0, num_cameras, 2)))
-    frames, cells, points_px = (np.concatenate(parts) for parts in zip(*instants, strict=True))
-    order = np.argsort(frames, kind="stable")
-    chosen = order[_spread(cells[order], max_points // len(index))]
+    frame, cell, points_px = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.argsort(frame, kind="stable")
+    chosen = order[_spread(cell[order], max_points // len(index))]
     is_point = _is_seen(points_px[chosen]).sum(-1) >= 2
-    time_s = timebase.start_time_s + frames[chosen] / timebase.frame_rate_hz
+    time_s = timebase.start_time_s + frame[chosen] / timebase.frame_rate_hz
     return Sightings(
         read_only(np.repeat(time_s, is_point.sum(-1))), read_only(np.ascontiguousarray(points_px[chosen][is_point]))
     )
+
+
+def sampled_frames(timebase: Timebase) -> range:
+    """Frames 0.1 s apart, closer in takes of less than a minute: errors of consecutive detections are nearly equal."""
+    step = min(round(_STEP_S * timebase.frame_rate_hz), timebase.num_frames // _MIN_INSTANTS)
+    return range(0, timebase.num_frames, max(1, step))
+
+
+def sampled_poses(people: People, timebase: Timebase) -> Iterator[Poses3D]:
+    """Poses of each track at the frames of ``sampled_frames``."""
+    step = sampled_frames(timebase).step
+    for track, observed in zip(people.tracks, people.observations, strict=True):
+        rows = np.arange(-track.start_frame % step, track.num_frames, step)
+        yield Poses3D(
+            frame=track.start_frame + rows,
+            xyz_m=track.xyz_m[rows],
+            points_px=observed.points_px[rows].swapaxes(1, 2),
+            score=observed.score[rows].swapaxes(1, 2),
+        )
 
 
 def _is_seen(points_px: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
     return np.isfinite(points_px).all(-1)
 
 
-def _instants(
-    people: People, index: list[int], step: int
-) -> Iterator[
-    tuple[Int[np.ndarray, " n"], Int[np.ndarray, "n 2"], Float[np.ndarray, "n joints cameras 2"]]
-]:
-    """Frames, squares of the floor and views of each person, at the frames that are multiples of the step."""
-    for track, observed in zip(people.tracks, people.observations, strict=True):
-        frames = np.arange(track.start_frame, track.start_frame + track.num_frames)
-        points_px = observed.points_px[:, :, index]
-        points_px = np.where(observed.score[:, :, index, None] >= _MIN_SCORE, points_px, np.nan).swapaxes(1, 2)
-        is_point = _is_seen(points_px).sum(-1) >= 2
-        xy_m = track.xyz_m[:, index, :2]
-        is_known = np.isfinite(xy_m).all(-1)
-        kept = np.flatnonzero((frames % step == 0) & is_point.any(-1) & is_known.any(-1))
-        total_m = np.where(is_known[kept, :, None], xy_m[kept], 0.0).sum(1)
-        cells = np.floor(total_m / is_known[kept].sum(-1)[:, None] / _CELL_M).astype(np.int64)
-        yield frames[kept], cells, points_px[kept]
+def _usable(
+    poses: Poses3D, index: list[int]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, "n 2"], Float[np.ndarray, "n joints cameras 2"]]:
+    """Frames, squares of the floor and views of the poses with a joint that two cameras see."""
+    points_px = np.where(poses.score[:, index, :, None] >= _MIN_SCORE, poses.points_px[:, index], np.nan)
+    xy_m = poses.xyz_m[:, index, :2]
+    is_known = np.isfinite(xy_m).all(-1)
+    kept = (_is_seen(points_px).sum(-1) >= 2).any(-1) & is_known.any(-1)
+    total_m = np.where(is_known[kept, :, None], xy_m[kept], 0.0).sum(1)
+    cell = np.floor(total_m / is_known[kept].sum(-1)[:, None] / _CELL_M).astype(np.int64)
+    return poses.frame[kept], cell, points_px[kept]
 
 
 def _spread(cells: Int[np.ndarray, "n 2"], budget: int) -> Int[np.ndarray, " chosen"]:
