@@ -58,6 +58,7 @@ DOCUMENTS: dict[str, Any] = {
         "cutoff_hz": 6.0,
         "feet": "auto",
         "joint_centers": "auto",
+        "refine_calibration": "off",
         "frame_range": None,
         "output_rate_hz": None,
         "people": "auto",

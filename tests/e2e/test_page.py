@@ -84,6 +84,7 @@ def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served
         ("feet", "Feet on the floor"),
         ("appearance", "Colours of clothes"),
         ("joint_centers", "Joint centres"),
+        ("refine_calibration", "Refinement of the calibration"),
         ("bvh", "Application for BVH files"),
     ):
         field = page.locator(f"select[name={name}]")

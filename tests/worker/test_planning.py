@@ -25,6 +25,7 @@ from pipeline.stages.plan import (
     LOOKED_AT_FRAMES,
     MAX_TASKS,
     POSES,
+    REFINE,
     STAGES,
     FrameCut,
     effective_choices,
@@ -120,6 +121,17 @@ def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
     assert of_ranges == [one for one in ranges for _ in range(2)]  # cameras
 
 
+def test_refinement_is_a_stage_before_association_and_is_reused() -> None:
+    session = make_session(60)
+    refined = keys(session, JobSpec(refine_calibration="auto"))
+    assert list(refined) == [LOOK, DETECT, REFINE, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert len(refined[REFINE]) == 1
+    smoothed = keys(session, JobSpec(refine_calibration="auto", smoothing="none", appearance="off"))
+    assert smoothed[REFINE] == refined[REFINE]
+    other_frames = keys(session, JobSpec(refine_calibration="auto", frame_range=(0, 30)))
+    assert other_frames[REFINE] != refined[REFINE]
+
+
 def test_fields_are_another_output_than_bodies() -> None:
     session = make_session()
     bodies = keys(session, JobSpec(detector=CLUSTERING.detector))
@@ -167,6 +179,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
         ({"joint_centers": "off"}, {FIT, EXPORT}),
+        ({"refine_calibration": "auto"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"exports": ("glb",)}, {EXPORT}),
     ],
 )

@@ -12,8 +12,8 @@ from pipeline.capture.quantities import FRAME_RATE_HZ, OFFSET_S
 from tests.api.conftest import Live, form, problem_of
 
 SPEC_FIELDS = (
-    "method, profile, joints, detector, smoothing, cutoff_hz, feet, appearance, joint_centers, frame_range, "
-    "output_rate_hz, people, exports, bvh, callback_url"
+    "method, profile, joints, detector, smoothing, cutoff_hz, feet, appearance, joint_centers, "
+    "refine_calibration, frame_range, output_rate_hz, people, exports, bvh, callback_url"
 )
 PEOPLE = "people must be auto, or a whole number from 1 to 1000."
 CUTOFF = "cutoff_hz must be a number above 0 and of at most 1000."

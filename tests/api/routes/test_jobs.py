@@ -43,6 +43,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "feet": "auto",
         "appearance": "on",
         "joint_centers": "auto",
+        "refine_calibration": "off",
         "exports": ["bvh"],
         "bvh": "default",
         "cutoff_hz": 6.0,
