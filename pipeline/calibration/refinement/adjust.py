@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera, read_only
-from pipeline.geometry.camera import center_in_world, distort, image_from_world
+from pipeline.geometry.camera import center_in_world, distort, image_from_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_px
@@ -32,6 +32,8 @@ _MAX_STEPS, _NUM_SCALES = 15, 3
 # A step that changes no parameter by more than this share of its prior's standard deviation ends the search.
 _SMALL_STEP = 2e-4
 _STEP_OF_DERIVATIVE = 1e-5
+# Least information of the sightings on a parameter, in units of the prior's.
+_MIN_INFORMATION = 100.0
 
 Free = Bool[np.ndarray, "cameras 7"]
 
@@ -80,11 +82,11 @@ def adjust(given: Sequence[Camera], start: Sequence[Camera], sightings: Sighting
     is_known = np.isfinite(xyz_m).all(-1)
     xyz_m, points_px = xyz_m[is_known], sightings.points_px[is_known]
     state = _State(start, xyz_m)
-    reduced = np.diag(np.tile(1.0 / PRIOR_SIGMA**2, len(start)))
     for _ in range(_NUM_SCALES):
         sigma_px = _sigma_px(_residuals(state, points_px), len(xyz_m))
-        state, reduced = _search(_Problem(tuple(given), points_px, free, sigma_px), state)
-    return Adjustment(state.cameras, _sigma(state.cameras, reduced, free))
+        problem = _Problem(tuple(given), points_px, free, sigma_px)
+        state = _search(problem, state)
+    return Adjustment(state.cameras, _sigma(state.cameras, _Normal(problem, state).reduced, free))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +109,7 @@ def _residuals(
     state: _State, points_px: Float[np.ndarray, "points cameras 2"]
 ) -> Float[np.ndarray, "points cameras 2"]:
     """Projections minus observations; NaN where a camera sees nothing."""
-    return np.stack([linearise(camera, state.xyz_m)[0] for camera in state.cameras], axis=1) - points_px
+    return np.stack([project(camera, state.xyz_m) for camera in state.cameras], axis=1) - points_px
 
 
 def _sigma_px(residuals_px: Float[np.ndarray, "points cameras 2"], num_points: int) -> float:
@@ -120,8 +122,8 @@ def _sigma_px(residuals_px: Float[np.ndarray, "points cameras 2"], num_points: i
     return max(_MIN_SIGMA_PX, float(np.median(distance_px)) / 1.177 / np.sqrt(left))
 
 
-def _search(problem: _Problem, state: _State) -> tuple[_State, np.ndarray]:
-    """Levenberg-Marquardt from a state; also the reduced normal matrix at the end."""
+def _search(problem: _Problem, state: _State) -> _State:
+    """Levenberg-Marquardt from a state."""
     damping = 1e-4
     cost = _cost(problem, state)
     for _ in range(_MAX_STEPS):
@@ -137,7 +139,7 @@ def _search(problem: _Problem, state: _State) -> tuple[_State, np.ndarray]:
         state, cost, damping = changed, new_cost, max(1e-9, damping / 10.0)
         if np.abs(step / PRIOR_SIGMA).max() < _SMALL_STEP:
             break
-    return state, _Normal(problem, state).reduced
+    return state
 
 
 def _cost(problem: _Problem, state: _State) -> float:
@@ -280,15 +282,18 @@ def _sigma(
     normal = scaled @ reduced[np.ix_(kept, kept)] @ scaled
     basis = np.eye(len(kept))
     if free[:, : FOCAL.start].all():
-        moves = np.linalg.solve(scaled, _world_moves(cameras)[kept])
-        basis = np.linalg.svd(moves)[0][:, moves.shape[1] :]
+        # Cameras that see hardly anything do not fix the world.
+        is_fixed = np.diag(normal).reshape(len(cameras), -1).min(-1) > _MIN_INFORMATION
+        moves = np.linalg.solve(scaled, (_world_moves(cameras) * is_fixed[:, None, None]).reshape(-1, 7)[kept])
+        left, values, _ = np.linalg.svd(moves)
+        basis = left[:, int((values > 1e-9 * values.max(initial=1e-9)).sum()) :]
     covariance = scaled @ basis @ np.linalg.inv(basis.T @ normal @ basis) @ basis.T @ scaled
     sigma = np.zeros(free.size)
     sigma[kept] = np.sqrt(np.diag(covariance))
     return sigma.reshape(free.shape)
 
 
-def _world_moves(cameras: Sequence[Camera]) -> Float[np.ndarray, "parameters 7"]:
+def _world_moves(cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras 7 7"]:
     """Derivatives of the cameras' parameters by a shift, a turn and a growth of the world."""
     centers_m = np.array([center_in_world(camera) for camera in cameras])
     arms_m = centers_m - centers_m.mean(0)
@@ -298,4 +303,4 @@ def _world_moves(cameras: Sequence[Camera]) -> Float[np.ndarray, "parameters 7"]
         moves[:, POSITION, 3 + axis] = np.cross(np.eye(3)[axis], arms_m)
         moves[:, ROTATION, 3 + axis] = [-camera.cam_from_world.rotation[:, axis] for camera in cameras]
     moves[:, POSITION, 6] = arms_m
-    return moves.reshape(-1, 7)
+    return moves

@@ -1,7 +1,7 @@
 """Bumps: a camera that was moved in the middle of a take.
 
-For each second of the take, the turn of a camera is computed that fits its sightings best, from the points that the
-other cameras triangulate. A bump is a step of these turns.
+For each second of the take, the pan and tilt of a camera are computed that fit its sightings best, from the points
+that the other cameras triangulate. A bump is a step of these angles.
 """
 
 from collections.abc import Sequence
@@ -10,18 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.calibration.refinement.adjust import ROTATION, linearise, triangulate_sightings
+from pipeline.calibration.refinement.adjust import linearise, triangulate_sightings
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera
 
+# Rotations about the camera's x and y axes. Roll is hardly determined by the people of one second.
+_PAN_AND_TILT = slice(0, 2)
 _BLOCK_S = 1.0
 _MIN_POINTS = 12
-# Blocks that a camera has to stay on either side of a step.
-_MIN_BLOCKS = 3
+# Blocks before and after a step that are compared.
+_WINDOW = 3
+# Least step, also as a multiple of the median change between neighbouring windows: people who move turn a camera that
+# is slightly off to and fro.
 _MIN_STEP_RAD = np.radians(0.4)
-# Least step over the spread of the turns before and after it.
-_MIN_RATIO = 4.0
-_MAD_TO_SIGMA = 1.483
+_MIN_RATIO = 3.0
 
 
 class Step(NamedTuple):
@@ -51,18 +53,20 @@ class Step(NamedTuple):
         return hidden
 
 
-def find_step(cameras: Sequence[Camera], sightings: Sightings) -> Step | None:
-    """Find the largest step of a camera's orientation; ``None`` if no camera was moved, or there are fewer than three.
+def find_steps(cameras: Sequence[Camera], sightings: Sightings) -> list[Step]:
+    """Find the largest step of each camera's orientation; none with fewer than three cameras.
+
+    A camera that was moved makes the others seem to move as well: not all of the steps are true.
 
     Parameters
     ----------
     cameras
-        Cameras that fit most of the take.
+        Cameras that fit the take on the whole.
     """
     if len(cameras) < 3:
-        return None
-    steps = [step for camera in range(len(cameras)) if (step := _step_of(camera, cameras, sightings)) is not None]
-    return max(steps, key=lambda step: step.turn_rad, default=None)
+        return []
+    steps = (_step_of(camera, cameras, sightings) for camera in range(len(cameras)))
+    return [step for step in steps if step is not None]
 
 
 def _step_of(number: int, cameras: Sequence[Camera], sightings: Sightings) -> Step | None:
@@ -73,41 +77,40 @@ def _step_of(number: int, cameras: Sequence[Camera], sightings: Sightings) -> St
     projected_px, by_camera, _ = linearise(cameras[number], xyz_m)
     residual_px = sightings.points_px[:, number] - projected_px
     used = np.isfinite(residual_px).all(-1)
-    time_s, residual_px, by_turn = sightings.time_s[used], residual_px[used], by_camera[used][:, :, ROTATION]
+    time_s, residual_px, by_turn = sightings.time_s[used], residual_px[used], by_camera[used][:, :, _PAN_AND_TILT]
     block = np.floor((time_s - sightings.time_s.min()) / _BLOCK_S).astype(int) if len(time_s) else np.zeros(0, int)
     numbers = np.flatnonzero(np.bincount(block, minlength=1) >= _MIN_POINTS)
-    if len(numbers) < 2 * _MIN_BLOCKS:
+    if len(numbers) < 2 * _WINDOW:
         return None
     turns = np.array([_fit_turn(by_turn[block == k], residual_px[block == k]) for k in numbers])
-    costs = [
-        _deviation(turns[:k]).sum() + _deviation(turns[k:]).sum()
-        for k in range(_MIN_BLOCKS, len(turns) - _MIN_BLOCKS + 1)
-    ]
-    cut = _MIN_BLOCKS + int(np.argmin(costs))
-    before, after = np.median(turns[:cut], axis=0), np.median(turns[cut:], axis=0)
-    turn_rad = float(np.linalg.norm(after - before))
-    spread_rad = _MAD_TO_SIGMA * float(np.median(np.concatenate([_deviation(turns[:cut]), _deviation(turns[cut:])])))
-    if turn_rad < max(_MIN_STEP_RAD, _MIN_RATIO * spread_rad):
+    cuts = np.arange(_WINDOW, len(turns) - _WINDOW + 1)
+    before, after = (
+        np.array([np.median(turns[cut + shift : cut + shift + _WINDOW], axis=0) for cut in cuts])
+        for shift in (-_WINDOW, 0)
+    )
+    change_rad = np.linalg.norm(after - before, axis=-1)
+    best = int(np.argmax(change_rad))
+    if change_rad[best] < max(_MIN_STEP_RAD, _MIN_RATIO * float(np.median(change_rad))):
         return None
+    cut = cuts[best]
+    turn_rad = float(np.linalg.norm(np.median(turns[cut:], axis=0) - np.median(turns[:cut], axis=0)))
     near = np.abs(block - (numbers[cut - 1] + numbers[cut]) / 2) <= 1.0 + (numbers[cut] - numbers[cut - 1]) / 2
-    return Step(number, _time_of_step(time_s[near], residual_px[near], by_turn[near], before, after), turn_rad)
-
-
-def _deviation(turns: Float[np.ndarray, "blocks 3"]) -> Float[np.ndarray, " blocks"]:
-    return np.linalg.norm(turns - np.median(turns, axis=0), axis=-1)
+    return Step(
+        number, _time_of_step(time_s[near], residual_px[near], by_turn[near], before[best], after[best]), turn_rad
+    )
 
 
 def _fit_turn(
-    by_turn: Float[np.ndarray, "points 2 3"], residual_px: Float[np.ndarray, "points 2"]
-) -> Float[np.ndarray, " 3"]:
+    by_turn: Float[np.ndarray, "points 2 2"], residual_px: Float[np.ndarray, "points 2"]
+) -> Float[np.ndarray, " 2"]:
     """Turn that explains residuals: least absolute distances, by reweighting."""
-    turn = np.zeros(3)
+    turn = np.zeros(2)
     for _ in range(10):
         left_px = np.linalg.norm(residual_px - by_turn @ turn, axis=-1)
         weight = 1.0 / np.maximum(left_px, 0.5)
         normal = np.einsum("p,pia,pib->ab", weight, by_turn, by_turn)
         turn = np.linalg.solve(
-            normal + 1e-9 * np.trace(normal) * np.eye(3), np.einsum("p,pia,pi->a", weight, by_turn, residual_px)
+            normal + 1e-9 * np.trace(normal) * np.eye(2), np.einsum("p,pia,pi->a", weight, by_turn, residual_px)
         )
     return turn
 
@@ -115,9 +118,9 @@ def _fit_turn(
 def _time_of_step(
     time_s: Float[np.ndarray, " points"],
     residual_px: Float[np.ndarray, "points 2"],
-    by_turn: Float[np.ndarray, "points 2 3"],
-    before: Float[np.ndarray, " 3"],
-    after: Float[np.ndarray, " 3"],
+    by_turn: Float[np.ndarray, "points 2 2"],
+    before: Float[np.ndarray, " 2"],
+    after: Float[np.ndarray, " 2"],
 ) -> float:
     """Time of the first sighting after the step: the one that splits the sightings with the least distance left."""
     gain_px = np.linalg.norm(residual_px - by_turn @ before, axis=-1) - np.linalg.norm(

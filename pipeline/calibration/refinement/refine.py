@@ -17,7 +17,7 @@ from pipeline.calibration.refinement.adjust import (
     move_camera,
     triangulate_sightings,
 )
-from pipeline.calibration.refinement.bumps import Step, find_step
+from pipeline.calibration.refinement.bumps import Step, find_steps
 from pipeline.calibration.refinement.gauge import align_world
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera
@@ -27,12 +27,16 @@ MAX_ERROR_SHARE = 0.75
 """Largest share of the given cameras' error that refined cameras may leave; else the given ones are kept."""
 
 _MIN_POINTS = 60
+# Points from which parameters are chosen and bumps are found; all points give the final cameras.
+_NUM_FOR_CHOICES = 3000
 # Groups of parameters, and the share by which the cross-validated error has to fall for the last group to be freed.
 # Focal lengths need more: they move cameras along their axes by centimetres.
 _LEVELS = (((ROTATION,), 0.0), ((ROTATION, POSITION), 0.0), ((ROTATION, POSITION, FOCAL), 0.005))
 _ERROR_LASTS_S = 0.2
 # Errors are clipped at so many medians where levels are compared: their mean tells more than their median.
 _CLIP = 5.0
+# Least share by which the other views' error falls if cameras are fitted without the shorter part of a moved camera's.
+_MIN_GAIN_OF_STEP = 0.02
 # Largest standard deviation of a parameter that is freed.
 _MAX_SIGMA = ((ROTATION, np.radians(0.25)), (POSITION, 0.03), (FOCAL, 0.01))
 _DECIMALS = 7
@@ -83,33 +87,53 @@ def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: Sighting
     unchanged = RefinedCameras(tuple(given), False, np.nan, np.nan, (), len(sightings))
     if len(sightings) < _MIN_POINTS:
         return unchanged
-    fitted, steps, kept = _without_steps(given, start, sightings)
+    fitted, steps, kept = _without_steps(given, start, sightings.thinned(_NUM_FOR_CHOICES))
     error_before_px = _median(_errors_px(given, kept))
     best, error_px = _choose_level(given, fitted, kept, error_before_px)
     if best is None or error_px > MAX_ERROR_SHARE * error_before_px:
-        return RefinedCameras(tuple(given), False, error_before_px, error_px, steps, len(kept))
-    cameras = adjust(given, fitted, kept, best).cameras
+        return RefinedCameras(tuple(given), False, error_before_px, error_px, steps, len(sightings))
+    for step in steps:
+        sightings = sightings.without(step.hidden(sightings))
+    cameras = adjust(given, fitted, sightings, best).cameras
     if best[:, : FOCAL.start].all():
         cameras = align_world(given, cameras)
     # The last digits depend on the number of threads of the linear algebra.
     steps_of_cameras = np.round(camera_offsets(given, cameras), _DECIMALS)
     cameras = tuple(move_camera(camera, step) for camera, step in zip(given, steps_of_cameras, strict=True))
-    return RefinedCameras(cameras, True, error_before_px, error_px, steps, len(kept))
+    return RefinedCameras(cameras, True, error_before_px, error_px, steps, len(sightings))
 
 
 def _without_steps(
     given: Sequence[Camera], start: Sequence[Camera], sightings: Sightings
 ) -> tuple[tuple[Camera, ...], tuple[Step, ...], Sightings]:
-    """Cameras that fit the take, the cameras that were moved, and the sightings without the shorter parts of these."""
+    """Cameras that fit the take, the cameras that were moved, and the sightings without the shorter parts of these.
+
+    A camera that was moved spoils the others. Of all steps that seem possible, the step is true without whose shorter
+    part the cameras fit the rest of the take best.
+    """
+    free = _free(len(given), (ROTATION, POSITION))
+    cameras = adjust(given, start, sightings, free).cameras
     steps: list[Step] = []
     while True:
-        free = _free(len(given), (ROTATION, POSITION))
-        fitted = adjust(given, start, sightings, free).cameras
-        step = find_step(fitted, sightings)
-        if step is None or step.camera in {other.camera for other in steps}:
-            return fitted, tuple(steps), sightings
-        steps.append(step)
-        sightings = sightings.without(step.hidden(sightings))
+        best = None
+        largest_gain = _MIN_GAIN_OF_STEP
+        limit_px = _CLIP * _median(_errors_px(cameras, sightings))
+        for step in find_steps(cameras, sightings):
+            if step.camera in {other.camera for other in steps}:
+                continue
+            kept = sightings.without(step.hidden(sightings))
+            fitted = adjust(given, cameras, kept, free).cameras
+            before_px, after_px = (
+                float(np.minimum(_errors_px(some, kept), limit_px).mean()) for some in (cameras, fitted)
+            )
+            if (gain := 1.0 - after_px / before_px) > largest_gain:
+                best, largest_gain = (step, kept, fitted), gain
+        if best is None:
+            return cameras, tuple(steps), sightings
+        step, kept, cameras = best
+        again = (other for other in find_steps(cameras, sightings) if other.camera == step.camera)
+        steps.append(next(again, step))
+        sightings = kept
 
 
 def _choose_level(

@@ -13,7 +13,7 @@ MAX_POINTS = 8000
 """Largest number of points; more take longer and hardly move the cameras."""
 
 _MIN_SCORE = 0.3
-_STEP_S, _MIN_INSTANTS = 0.1, 600
+_STEP_S, _MIN_INSTANTS = 0.1, 50
 _CELL_M = 0.5
 
 
@@ -38,6 +38,11 @@ class Sightings:
     def subset(self, chosen: Bool[np.ndarray, " points"]) -> "Sightings":
         """Select points."""
         return Sightings(self.time_s[chosen], self.points_px[chosen])
+
+    def thinned(self, max_points: int) -> "Sightings":
+        """Select every n-th point, so that at most so many are left."""
+        step = -(-len(self) // max_points)
+        return self if step <= 1 else self.subset(np.arange(len(self)) % step == 0)
 
     def without(self, hidden: Bool[np.ndarray, "points cameras"]) -> "Sightings":
         """Leave out views, and the points that fewer than two cameras see then."""
@@ -78,7 +83,10 @@ def choose_sightings(
 
 
 def sampled_frames(timebase: Timebase) -> range:
-    """Frames 0.1 s apart, closer in takes of less than a minute: errors of consecutive detections are nearly equal."""
+    """Frames 0.1 s apart, closer in takes of less than five seconds.
+
+    The errors of consecutive detections are nearly equal.
+    """
     step = min(round(_STEP_S * timebase.frame_rate_hz), timebase.num_frames // _MIN_INSTANTS)
     return range(0, timebase.num_frames, max(1, step))
 

@@ -14,7 +14,17 @@ def test_options_describe_every_choice_of_a_job(live: Live) -> None:
     listed = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     properties = live.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
     assert list(listed) == [name for name in properties if name != "callback_url"]
-    for name in ("method", "profile", "joints", "detector", "smoothing", "feet", "joint_centers", "refine_calibration", "bvh"):
+    for name in (
+        "method",
+        "profile",
+        "joints",
+        "detector",
+        "smoothing",
+        "feet",
+        "joint_centers",
+        "refine_calibration",
+        "bvh",
+    ):
         # The networks of users are texts of a pattern beside the names.
         (names,) = [one["enum"] for one in properties[name].get("anyOf", [properties[name]]) if "enum" in one]
         assert [value["name"] for value in listed[name]["values"]] == names

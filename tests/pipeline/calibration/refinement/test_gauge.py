@@ -1,0 +1,47 @@
+"""World of refined cameras."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pipeline.calibration.refinement.adjust import camera_offsets, move_camera
+from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
+from pipeline.data import Camera
+from pipeline.geometry.camera import center_in_world
+from pipeline.geometry.rigid import Rigid3
+from tests.pipeline.calibration.refinement.people import ring
+
+CAMERAS = ring(5)
+
+
+def moved_world(turn: np.ndarray, growth: float, shift: np.ndarray) -> list[Camera]:
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    cameras = []
+    for camera in CAMERAS:
+        in_cam = camera.cam_from_world.rotation @ rotation.T
+        center_m = growth * rotation @ center_in_world(camera) + shift
+        pose = Rigid3(in_cam, -in_cam @ center_m)
+        cameras.append(Camera(camera.name, camera.size_px, camera.matrix, camera.distortion, pose))
+    return cameras
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    turn=st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    growth=st.floats(0.95, 1.05),
+    shift=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+)
+def test_a_similarity_is_undone(turn: tuple[float, ...], growth: float, shift: tuple[float, ...]) -> None:
+    aligned = align_world(CAMERAS, moved_world(np.array(turn), growth, np.array(shift)))
+    np.testing.assert_allclose(camera_offsets(CAMERAS, aligned), 0.0, atol=1e-5)
+
+
+def test_a_camera_that_moved_far_does_not_move_the_world() -> None:
+    step = np.array([0.05, -0.03, 0.02, 0.2, -0.3, 0.1, 0.0])
+    refined = [move_camera(CAMERAS[0], step), *CAMERAS[1:]]
+    aligned = align_world(CAMERAS, refined)
+    assert max(shift_m(then, now) for then, now in zip(CAMERAS[1:], aligned[1:], strict=True)) < 0.004
+    assert max(turn_deg(then, now) for then, now in zip(CAMERAS[1:], aligned[1:], strict=True)) < 0.06
+    np.testing.assert_allclose(shift_m(CAMERAS[0], aligned[0]), np.linalg.norm(step[3:6]), atol=0.005)
+    np.testing.assert_allclose(turn_deg(CAMERAS[0], aligned[0]), np.degrees(np.linalg.norm(step[:3])), atol=0.05)

@@ -1,0 +1,85 @@
+"""Refinement of calibrations that are off, and of calibrations that are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.refinement.adjust import FOCAL, move_camera
+from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
+from pipeline.calibration.refinement.refine import refine
+from pipeline.data import Camera
+from tests.pipeline.calibration.refinement.people import disturb, ring, see, walk
+
+CAMERAS = ring(4)
+
+
+def differences(true: tuple[Camera, ...], found: tuple[Camera, ...]) -> tuple[float, float]:
+    """Largest turn in degrees and largest shift in metres after the worlds are aligned."""
+    aligned = align_world(true, found)
+    pairs = list(zip(true, aligned, strict=True))
+    return max(turn_deg(*pair) for pair in pairs), max(shift_m(*pair) for pair in pairs)
+
+
+def test_disturbed_cameras_come_back() -> None:
+    rng = np.random.default_rng(3)
+    given = tuple(disturb(camera, rng) for camera in CAMERAS)
+    found = refine(given, given, see(CAMERAS, *walk(40.0)))
+    assert found.is_refined
+    assert found.error_after_px < 0.6 * found.error_before_px
+    far_deg, far_m = differences(CAMERAS, found.cameras)
+    assert far_deg <= 0.1
+    assert far_m <= 0.005
+    # The world is the given one as far as the given cameras agree on it.
+    assert max(shift_m(then, now) for then, now in zip(given, found.cameras, strict=True)) < 0.05
+
+
+def test_a_good_calibration_is_not_touched() -> None:
+    found = refine(CAMERAS, CAMERAS, see(CAMERAS, *walk(20.0)))
+    assert not found.is_refined
+    assert found.cameras == CAMERAS
+    assert found.error_after_px == pytest.approx(found.error_before_px, rel=0.02)
+    assert found.steps == ()
+
+
+def test_one_camera_that_was_turned_is_the_one_that_moves() -> None:
+    step = np.array([0.0, np.radians(2.0), 0.0, 0.0, 0.0, 0.0, 0.0])
+    given = (CAMERAS[0], move_camera(CAMERAS[1], step), *CAMERAS[2:])
+    found = refine(given, given, see(CAMERAS, *walk(20.0)))
+    turns_deg = [turn_deg(then, now) for then, now in zip(given, found.cameras, strict=True)]
+    assert turns_deg[1] == pytest.approx(2.0, abs=0.15)
+    assert max(turns_deg[0], *turns_deg[2:]) < 0.15
+
+
+@pytest.mark.slow
+def test_a_wrong_focal_length_is_found() -> None:
+    zoom = np.zeros(7)
+    zoom[FOCAL] = 0.06
+    given = (move_camera(CAMERAS[0], zoom), *CAMERAS[1:])
+    found = refine(given, given, see(CAMERAS, *walk(40.0), noise_px=1.0))
+    assert found.is_refined
+    ratios = [now.matrix[0, 0] / then.matrix[0, 0] for then, now in zip(CAMERAS, found.cameras, strict=True)]
+    assert ratios[0] / np.mean(ratios[1:]) == pytest.approx(1.0, abs=0.015)
+
+
+def test_a_camera_with_few_views_keeps_its_calibration() -> None:
+    rng = np.random.default_rng(4)
+    given = tuple(disturb(camera, rng) for camera in CAMERAS)
+    sightings = see(CAMERAS, *walk(20.0))
+    hidden = np.zeros(sightings.points_px.shape[:2], bool)
+    hidden[4:, 3] = True
+    found = refine(given, given, sightings.without(hidden))
+    assert found.is_refined
+    assert turn_deg(given[3], found.cameras[3]) == pytest.approx(0.0, abs=1e-5)
+    assert turn_deg(given[0], found.cameras[0]) > 0.1
+
+
+def test_too_few_people_change_nothing() -> None:
+    given = tuple(disturb(camera, np.random.default_rng(5)) for camera in CAMERAS)
+    sightings = see(CAMERAS, *walk(0.2, num_people=1))
+    found = refine(given, given, sightings)
+    assert not found.is_refined
+    assert found.cameras == given
+    assert np.isnan(found.error_before_px)
+    nobody = sightings.subset(np.zeros(len(sightings), bool))
+    assert refine(given, given, replace(nobody)).num_points == 0

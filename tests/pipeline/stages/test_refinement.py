@@ -1,0 +1,113 @@
+"""The stage ``refine``: calibrations that are off, reports, result files and the cut into chunks."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.refinement.adjust import move_camera
+from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
+from pipeline.calibration.registry import read_calibration
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Camera, CameraBump, CameraMove, Refinement
+from pipeline.export.results import write_results
+from pipeline.progress import Progress
+from pipeline.quality.report import quality_report
+from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.local import reconstruct
+from pipeline.stages.outputs_npz import decode_refinement, encode_refinement
+from pipeline.stages.plan import ASSOCIATE, REFINE
+from tests.pipeline.simulations import write_simulation
+
+CONFIG = ReconstructionConfig(refine_calibration="auto", smoothing="none", exports=("csv",))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
+    folder = tmp_path_factory.mktemp("session")
+    write_simulation(record(replace(find_scene("room"), duration_s=6.0), seed=2), folder)
+    return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+
+
+@pytest.fixture(scope="module")
+def disturbed(session: KeypointSession) -> KeypointSession:
+    """The session with every camera turned by a degree."""
+    rng = np.random.default_rng(0)
+    cameras = []
+    for camera in session.cameras:
+        axis = rng.normal(size=3)
+        turn = np.radians(1.0) * axis / np.linalg.norm(axis)
+        cameras.append(move_camera(camera, np.concatenate([turn, np.zeros(4)])))
+    return replace(session, cameras=tuple(cameras))
+
+
+def furthest(true: Sequence[Camera], found: Sequence[Camera]) -> tuple[float, float]:
+    pairs = list(zip(true, align_world(true, found), strict=True))
+    return max(turn_deg(*pair) for pair in pairs), max(shift_m(*pair) for pair in pairs)
+
+
+def test_a_disturbed_calibration_is_refined_reported_and_written(
+    session: KeypointSession, disturbed: KeypointSession, tmp_path: Path
+) -> None:
+    given = reconstruct(disturbed, replace(CONFIG, refine_calibration="off"))
+    refined = reconstruct(disturbed, CONFIG)
+    assert refined.refinement is not None
+    assert refined.refinement.refined
+    assert furthest(session.cameras, disturbed.cameras)[0] > 0.5
+    far_deg, far_m = furthest(session.cameras, refined.cameras)
+    assert far_deg < 0.3
+    assert far_m < 0.02
+    errors_px = [quality_report(one)["reprojection_error_px"]["median"] for one in (given, refined)]
+    assert errors_px[1] < 0.6 * errors_px[0]
+    paths = {path.name: path for path in write_results(refined, tmp_path, ("csv",))}
+    written = read_calibration(paths["calibration.json"])
+    for camera, other in zip(refined.cameras, written, strict=True):
+        assert (camera.matrix == other.matrix).all()
+        np.testing.assert_allclose(camera.cam_from_world.matrix, other.cam_from_world.matrix, atol=1e-12)
+    metrics = json.loads(paths["metrics.json"].read_bytes())
+    assert metrics["calibration"]["refined"]
+    assert {move["camera"] for move in metrics["calibration"]["moved"]} == {camera.name for camera in written}
+    assert "calibration_refined" in {check["code"] for check in metrics["capture_checks"]}
+
+
+def test_a_good_calibration_gives_the_same_files_as_without_refinement(
+    session: KeypointSession, tmp_path: Path
+) -> None:
+    off, auto = (reconstruct(session, replace(CONFIG, refine_calibration=choice)) for choice in ("off", "auto"))
+    assert auto.refinement is not None
+    assert not auto.refinement.refined
+    names = []
+    for name, one in (("off", off), ("auto", auto)):
+        names.append([path.name for path in write_results(one, tmp_path / name, ("csv",))])
+    assert names[0] == names[1]
+    for name in set(names[0]) - {"metrics.json"}:
+        assert (tmp_path / "off" / name).read_bytes() == (tmp_path / "auto" / name).read_bytes()
+    assert quality_report(off)["calibration"] is None
+    assert quality_report(auto)["calibration"]["moved"] == []
+
+
+@pytest.mark.slow
+def test_the_stage_is_reused_and_the_result_does_not_depend_on_the_cut(
+    disturbed: KeypointSession, tmp_path: Path
+) -> None:
+    first = reconstruct(disturbed, CONFIG, cache=tmp_path)
+    seen: list[Progress] = []
+    other = reconstruct(disturbed, replace(CONFIG, smoothing="butterworth"), seen.append, cache=tmp_path)
+    assert {one.stage for one in seen if one.reused == one.total} >= {REFINE, ASSOCIATE}
+    cut = reconstruct(disturbed, replace(CONFIG, chunk_frames=7))
+    for camera, same, again in zip(first.cameras, other.cameras, cut.cameras, strict=True):
+        assert (camera.cam_from_world.matrix == same.cam_from_world.matrix).all()
+        assert (camera.cam_from_world.matrix == again.cam_from_world.matrix).all()
+
+
+def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
+    report = Refinement(True, 7.25, 3.5, 4000, (CameraMove("a", 1.5, 0.02, 1.001),), (CameraBump("b", 134.2, 0.9),))
+    content = encode_refinement(session.cameras, report)
+    cameras, found = decode_refinement(session.cameras, content)
+    assert found == report
+    assert content == encode_refinement(cameras, found)
+    assert [camera.name for camera in cameras] == [camera.name for camera in session.cameras]
