@@ -1,8 +1,8 @@
-"""Static quantization of a network: activations and weights as unsigned integers of 8 bits, a scale a channel.
+"""Static quantization of a network: activations as unsigned integers of 8 bits, weights as signed ones of 7 bits.
 
-Signed weights would be a little faster on processors with VNNI instructions. On other processors, the products of
-signed weights saturate in 16 bits, and the network's outputs become useless; unsigned weights give the same outputs on
-both.
+Each output channel has a scale of its weights. Sums of two products of eight-bit weights saturate on processors without
+VNNI instructions, and the network's outputs become useless. Products of unsigned weights do not, but are slow on
+processors with these instructions (ADR 17).
 """
 
 import logging
@@ -61,8 +61,8 @@ def quantize(content: bytes, ranges: Mapping[str, Steps], float_values: Collecti
     quantizer: Any = QDQQuantizer(
         model,
         per_channel=True,
-        reduce_range=False,
-        weight_qType=QuantType.QUInt8,
+        reduce_range=True,
+        weight_qType=QuantType.QInt8,
         activation_qType=QuantType.QUInt8,
         tensors_range=TensorsData(CalibrationMethod.MinMax, limits),
         nodes_to_quantize=[],

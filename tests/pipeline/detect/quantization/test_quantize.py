@@ -54,8 +54,18 @@ def test_outputs_are_nearly_those_of_the_float_network(network: bytes, tmp_path:
     expected = outputs(network, tmp_path)
     error = outputs(quantized, tmp_path) - expected
     assert 0.0 < np.abs(error).max() < 0.03 * np.ptp(expected)
-    weights = {one.name: one.data_type for one in onnx.load_model_from_string(quantized).graph.initializer}
-    assert weights["w1_quantized"] == weights["w2_quantized"] == TensorProto.UINT8
+
+
+def test_sums_of_two_products_do_not_saturate(network: bytes) -> None:
+    """Some processors add two products of an activation and a weight in 16 bits with sign."""
+    quantized = onnx.load_model_from_string(quantize(network, measure_ranges(network, IMAGES), ()))
+    weights = {one.name: numpy_helper.to_array(one) for one in quantized.graph.initializer}
+    for name in ("w1_quantized", "w2_quantized"):
+        assert weights[name].dtype == np.int8
+        # Each channel uses the whole range.
+        greatest = np.abs(weights[name].astype(int)).reshape(len(weights[name]), -1).max(1)
+        assert greatest.tolist() == [64] * len(greatest)
+        assert 255 * 2 * greatest.max() < 2**15
 
 
 def test_float_values_keep_their_weights(network: bytes) -> None:
