@@ -501,7 +501,7 @@ class _ProfileNetworks:
 
 _PROFILES: Mapping[Profile, _ProfileNetworks] = {
     "fast": _ProfileNetworks("movenet-multipose-int8", "blazepose-full", refines_body=False, joints="body"),
-    "balanced": _ProfileNetworks("movenet-multipose", "blazepose-full", refines_body=True, joints="feet"),
+    "balanced": _ProfileNetworks("movenet-multipose-int8", "blazepose-full", refines_body=True, joints="feet"),
     "accurate": _ProfileNetworks("movenet-multipose", "blazepose-heavy", refines_body=True, joints="feet"),
 }
 _HAND = "mediapipe-hand"

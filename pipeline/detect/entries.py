@@ -34,10 +34,10 @@ def _convert_movenet(weights: Sequence[bytes]) -> bytes:
 
 def _convert_movenet_int8(weights: Sequence[bytes]) -> bytes:
     """Convert, then quantize by ranges that were measured once."""
-    from pipeline.detect.quantization.movenet_ranges import FLOAT_VALUES, RANGES  # noqa: PLC0415
+    from pipeline.detect.quantization.movenet_ranges import RANGES  # noqa: PLC0415
     from pipeline.detect.quantization.quantize import quantize  # noqa: PLC0415
 
-    return quantize(_convert_movenet(weights), RANGES, FLOAT_VALUES)
+    return quantize(_convert_movenet(weights), RANGES)
 
 
 _OPENPOSE_OUTPUTS = {"heatmaps": len(COCO_18.names) + 1, "pafs": 38}
@@ -128,8 +128,8 @@ REGISTRY: dict[str, NetworkEntry] = {
             name="movenet-multipose-int8",
             source=_MOVENET,
             convert=_convert_movenet_int8,
-            sha256="133daa7738b07168a88a957e00fe998836674b08778498f9a439b403353c262d",
-            num_bytes=5_228_166,
+            sha256="8f7f6b370541e4cdf7bce76f301424443ec88818d75de4c628fb381689ab6613",
+            num_bytes=5_535_928,
             licence="Apache-2.0",
             input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
             head=Head.MOVENET_MULTIPOSE,
@@ -191,8 +191,8 @@ REGISTRY: dict[str, NetworkEntry] = {
                 num_bytes=6_440_512,
             ),
             convert=_convert_blazepose,
-            sha256="5b150ffffaf4f42a4ddb0026fb2f2f1487bf8cb46439be8daa773995ed7e5dfe",
-            num_bytes=12_152_656,
+            sha256="cfe5445ae5ae973fe05f3be715dc868eb639af7906e735bdabd505fc91999e1c",
+            num_bytes=12_151_971,
             licence="Apache-2.0",
             input=_BODY_CROP,
             head=Head.BLAZEPOSE,
@@ -215,8 +215,8 @@ REGISTRY: dict[str, NetworkEntry] = {
                 num_bytes=27_709_200,
             ),
             convert=_convert_blazepose,
-            sha256="32906f5d8b9d9a8496ac4ddddfdaf5ad1b7700fed969acc2c73c17a2215d24af",
-            num_bytes=54_504_681,
+            sha256="5af1ac9851324eb78b3c88185b50c5c834770c879f52a84e52324598d5cd679c",
+            num_bytes=54_503_996,
             licence="Apache-2.0",
             input=_BODY_CROP,
             head=Head.BLAZEPOSE,

@@ -65,7 +65,7 @@ class CameraSizes:
 
 
 RULES: dict[Profile, SizeRule] = {
-    "fast": SizeRule(span_px=175.0, max_px=640),
+    "fast": SizeRule(span_px=180.0, max_px=640),
     "balanced": SizeRule(span_px=230.0, max_px=800),
     "accurate": SizeRule(span_px=230.0, max_px=800),
 }

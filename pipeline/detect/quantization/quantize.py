@@ -6,7 +6,7 @@ processors with these instructions (ADR 17).
 """
 
 import logging
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -23,7 +23,7 @@ Steps = tuple[int | None, int | None]
 """Least and greatest value as powers of two, in steps: -2^(first / 16) and 2^(second / 16); ``None`` for zero."""
 
 
-def quantize(content: bytes, ranges: Mapping[str, Steps], float_values: Collection[str]) -> bytes:
+def quantize(content: bytes, ranges: Mapping[str, Steps]) -> bytes:
     """Quantize a network.
 
     Parameters
@@ -31,18 +31,12 @@ def quantize(content: bytes, ranges: Mapping[str, Steps], float_values: Collecti
     content
         ONNX file of the float network, with one output a node.
     ranges
-        Ranges of the values that nodes give, by the name of the value, and of the network's input.
-    float_values
-        Values whose nodes stay in floating point.
+        Ranges of the network's input and of the values that nodes give, by the name of the value. Nodes whose values
+        have no range stay in floating point.
 
     Returns
     -------
         ONNX file of the quantized network, with the same input and outputs. Equal arguments give equal bytes.
-
-    Raises
-    ------
-    ValueError
-        If the range of a value is missing.
     """
     # Imported here, as its import takes a second and is needed for an installation only.
     from onnxruntime.quantization import QuantType  # noqa: PLC0415
@@ -52,11 +46,6 @@ def quantize(content: bytes, ranges: Mapping[str, Steps], float_values: Collecti
     model = onnx.load_model_from_string(content)
     for number, node in enumerate(model.graph.node):
         node.name = f"{node.op_type}_{number}"
-    values = [graph_input.name for graph_input in model.graph.input]
-    values += [name for node in model.graph.node for name in node.output]
-    if missing := [name for name in values if name not in ranges]:
-        message = f"Ranges of values are missing: {', '.join(missing)}."
-        raise ValueError(message)
     limits = {name: (np.float32(-end(low)), np.float32(end(high))) for name, (low, high) in ranges.items()}
     quantizer: Any = QDQQuantizer(
         model,
@@ -66,7 +55,7 @@ def quantize(content: bytes, ranges: Mapping[str, Steps], float_values: Collecti
         activation_qType=QuantType.QUInt8,
         tensors_range=TensorsData(CalibrationMethod.MinMax, limits),
         nodes_to_quantize=[],
-        nodes_to_exclude=[node.name for node in model.graph.node if node.output[0] in float_values],
+        nodes_to_exclude=[node.name for node in model.graph.node if node.output[0] not in ranges],
         op_types_to_quantize=_OPERATORS,
         extra_options={"ActivationSymmetric": False},
     )

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import tflite
@@ -195,6 +196,31 @@ def test_padding_of_rows_columns_and_channels(paddings: list[list[int]]) -> None
     expected = np.pad(batch, paddings)
     graph = fixed_graph("PAD", ((1, *batch.shape[1:]), (1, *expected.shape[1:])), [np.array(paddings, np.int32)], None)
     np.testing.assert_allclose(run_fixed(graph, batch), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("paddings", "kinds"),
+    [([[0, 0], [1, 2], [0, 1], [0, 0]], ["Conv"]), ([[0, 0], [0, 1], [1, 0], [0, 2]], ["Pad", "Conv"])],
+)
+def test_padding_before_a_convolution_becomes_its_own(paddings: list[list[int]], kinds: list[str]) -> None:
+    image = RANDOM.normal(size=(4, 5, 3))
+    padded = np.pad(image, paddings[1:])
+    weights = RANDOM.normal(size=(2, 3, 3, padded.shape[-1])).astype(np.float32)
+    tensors = (
+        Tensor("image", (1, 1, 1, 3), None),
+        Tensor("paddings", (4, 2), np.array(paddings, np.int32)),
+        Tensor("padded", (1, 1, 1, padded.shape[-1]), None),
+        Tensor("weights", weights.shape, weights),
+        Tensor("result", (1, 1, 1, 2), None),
+    )
+    operators = (
+        Operator("PAD", (0, 1), (2,), None),
+        Operator("CONV_2D", (2, 3, -1), (4,), convolution_options(2, VALID)),
+    )
+    graph = Graph(tensors, operators)
+    np.testing.assert_allclose(run(graph, image), convolve(padded, weights, 2, VALID), atol=1e-5)
+    model = onnx.load_model_from_string(convert_graph(graph, {"image": "input"}, {"result": "output"}))
+    assert [node.op_type for node in model.graph.node][:-1] == kinds
 
 
 @pytest.mark.parametrize("size", [6, 7])

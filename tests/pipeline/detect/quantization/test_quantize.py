@@ -10,7 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from pipeline.detect import models
 from pipeline.detect.entries import entry_of
 from pipeline.detect.quantization.calibration import measure_ranges
-from pipeline.detect.quantization.movenet_ranges import FLOAT_VALUES, RANGES
+from pipeline.detect.quantization.movenet_ranges import RANGES
 from pipeline.detect.quantization.quantize import end, quantize
 from pipeline.detect.session import open_network
 from pipeline.errors import ModelError
@@ -50,15 +50,15 @@ def outputs(content: bytes, folder: Path) -> np.ndarray:
 
 
 def test_outputs_are_nearly_those_of_the_float_network(network: bytes, tmp_path: Path) -> None:
-    quantized = quantize(network, measure_ranges(network, IMAGES), ())
+    quantized = quantize(network, measure_ranges(network, IMAGES))
     expected = outputs(network, tmp_path)
     error = outputs(quantized, tmp_path) - expected
     assert 0.0 < np.abs(error).max() < 0.03 * np.ptp(expected)
 
 
 def test_sums_of_two_products_do_not_saturate(network: bytes) -> None:
-    """Some processors add two products of an activation and a weight in 16 bits with sign."""
-    quantized = onnx.load_model_from_string(quantize(network, measure_ranges(network, IMAGES), ()))
+    """Some processors add two products of an activation and a weight in 16 bits."""
+    quantized = onnx.load_model_from_string(quantize(network, measure_ranges(network, IMAGES)))
     weights = {one.name: numpy_helper.to_array(one) for one in quantized.graph.initializer}
     for name in ("w1_quantized", "w2_quantized"):
         assert weights[name].dtype == np.int8
@@ -68,19 +68,20 @@ def test_sums_of_two_products_do_not_saturate(network: bytes) -> None:
         assert 255 * 2 * greatest.max() < 2**15
 
 
-def test_float_values_keep_their_weights(network: bytes) -> None:
-    quantized = onnx.load_model_from_string(quantize(network, measure_ranges(network, IMAGES), {"out"}))
-    names = {one.name for one in quantized.graph.initializer}
+def test_values_without_a_range_stay_in_floating_point(network: bytes) -> None:
+    ranges = measure_ranges(network, IMAGES)
+    del ranges["out"]
+    names = {one.name for one in onnx.load_model_from_string(quantize(network, ranges)).graph.initializer}
     assert {"w2", "w1_quantized"} <= names
     assert "w2_quantized" not in names
 
 
 def test_equal_ranges_give_equal_bytes(network: bytes) -> None:
     ranges = measure_ranges(network, IMAGES)
-    first = quantize(network, ranges, ())
+    first = quantize(network, ranges)
     # The last bits of the values differ from processor to processor.
     noisy = [(image * np.float32(1 + 1e-6)).astype(np.float32) for image in IMAGES]
-    assert quantize(network, measure_ranges(network, noisy), ()) == first
+    assert quantize(network, measure_ranges(network, noisy)) == first
 
 
 def test_ranges_enclose_the_values(network: bytes) -> None:
@@ -91,15 +92,10 @@ def test_ranges_enclose_the_values(network: bytes) -> None:
     assert measure_ranges(network, [np.full((1, 3, 12, 16), -3.0, np.float32)])["image"] == (26, None)
 
 
-def test_a_missing_range_is_an_error(network: bytes) -> None:
-    with pytest.raises(ValueError, match="missing: hidden, clipped"):
-        quantize(network, {"image": (None, 0), "out": (0, 0)}, ())
-
-
 def test_the_installed_network_is_made_from_the_float_network() -> None:
     try:
         content, made = (models.verify(name).read_bytes() for name in ("movenet-multipose", "movenet-multipose-int8"))
     except ModelError as error:
         pytest.skip(str(error))
-    assert quantize(content, RANGES, FLOAT_VALUES) == made
+    assert quantize(content, RANGES) == made
     assert len(made) == entry_of("movenet-multipose-int8").num_bytes
