@@ -66,7 +66,7 @@ class CameraSizes:
 
 RULES: dict[Profile, SizeRule] = {
     "fast": SizeRule(span_px=180.0, max_px=640),
-    "balanced": SizeRule(span_px=230.0, max_px=800),
+    "balanced": SizeRule(span_px=220.0, max_px=800),
     "accurate": SizeRule(span_px=230.0, max_px=800),
 }
 """Rule of each profile; docs/detectors.md has the measurements."""

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-# Share of a region's side beside its centre that a crop may need: half of the diagonal, rounded up.
-_REACH = 0.75
+# Blocks of averaged pixels around a region that its interpolation may need.
+_MARGIN = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,8 @@ def _shrink(
 ) -> tuple[UInt8[np.ndarray, "_ _ 3"], Region]:
     """Average blocks of ``factor`` by ``factor`` pixels of the image around a region; return the region in them."""
     height, width = image_rgb.shape[:2]
-    reach_px = _REACH * region.side_px
+    turn = abs(np.cos(region.angle_rad)) + abs(np.sin(region.angle_rad))
+    reach_px = turn * region.side_px / 2 + _MARGIN * factor
     x0, y0 = (max(0, int(center - reach_px)) for center in region.center_px)
     columns, rows = (
         max(0, min(size, int(center + reach_px) + 1) - first) // factor
