@@ -41,7 +41,7 @@ def score_feet(
     num_frames, rate_hz = simulation.timebase.num_frames, simulation.timebase.frame_rate_hz
     ankles = simulation.joints.indices(tuple(f"{side}_ankle" for side in SIDES))
     truth_m = simulation.truth_m[:, :, ankles]
-    stands = _stands(truth_m, rate_hz)
+    stands = standing(truth_m, rate_hz)
     near = _widened(stands, round(_TOLERANCE_S * rate_hz))
     ankles_m, contact = _laid_out(motions, num_frames)
     matched = match_frames(
@@ -53,7 +53,7 @@ def score_feet(
     matched_m = np.where(is_matched[..., None, None], ankles_m[matched, frames], np.nan)
     touches = contact[matched, frames] & is_matched[..., None]
     return {
-        "foot_slide_cm": _slide_cm(matched_m, stands, max(2, round(_SHORTEST_S * rate_hz))),
+        "foot_slide_cm": slide_cm(matched_m, stands, rate_hz),
         "ankle_mm": _mean(1000 * np.linalg.norm(matched_m - truth_m, axis=-1)),
         "contacts_found": _mean(touches[stands & is_matched[..., None]]),
         "contacts_invented": _mean(~near[touches]),
@@ -65,7 +65,8 @@ def _mean(values: np.ndarray) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def _stands(truth_m: Float[np.ndarray, "people frames 2 3"], rate_hz: float) -> Bool[np.ndarray, "people frames 2"]:
+def standing(truth_m: Float[np.ndarray, "people frames 2 3"], rate_hz: float) -> Bool[np.ndarray, "people frames 2"]:
+    """Frames in which a true point of a foot is still, and as low as it gets."""
     speed_m_s = np.linalg.norm(np.gradient(truth_m[..., :2], axis=1), axis=-1) * rate_hz
     with np.errstate(invalid="ignore"):
         low = truth_m[..., 2] < np.nanmin(truth_m[..., 2], axis=(1, 2), keepdims=True) + _LOW_M
@@ -97,16 +98,18 @@ def _laid_out(
     return ankles_m, contact
 
 
-def _slide_cm(
-    ankles_m: Float[np.ndarray, "people frames 2 3"], stands: Bool[np.ndarray, "people frames 2"], shortest: int
+def slide_cm(
+    points_m: Float[np.ndarray, "people frames 2 3"], stands: Bool[np.ndarray, "people frames 2"], rate_hz: float
 ) -> float | None:
+    """Mean horizontal distance of points of feet from their median position, over stances of at least 0.1 s."""
+    shortest = max(2, round(_SHORTEST_S * rate_hz))
     slid_m: list[np.ndarray] = [np.zeros(0)]
     for person, foot in np.ndindex(stands.shape[0], 2):
         borders: Int[np.ndarray, " _"] = np.flatnonzero(
             np.diff(stands[person, :, foot].astype(np.int8), prepend=0, append=0)
         )
         for start, stop in borders.reshape(-1, 2):
-            xy_m = ankles_m[person, start:stop, foot, :2]
+            xy_m = points_m[person, start:stop, foot, :2]
             xy_m = xy_m[np.isfinite(xy_m).all(-1)]
             if len(xy_m) >= shortest:
                 slid_m.append(np.linalg.norm(xy_m - np.median(xy_m, axis=0), axis=-1))

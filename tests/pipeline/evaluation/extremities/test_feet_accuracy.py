@@ -35,6 +35,8 @@ def tracks_of(simulation: Simulation, move_m: np.ndarray) -> list[Track3D]:
 
 def test_the_truth_has_no_error() -> None:
     scores = score_heels_and_toes(tracks_of(SIMULATION, np.zeros((21, 3))), SIMULATION, SIMULATION.joints)
+    slides_cm = [scores.pop(name) for name in ("heel_slide_cm", "toe_slide_cm")]
+    assert all(one is not None and 0.0 <= one < 0.2 for one in slides_cm)
     assert scores == pytest.approx(
         {"heel_mm": 0.0, "toe_mm": 0.0, "foot_pitch_deg": 0.0, "foot_heading_deg": 0.0}, abs=1e-6
     )
@@ -49,6 +51,18 @@ def test_a_lifted_heel_is_an_error_of_the_heel_and_of_the_pitch() -> None:
     # 2 cm over a foot of some 23 cm.
     assert scores["foot_pitch_deg"] == pytest.approx(np.degrees(0.02 / 0.23), abs=1.0)
     assert scores["foot_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_heel_that_trembles_slides() -> None:
+    move_m = np.zeros((SIMULATION.truth_m.shape[1], 21, 3))
+    # To and fro, so that the median position is the true one.
+    move_m[:, SIMULATION.joints.indices(("left_heel", "right_heel")), 0] = np.resize(
+        [0.01, 0.0, -0.01, 0.0], (len(move_m), 1)
+    )
+    scores = score_heels_and_toes(tracks_of(SIMULATION, move_m), SIMULATION, SIMULATION.joints)
+    assert scores["heel_slide_cm"] == pytest.approx(0.5, abs=0.15)
+    assert scores["toe_slide_cm"] is not None
+    assert scores["toe_slide_cm"] < 0.2
 
 
 def test_tracks_without_feet_have_no_figures() -> None:
