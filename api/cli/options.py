@@ -16,6 +16,7 @@ from pipeline.config import (
     JointCenters,
     Method,
     ReconstructionConfig,
+    RefineCalibration,
     Smoothing,
     choices_of,
 )
@@ -58,6 +59,7 @@ DetectorOption = Annotated[str, _option(CHOICES["detector"])]
 SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
 FeetOption = Annotated[str, _option(CHOICES["feet"])]
 JointCentersOption = Annotated[str, _option(CHOICES["joint_centers"])]
+RefineCalibrationOption = Annotated[str, _option(CHOICES["refine_calibration"])]
 
 
 def with_choices(command: Callable[..., None]) -> Callable[..., None]:
@@ -148,6 +150,11 @@ def known_smoothing(name: str) -> Smoothing:
 def known_feet(name: str) -> Feet:
     """Check the name of a treatment of feet; ``InputError`` if there is none of that name."""
     return cast(Feet, known(CHOICES["feet"], name))
+
+
+def known_refinement(name: str) -> RefineCalibration:
+    """Check the name of a refinement; ``InputError`` if there is none of that name."""
+    return cast(RefineCalibration, known(CHOICES["refine_calibration"], name))
 
 
 def known_joint_centers(name: str) -> JointCenters:

@@ -17,19 +17,23 @@ from api.cli.options import (
     JointsOption,
     MethodOption,
     ProfileOption,
+    RefineCalibrationOption,
     SmoothingOption,
     known,
     known_feet,
     known_joint_centers,
     known_method,
+    known_refinement,
     known_smoothing,
 )
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import open_session
 from pipeline.clustering.associate import reconstruct_by_clustering
 from pipeline.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.config import CHOICES, DetectedJoints, Method, Profile, ReconstructionConfig
-from pipeline.data import Animation, Camera, People, Timebase
+from pipeline.data import Animation, Camera, Detections, FrameTimes, People, Refinement, Timebase
 from pipeline.errors import InputError, Problem
+from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
 from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
 from pipeline.evaluation.datasets.shelf_ablation import ablate
@@ -47,6 +51,7 @@ from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
 from pipeline.stages.local import reconstruct
+from pipeline.stages.refinement import refine_from_bodies
 from pipeline.tracking.associate import associate, locate_people, track_bodies
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
@@ -71,6 +76,7 @@ def rendered(
     method: MethodOption = DEFAULTS.method,
     smoothing: SmoothingOption = DEFAULTS.smoothing,
     joint_centers: JointCentersOption = DEFAULTS.joint_centers,
+    refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m; and headings of feet."""
@@ -84,12 +90,14 @@ def rendered(
             joints=cast(DetectedJoints, known(CHOICES["joints"], joints)),
             smoothing=known_smoothing(smoothing),
             joint_centers=known_joint_centers(joint_centers),
+            refine_calibration=known_refinement(refine_calibration),
         )
         reconstruction = reconstruct(session, config, bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
         if truth.feet_m is not None:
             motions, timebase = reconstruction.animation.motions, reconstruction.timebase
             scores |= score_foot_directions(motions, timebase, truth.time_s, truth.feet_m)
+        scores |= _refinement_scores(reconstruction.refinement)
     if as_json:
         emit(scores)
         return
@@ -101,6 +109,7 @@ def shelf(
     data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
     method: MethodOption = DEFAULTS.method,
     smoothing: SmoothingOption = DEFAULTS.smoothing,
+    refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
     detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
     every: Annotated[
         int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
@@ -113,12 +122,20 @@ def shelf(
     """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
     with reporting(as_json):
         checked_method = known_method(method)
-        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing))
+        config = ReconstructionConfig(
+            checked_method,
+            smoothing=known_smoothing(smoothing),
+            refine_calibration=known_refinement(refine_calibration),
+        )
         whole = load_shelf(data, detections)
         _refuse_ablation(checked_method, ablation)
         benchmark, kept = thin(whole, every)
         warm_up()
         started_s = time.perf_counter()
+        cameras, refinement = _refined(
+            benchmark.cameras, benchmark.times, benchmark.detections, benchmark.timebase, COCO_17, config
+        )
+        benchmark = replace(benchmark, cameras=cameras)
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
         identities = None
         if checked_method == "clustering":
@@ -142,6 +159,7 @@ def shelf(
             "bone_std_cm": bone_length_std_cm(tracks, COCO_17),
             "jitter_m_s2": mean_jitter_m_s2(tracks, benchmark.timebase.frame_rate_hz),
             "fps": benchmark.timebase.num_frames / elapsed_s,
+            **_refinement_scores(refinement),
         }
         if ablation:
             result["ablation"] = ablate(whole)
@@ -203,6 +221,16 @@ def simulated(
     method: MethodOption = DEFAULTS.method,
     smoothing: SmoothingOption = DEFAULTS.smoothing,
     feet: FeetOption = DEFAULTS.feet,
+    refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
+    turn: Annotated[
+        float, typer.Option(min=0.0, max=5.0, metavar="DEG", help="Angle by which each camera is turned beforehand.")
+    ] = 0.0,
+    shift: Annotated[
+        float, typer.Option(min=0.0, max=0.3, metavar="M", help="Distance by which each camera is shifted beforehand.")
+    ] = 0.0,
+    duration: Annotated[
+        float | None, typer.Option(min=1.0, max=600.0, metavar="S", help="Length in seconds. Default: the scene's.")
+    ] = None,
     evidence: Annotated[
         str | None,
         typer.Option(
@@ -235,21 +263,31 @@ def simulated(
     with reporting(as_json):
         checked_method = known_method(method)
         checked_evidence = _known_evidence(evidence, checked_method, ablation)
-        config = ReconstructionConfig(checked_method, smoothing=known_smoothing(smoothing), feet=known_feet(feet))
+        if checked_evidence == "fields" and (turn or shift or known_refinement(refine_calibration) != "off"):
+            hint = "Use --evidence bodies, or omit --turn, --shift and --refine-calibration."
+            raise InputError([Problem("no_refinement", "Calibrations are refined here from whole bodies.", hint=hint)])
+        config = ReconstructionConfig(
+            checked_method,
+            smoothing=known_smoothing(smoothing),
+            feet=known_feet(feet),
+            refine_calibration=known_refinement(refine_calibration),
+        )
         checked_joints = known_joints(joints)
         found = find_scene(scene)
         if ablation and views is None:
             views = str(min(_ABLATION_VIEWS, found.rig.num_cameras))
         if noise is not None:
             found = replace(found, detector=replace(found.detector, noise_m=0.0, noise_px=noise))
+        if duration is not None:
+            found = replace(found, duration_s=duration)
         for num_views in _numbers(views):
             simulation = record(found, seed, num_views, checked_joints)
             warm_up()
-            scores = (
-                _score_fields(simulation, config, ablation)
-                if checked_evidence == "fields"
-                else _score_bodies(simulation, config)
-            )
+            if checked_evidence == "fields":
+                scores = _score_fields(simulation, config, ablation)
+            else:
+                disturbed = disturb_calibration(simulation, turn, shift, seed)
+                scores = _score_bodies(disturbed, simulation.cameras, config)
             by_views[len(simulation.cameras)] = scores
     if as_json:
         emit(
@@ -299,9 +337,15 @@ def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> di
     return scores
 
 
-def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[str, Any]:
-    views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
+def _score_bodies(simulation: Simulation, true: Sequence[Camera], config: ReconstructionConfig) -> dict[str, Any]:
+    """Score a simulation with bodies; its calibration may be disturbed."""
     started_s = time.perf_counter()
+    given = simulation.cameras
+    cameras, refinement = _refined(
+        given, simulation.times, simulation.detections, simulation.timebase, simulation.joints, config
+    )
+    simulation = replace(simulation, cameras=cameras)
+    views = (simulation.cameras, simulation.times, simulation.detections, simulation.timebase)
     if config.method == "clustering":
         parameters = clustering_parameters(simulation.cameras)
         people = People(*reconstruct_by_clustering(*views, simulation.joints, parameters))
@@ -314,7 +358,38 @@ def _score_bodies(simulation: Simulation, config: ReconstructionConfig) -> dict[
         people.tracks, people.observations, simulation.cameras, simulation.timebase, simulation.joints, config
     )
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-    return _score(animation, simulation, simulation.joints) | {"fps": fps}
+    scores = _score(animation, simulation, simulation.joints) | {"fps": fps} | _refinement_scores(refinement)
+    if refinement is not None:
+        for name, some in (("given", given), ("refined", cameras)):
+            scores |= {f"cameras_{name}_{kind}": value for kind, value in camera_errors(true, some).items()}
+    return scores
+
+
+def _refined(
+    cameras: tuple[Camera, ...],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
+) -> tuple[tuple[Camera, ...], Refinement | None]:
+    """Cameras of an evaluation, refined if that is asked for, and the report."""
+    if config.refine_calibration == "off":
+        return cameras, None
+    session = KeypointSession(cameras, times, timebase, detections, joints, {}, ())
+    return refine_from_bodies(session, detections, joints, config)
+
+
+def _refinement_scores(refinement: Refinement | None) -> dict[str, Any]:
+    """Figures of a refinement; none without a refinement."""
+    if refinement is None:
+        return {}
+    return {
+        "refined": refinement.refined,
+        "refinement_before_px": refinement.error_before_px,
+        "refinement_after_px": refinement.error_after_px,
+        "bumped": len(refinement.bumped),
+    }
 
 
 def _told_apart(
