@@ -168,7 +168,8 @@ def _describe_identity(doubts: Sequence[Doubt]) -> dict[str, Any]:
 
 def all_checks(report: Mapping[str, Any]) -> list[dict[str, str]]:
     """List all failed checks of a report, each with ``code`` and ``message``."""
-    return [*report["capture_checks"], *report["world_checks"]]
+    checks = (*report["capture_checks"], *report["world_checks"])
+    return [{"code": check["code"], "message": check["message"]} for check in checks]
 
 
 def encode(report: dict[str, Any]) -> bytes:

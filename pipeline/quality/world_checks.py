@@ -1,9 +1,11 @@
 """Checks of the world: people are upright, on the floor and of human size, and cameras are above the floor.
 
-The usual cause of a failed check is the calibration: another up axis, another unit, or an origin off the floor.
+The usual cause of a failed check is the calibration: another up axis, another unit, an origin off the floor, a mirrored
+world, or a camera that was moved after it was calibrated.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +13,7 @@ from jaxtyping import Float
 from pipeline.data import Camera, Floor, Reconstruction, Track3D
 from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
+from pipeline.quality.epipolar_distances import epipolar_distances_m
 from pipeline.quality.names import first_names
 from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
 
@@ -23,6 +26,15 @@ _MAX_TILT_DEG = 3.0
 
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _ANKLES = ("left_ankle", "right_ankle")
+
+
+# A world counts as mirrored if left and right are exchanged in at least this share of so many frames.
+_MIRRORED_SHARE, _MIRRORED_FRAMES = 0.75, 20
+# Largest median epipolar distance of a camera, at the people: marks of good detectors differ by 1 to 2 cm.
+_MAX_EPIPOLAR_M = 0.04
+
+_Found = tuple[str, str, str | None, float, str]
+"""Code, message, camera, evidence and hint."""
 
 
 def _points_m(track: Track3D, joints: JointSet, names: Sequence[str]) -> Float[np.ndarray, "frames joints 3"]:
@@ -47,8 +59,11 @@ def _floor_m(tracks: Sequence[Track3D], joints: JointSet) -> float:
     return float(np.percentile(heights_m, 10)) - ANKLE_HEIGHT_M if len(heights_m) else np.nan
 
 
-def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, str]]:
-    """List the failed checks of the world, each with ``code`` and ``message``.
+def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, Any]]:
+    """List the failed checks of the world.
+
+    Each has ``code`` and ``message``, ``camera`` (``None`` if the check is not about one), ``evidence`` (the measured
+    number) and ``hint``.
 
     Parameters
     ----------
@@ -61,60 +76,128 @@ def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]
         _check_floor(tracks, joints, reconstruction.animation.floor),
         _check_statures(statures_m),
         _check_cameras(reconstruction.cameras, _floor_m(tracks, joints)),
+        _check_handedness(tracks, joints),
+        _check_pairs(reconstruction),
     )
-    return [{"code": code, "message": message} for check in checks for code, message in check]
+    names = ("code", "message", "camera", "evidence", "hint")
+    return [
+        dict(zip(names, (*found[:3], round(found[3], 3), found[4]), strict=True)) for some in checks for found in some
+    ]
 
 
-def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[tuple[str, str]]:
+def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
     upwards = np.concatenate([np.zeros((0, 3)), *(_feet_to_head_m(track, joints) for track in tracks)])
     upwards = upwards[np.isfinite(upwards).all(-1)]
     if len(upwards) == 0:
         return
-    lean_deg = np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))
-    if np.median(lean_deg) > 180.0 - _MAX_LEAN_DEG:
-        yield "upside_down", "Heads are below feet: the calibration's Z axis points down."
-    elif np.median(lean_deg) > _MAX_LEAN_DEG:
-        yield (
-            "not_upright",
-            f"People lean {np.median(lean_deg):.0f} degrees in most frames: the calibration's up axis may not be Z.",
-        )
+    lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
+    if lean_deg > 180.0 - _MAX_LEAN_DEG:
+        message = "Heads are below feet: the calibration's Z axis points down."
+        yield "upside_down", message, None, lean_deg, "Turn the calibration: Z must point up."
+    elif lean_deg > _MAX_LEAN_DEG:
+        message = f"People lean {lean_deg:.0f} degrees in most frames: the calibration's up axis may not be Z."
+        yield "not_upright", message, None, lean_deg, "Check that the calibration's up axis is Z."
 
 
-def _check_floor(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -> Iterator[tuple[str, str]]:
+def _check_floor(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -> Iterator[_Found]:
     floor_m = _floor_m(tracks, joints)
     if abs(floor_m) > _MAX_FLOOR_M:
-        yield "floor_not_at_zero", f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
+        message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
+        yield "floor_not_at_zero", message, None, floor_m, f"Move the calibration's origin by {floor_m:.2f} m along Z."
     if floor is not None and floor.tilt_deg > _MAX_TILT_DEG:
-        yield "floor_tilted", f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
+        message = f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
+        yield "floor_tilted", message, None, floor.tilt_deg, "Level the calibration."
 
 
-def _check_statures(statures_m: Mapping[int, float]) -> Iterator[tuple[str, str]]:
+def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
     lowest_m, highest_m = _STATURE_RANGE_M
     odd_m = {
         f"person-{track_id}": stature_m
         for track_id, stature_m in statures_m.items()
         if stature_m < lowest_m or stature_m > highest_m
     }
+    if not odd_m:
+        return
+    middle_m = float(np.median(list(odd_m.values())))
+    hint = _hint_of_unit(middle_m)
     if len(odd_m) == 1:
         ((person, stature_m),) = odd_m.items()
-        yield (
-            "stature_out_of_range",
-            f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre.",
-        )
-    elif odd_m:
-        people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
-        yield (
-            "stature_out_of_range",
-            f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
-            "may not be the metre.",
-        )
+        message = f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
+        yield "stature_out_of_range", message, None, middle_m, hint
+        return
+    people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
+    yield (
+        "stature_out_of_range",
+        f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
+        "may not be the metre.",
+        None,
+        middle_m,
+        hint,
+    )
 
 
-def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[tuple[str, str]]:
-    below = [
-        camera.name
-        for camera in cameras
-        if center_in_world(camera)[2] < (floor_m if np.isfinite(floor_m) else 0.0) - _MAX_FLOOR_M
-    ]
+def _hint_of_unit(stature_m: float) -> str:
+    """Guess the unit in which a person would have a human stature."""
+    lowest_m, highest_m = _STATURE_RANGE_M
+    for name, unit_m in (("cm", 0.01), ("mm", 0.001)):
+        if lowest_m <= stature_m * unit_m <= highest_m:
+            return f"The lengths look like {name}: state the unit (`units`)."
+    return "Check the calibration's unit."
+
+
+def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Found]:
+    lowest_m = (floor_m if np.isfinite(floor_m) else 0.0) - _MAX_FLOOR_M
+    heights_m = {camera.name: float(center_in_world(camera)[2]) for camera in cameras}
+    below = [name for name, height_m in heights_m.items() if height_m < lowest_m]
     if below:
-        yield "camera_below_floor", f"Cameras are below the floor: {first_names(below)}."
+        lowest = min(below, key=lambda name: heights_m[name])
+        message = f"Cameras are below the floor: {first_names(below)}."
+        yield "camera_below_floor", message, lowest, heights_m[lowest], "Check the calibration's axes."
+
+
+def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
+    """Compare people's left with the left that follows from the front and the top of their heads and trunks."""
+    sides = [np.zeros(0), *(_leftness(track, joints) for track in tracks)]
+    sign = np.concatenate(sides)
+    sign = sign[np.isfinite(sign)]
+    share = float(np.mean(sign < 0.0)) if len(sign) else 0.0
+    if len(sign) >= _MIRRORED_FRAMES and share >= _MIRRORED_SHARE:
+        yield (
+            "mirrored_world",
+            f"People's left and right are exchanged in {100 * share:.0f} % of the frames: the world is mirrored.",
+            None,
+            share,
+            "Check whether an axis of the calibration has the wrong sign, or the videos are mirrored.",
+        )
+
+
+def _leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
+    """Component of the left shoulder to the left of the face: positive in a true world, NaN if unknown."""
+    needed = ("nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
+    if not set(needed) <= set(joints.names):
+        return np.zeros(0)
+    nose, left_ear, right_ear, left, right, left_hip, right_hip = np.moveaxis(_points_m(track, joints, needed), 1, 0)
+    front = nose - (left_ear + right_ear) / 2
+    top = (left + right - left_hip - right_hip) / 2
+    return np.asarray((np.cross(top, front) * (left - right)).sum(-1))
+
+
+def _check_pairs(reconstruction: Reconstruction) -> Iterator[_Found]:
+    """Find the camera that disagrees most with the others."""
+    by_pair = epipolar_distances_m(reconstruction)
+    of_camera = {
+        number: float(np.median([value for pair, value in by_pair.items() if number in pair]))
+        for number in {number for pair in by_pair for number in pair}
+    }
+    worst = max(of_camera, key=lambda number: of_camera[number], default=None)
+    if worst is None or of_camera[worst] <= _MAX_EPIPOLAR_M:
+        return
+    name = reconstruction.cameras[worst].name
+    yield (
+        "camera_disagrees",
+        f"{name} and the other cameras disagree about people by {100 * of_camera[worst]:.1f} cm in most frames: its "
+        "calibration or its timing is wrong.",
+        name,
+        of_camera[worst],
+        "Refine the calibration (`refine_calibration`), calibrate the camera again, or check its offset.",
+    )

@@ -178,5 +178,17 @@ WARNINGS = CodeGroup(
             "stature_out_of_range", _WARNING, "A person is not 1.0 to 2.3 m tall.", "Check the calibration's unit."
         ),
         ProblemCode("camera_below_floor", _WARNING, "A camera is below the floor.", "Check the calibration's axes."),
+        ProblemCode(
+            "mirrored_world",
+            _WARNING,
+            "People's left and right are exchanged.",
+            "Check the signs of the calibration's axes, and that the videos are not mirrored.",
+        ),
+        ProblemCode(
+            "camera_disagrees",
+            _WARNING,
+            "A camera sees people elsewhere than the other cameras do.",
+            "Refine the calibration; see [refinement](calibration.md#refinement). Or check the camera's offset.",
+        ),
     ),
 )

@@ -1,11 +1,13 @@
 import numpy as np
 import pytest
 
+from pipeline.calibration.refinement.adjust import move_camera
 from pipeline.data import Camera
 from pipeline.joints import COCO_17
+from pipeline.quality.epipolar_distances import epipolar_distances_m
 from pipeline.quality.report import estimate_stature_m
 from pipeline.quality.world_checks import world_checks
-from tests.pipeline.quality.test_report import CAMERAS, camera, reconstruction
+from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
 from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
 
 
@@ -66,3 +68,34 @@ def test_many_cameras_below_the_floor_are_not_all_named() -> None:
     sunk = (*CAMERAS, *(camera(f"low-{k}", 0.0, height_m=-1.0) for k in range(12)))
     (check,) = world_checks(reconstruction(track_of(WALK_M), cameras=sunk), {1: 1.7})
     assert check["message"].endswith("low-8, low-9 and 2 more.")
+
+
+def test_a_mirrored_world_is_named() -> None:
+    """People of a mirrored world raise the hand of the other side."""
+    mirrored = WALK_M * np.array([-1.0, 1.0, 1.0])
+    track = track_of(mirrored)
+    (check,) = world_checks(reconstruction(track), {1: 1.7})
+    assert (check["code"], check["camera"], check["evidence"]) == ("mirrored_world", None, 1.0)
+
+
+def test_units_that_fit_people_are_named() -> None:
+    (check,) = world_checks(reconstruction(track_of(WALK_M)), {1: 172.0})
+    assert check["evidence"] == 172.0
+    assert "cm" in check["hint"]
+
+
+def test_a_camera_that_was_turned_is_named_with_its_distance() -> None:
+    step = np.array([np.radians(2.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    given = (CAMERAS[0], move_camera(CAMERAS[1], step), CAMERAS[2])
+    track = track_of(WALK_M)
+    observed = (observe(track),)
+    good = reconstruction(track, observations=observed)
+    assert max(epipolar_distances_m(good).values()) < 1e-9
+    turned = reconstruction(track, observations=observed, cameras=given)
+    far_m = epipolar_distances_m(turned)
+    assert far_m[0, 2] < 1e-9
+    # Five metres away, two degrees are 17 cm; the mean of both images' distances to the lines.
+    assert far_m[0, 1] == pytest.approx(0.17, abs=0.05)
+    (check,) = world_checks(turned, {1: 1.7})
+    assert (check["code"], check["camera"]) == ("camera_disagrees", "b")
+    assert check["evidence"] == pytest.approx(np.median([far_m[0, 1], far_m[1, 2]]), abs=1e-3)

@@ -1,7 +1,7 @@
 """The stage ``refine``: calibrations that are off, reports, result files and the cut into chunks."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +13,19 @@ from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, CameraBump, CameraMove, Refinement
+from pipeline.data import Camera, CameraBump, CameraMove, PafFields, Refinement
+from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.export.results import write_results
+from pipeline.joints import COCO_18
 from pipeline.progress import Progress
 from pipeline.quality.report import quality_report
 from pipeline.simulation.scenes import find_scene, record
+from pipeline.simulation.views.fields import GRID, render
 from pipeline.stages.local import reconstruct
 from pipeline.stages.outputs_npz import decode_refinement, encode_refinement
 from pipeline.stages.plan import ASSOCIATE, REFINE
+from pipeline.stages.refinement import refine_from_fields
+from pipeline.video.timeline import span_s
 from tests.pipeline.simulations import write_simulation
 
 CONFIG = ReconstructionConfig(refine_calibration="auto", smoothing="none", exports=("csv",))
@@ -111,3 +116,28 @@ def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
     assert found == report
     assert content == encode_refinement(cameras, found)
     assert [camera.name for camera in cameras] == [camera.name for camera in session.cameras]
+
+
+@pytest.mark.slow
+def test_a_disturbed_calibration_is_refined_from_fields() -> None:
+    simulation = record(replace(find_scene("room"), duration_s=4.0), seed=2)
+    disturbed = disturb_calibration(simulation, 1.0, 0.0, seed=1)
+    session = KeypointSession(disturbed.cameras, simulation.times, simulation.timebase, {}, COCO_18, {}, ())
+
+    def chunks() -> Iterator[tuple[range, Mapping[str, PafFields]]]:
+        for start in range(0, simulation.timebase.num_frames, 25):
+            frames = range(start, min(start + 25, simulation.timebase.num_frames))
+            span = span_s(simulation.timebase, frames.start, frames.stop)
+            yield frames, render(simulation.sketches, simulation.times, span)
+
+    config = ReconstructionConfig(
+        "clustering", "openpose-mobilenet-thin", refine_calibration="auto", clustering={"tau2": GRID.tau2}
+    )
+    shares: list[float] = []
+    cameras, report = refine_from_fields(session, chunks, COCO_18, config, shares.append)
+    assert report.refined
+    assert report.error_after_px < 0.6 * report.error_before_px
+    given, refined = (camera_errors(simulation.cameras, some) for some in (disturbed.cameras, cameras))
+    assert refined["rotation_deg"] < 0.5 * given["rotation_deg"]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
