@@ -28,7 +28,9 @@ IN_TUPLES = {
     "pipeline/capture/session.py": {"_range_problems"},
     "worker/jobs/spec.py": {"problems"},
     "pipeline/quality/capture_checks.py": None,
-    "pipeline/quality/world_checks.py": None,
+    "pipeline/quality/world_checks.py": {
+        f"_check_{what}" for what in ("upright", "floor", "statures", "cameras", "handedness", "pairs")
+    },
 }
 # Functions that get their codes from a caller or a mapping; the codes are found there.
 PASSED_ON = {
