@@ -39,6 +39,12 @@ COMMANDS = CodeGroup(
         ),
         ProblemCode("parameter_range", _COMMAND, "The value of the parameter is not allowed.", "Use an allowed value."),
         ProblemCode("parameter_unreadable", _COMMAND, "The option is not NAME=NUMBER.", "Write it as in the hint."),
+        ProblemCode(
+            "no_refinement",
+            _COMMAND,
+            "The evaluation refines calibrations from whole bodies only.",
+            "Use `--evidence bodies`, or omit `--turn`, `--shift` and `--refine-calibration`.",
+        ),
         ProblemCode("no_ablation", _COMMAND, "The method has no ablation here.", "Omit `--ablation`."),
         ProblemCode("wrong_number_of_views", _COMMAND, "The scene does not have so many cameras.", "Ask for fewer."),
         ProblemCode("negative_seed", _COMMAND, "The seed is negative.", "Use 0 or more."),
