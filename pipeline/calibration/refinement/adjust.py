@@ -283,7 +283,8 @@ def _sigma(
     basis = np.eye(len(kept))
     if free[:, : FOCAL.start].all():
         # Cameras that see hardly anything do not fix the world.
-        is_fixed = np.diag(normal).reshape(len(cameras), -1).min(-1) > _MIN_INFORMATION
+        information = (np.diag(reduced).reshape(free.shape) * PRIOR_SIGMA**2)[:, : FOCAL.start]
+        is_fixed = information.min(-1) > _MIN_INFORMATION
         moves = np.linalg.solve(scaled, (_world_moves(cameras) * is_fixed[:, None, None]).reshape(-1, 7)[kept])
         left, values, _ = np.linalg.svd(moves)
         basis = left[:, int((values > 1e-9 * values.max(initial=1e-9)).sum()) :]

@@ -87,3 +87,12 @@ def test_a_camera_that_sees_nobody_is_as_uncertain_as_before() -> None:
     sigma = adjust(CAMERAS, CAMERAS, sightings.without(hidden), POSES).sigma
     assert sigma[3, :3].min() > 0.5 * PRIOR_SIGMA[0]
     assert sigma[:3, :3].max() < np.radians(0.2)
+
+
+def test_focal_lengths_may_be_free_for_some_cameras_alone() -> None:
+    free = POSES.copy()
+    free[:2, FOCAL] = True
+    sigma = adjust(CAMERAS, CAMERAS, see(CAMERAS, *walk(5.0)), free).sigma
+    assert (sigma[2:, FOCAL] == 0.0).all()
+    assert (sigma[:2, FOCAL] > 0.0).all()
+    assert sigma[:, :3].max() < np.radians(0.2)
