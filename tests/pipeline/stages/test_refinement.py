@@ -68,7 +68,7 @@ def test_a_disturbed_calibration_is_refined_reported_and_written(
     assert far_m < 0.02
     errors_px = [quality_report(one)["reprojection_error_px"]["median"] for one in (given, refined)]
     assert errors_px[1] < 0.6 * errors_px[0]
-    paths = {path.name: path for path in write_results(refined, tmp_path, ("csv",))}
+    paths = {path.name: path for path in write_results(refined, tmp_path, ["csv"])}
     written = read_calibration(paths["calibration.json"])
     for camera, other in zip(refined.cameras, written, strict=True):
         assert (camera.matrix == other.matrix).all()
@@ -87,7 +87,7 @@ def test_a_good_calibration_gives_the_same_files_as_without_refinement(
     assert not auto.refinement.refined
     names = []
     for name, one in (("off", off), ("auto", auto)):
-        names.append([path.name for path in write_results(one, tmp_path / name, ("csv",))])
+        names.append([path.name for path in write_results(one, tmp_path / name, ["csv"])])
     assert names[0] == names[1]
     for name in set(names[0]) - {"metrics.json"}:
         assert (tmp_path / "off" / name).read_bytes() == (tmp_path / "auto" / name).read_bytes()
