@@ -19,10 +19,12 @@ from api.cli.commands.reconstruct import write_results
 from api.contract.openapi import COMMITTED
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
+from pipeline.evaluation.camera_errors import disturb_calibration
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
 from tests.e2e.serving import Served, digests
+from tests.pipeline.simulations import write_simulation
 
 pytestmark = pytest.mark.xdist_group("sample")
 
@@ -103,6 +105,23 @@ def test_some_frames_and_some_people_at_another_rate(
     assert len(skeletons["tracks"]) == 2
     assert json.loads((tmp_path / "metrics.json").read_bytes())["frame_rate_hz"] == rate_hz
     assert skeletons["start_time_s"] == pytest.approx(session.timebase.time_s(20))
+
+
+@pytest.mark.slow
+def test_a_disturbed_calibration_is_refined_with_the_same_files(served: Served, tmp_path: Path) -> None:
+    simulation = disturb_calibration(record(replace(find_scene("room"), duration_s=5.0), seed=2), 1.0, 0.0, seed=1)
+    capture, results = tmp_path / "capture", tmp_path / "results"
+    write_simulation(simulation, capture)
+    session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
+    write_results(reconstruct(session, ReconstructionConfig(refine_calibration="auto")), results)
+    spec = ("spec", (None, json.dumps({"refine_calibration": "auto"})))
+    answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
+    assert answer.status_code == 202, answer.text
+    job = served.wait_for_end(answer.json()["id"])
+    assert [stage["name"] for stage in job["stages"]] == ["refine", "associate", "identify", "fit", "export"]
+    assert "calibration_refined" in [warning["code"] for warning in job["result_warnings"]]
+    assert served.downloads(job["id"]) == digests(results)
+    assert (results / "calibration.json").exists()
 
 
 @pytest.fixture
