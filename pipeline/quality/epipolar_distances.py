@@ -29,7 +29,6 @@ def epipolar_distances_m(reconstruction: Reconstruction) -> Pairs:
     Pairs with fewer than 100 common joints are left out, and cameras that stand side by side.
     """
     cameras = reconstruction.cameras
-    fundamentals = fundamental_matrices(cameras)
     body = [number for number, name in enumerate(reconstruction.joints.names) if name not in FINGER_JOINTS]
     centers_m = [center_in_world(camera) for camera in cameras]
     pairs = [
@@ -37,6 +36,9 @@ def epipolar_distances_m(reconstruction: Reconstruction) -> Pairs:
         for i, j in itertools.combinations(range(len(cameras)), 2)
         if np.linalg.norm(centers_m[i] - centers_m[j]) > _MIN_BASELINE_M
     ]
+    if not pairs:
+        return {}
+    fundamentals = fundamental_matrices(cameras)
     found: dict[tuple[int, int], list[Float[np.ndarray, " _"]]] = {}
     for track, observed in zip(reconstruction.located, reconstruction.observations, strict=True):
         rows = slice(None, None, max(1, track.num_frames // _MAX_FRAMES))

@@ -99,3 +99,9 @@ def test_a_camera_that_was_turned_is_named_with_its_distance() -> None:
     (check,) = world_checks(turned, {1: 1.7})
     assert (check["code"], check["camera"]) == ("camera_disagrees", "b")
     assert check["evidence"] == pytest.approx(np.median([far_m[0, 1], far_m[1, 2]]), abs=1e-3)
+
+
+def test_one_camera_or_none_makes_no_pair() -> None:
+    track = track_of(WALK_M)
+    for cameras in (CAMERAS[:1], ()):
+        assert epipolar_distances_m(reconstruction(track, observations=(observe(track),), cameras=cameras)) == {}
