@@ -52,7 +52,7 @@ def page(served: Served) -> Iterator[Page]:
 def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, results: Path) -> None:
     page.get_by_label("Name").fill("<b>Take</b> 1")
     page.get_by_label("Videos").set_input_files(list(sample.videos.values()))
-    page.get_by_label("Calibration").set_input_files(sample.calibration)
+    page.get_by_label("Calibration of all cameras").set_input_files(sample.calibration)
     page.get_by_role("button", name="Send and reconstruct").click()
     job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
     expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
@@ -106,7 +106,7 @@ def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_pat
     calibration = tmp_path / "calibration.toml"
     calibration.write_text("no calibration")
     page.get_by_label("Videos").set_input_files([broken, sample.videos[min(sample.videos)]])
-    page.get_by_label("Calibration").set_input_files(calibration)
+    page.get_by_label("Calibration of all cameras").set_input_files(calibration)
     page.get_by_role("button", name="Send and reconstruct").click()
     problems = page.locator("form").get_by_role("alert")
     expect(problems).to_contain_text("broken.mp4", timeout=60_000)

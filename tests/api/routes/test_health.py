@@ -55,7 +55,7 @@ def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) ->
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
     assert (item["code"], item["hint"]) == (
         "model_unavailable",
-        "Run: multicap models install movenet-multipose blazepose-full",
+        "Run: multicap models install movenet-multipose-int8 blazepose-full",
     )
 
 
@@ -93,7 +93,7 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     # The request has no field for a pointer.
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
     listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
-    assert listed == {name: name == "movenet-multipose" for name in NETWORKS}
+    assert listed == {name: name == "movenet-multipose-int8" for name in NETWORKS}
 
 
 def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live) -> None:
@@ -103,13 +103,12 @@ def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live)
     answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json=spec)
     (item,) = problem_of(answer, 422, "invalid_request")["errors"]
     assert (item["code"], item["pointer"]) == ("detector_not_installed", "/profile")
-    assert item["hint"] == "Run: multicap models install blazepose-heavy mediapipe-hand"
+    assert item["hint"] == "Run: multicap models install movenet-multipose blazepose-heavy mediapipe-hand"
     profiles = {one["name"]: one for one in live.client.get("/v1/options").json()["profiles"]}
     installed = {
         (name, one["joints"]): one["installed"] for name, profile in profiles.items() for one in profile["joints"]
     }
     assert {key for key, is_installed in installed.items() if is_installed} == {
-        ("balanced", "body"),
-        ("balanced", "feet"),
+        (profile, joints) for profile in ("fast", "balanced") for joints in ("body", "feet")
     }
     assert profiles["fast"]["default_joints"] == "body"
