@@ -1,0 +1,1 @@
+"""Bundle adjustment: cameras and points, or rigid bodies of points, fitted together to observations."""

@@ -1,0 +1,132 @@
+"""Bundle adjustment: robust Levenberg-Marquardt with the structure eliminated, and the covariance of the cameras."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.adjustment.normal import State, build, cost, residuals_px
+from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, Parameters, move_camera
+from pipeline.calibration.adjustment.problem import Problem
+from pipeline.calibration.adjustment.structure import Structure
+from pipeline.data import Camera, read_only
+
+_MIN_SIGMA_PX, _NUM_SCALES, _MAX_STEPS = 0.01, 4, 60
+_MAX_DAMPING, _MIN_DAMPING = 1e10, 1e-12
+# Ends of the search: relative decrease of the cost, and relative change of the noise between searches.
+_SMALL_DECREASE, _SMALL_CHANGE = 1e-9, 1e-3
+# Directions with less information than this share of a parameter's own are undetermined.
+_UNDETERMINED = 1e-11
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjustment:
+    """Adjusted cameras and structure.
+
+    Parameters
+    ----------
+    cameras, structure, lengths_m
+        Unknowns after the adjustment.
+    sigma
+        Standard deviations of the cameras' parameters: 0 where a parameter was not free, infinite where the data don't
+        determine it.
+    residuals_px
+        Projections minus observations.
+    sigma_px
+        Standard deviation of an observation's coordinate.
+    """
+
+    cameras: tuple[Camera, ...]
+    structure: Structure
+    lengths_m: Float[np.ndarray, " lengths"]
+    sigma: Parameters
+    residuals_px: Float[np.ndarray, "n 2"]
+    sigma_px: float
+
+
+def adjust(
+    problem: Problem,
+    structure: Structure,
+    start: tuple[Camera, ...] | None = None,
+    sigma_px: float | None = None,
+    max_steps: int = _MAX_STEPS,
+) -> Adjustment:
+    """Fit cameras and structure to observations.
+
+    Parameters
+    ----------
+    structure
+        Structure with which the search begins. Every point must be in front of the cameras that see it.
+    start
+        Cameras with which the search begins; the given ones by default.
+    sigma_px
+        Standard deviation of an observation's coordinate; by default estimated from the residuals, robustly.
+    max_steps
+        Limit on the steps of a search.
+    """
+    state = State(start or problem.cameras, structure, problem.lengths_m)
+    noise_px = sigma_px or _noise_px(problem, state)
+    for _ in range(_NUM_SCALES):
+        state = _search(problem, state, noise_px, max_steps)
+        found_px = sigma_px or _noise_px(problem, state)
+        is_settled = abs(np.log(found_px / noise_px)) < _SMALL_CHANGE
+        noise_px = found_px
+        if is_settled:
+            break
+    sigma = camera_sigma(problem, state, noise_px)
+    return Adjustment(
+        state.cameras, state.structure, state.lengths_m, sigma, read_only(residuals_px(problem, state)), noise_px
+    )
+
+
+def camera_sigma(problem: Problem, state: State, sigma_px: float) -> Parameters:
+    """Compute standard deviations of the cameras' parameters from the inverse of the reduced normal matrix."""
+    sigma = np.zeros((len(state.cameras), NUM_PARAMETERS))
+    reduced = build(problem, state, sigma_px).reduced()
+    diagonal = np.diag(reduced)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(scale[:, None] * reduced * scale)
+    is_known = values > _UNDETERMINED * max(1.0, values.max(initial=0.0))
+    variance = (vectors[:, is_known] ** 2 / values[is_known]).sum(1) * scale**2
+    is_open = (vectors[:, ~is_known] ** 2).sum(1) > np.sqrt(_UNDETERMINED)
+    sigma[problem.free] = np.where(is_open, np.inf, np.sqrt(variance))[: problem.free.sum()]
+    return read_only(sigma)
+
+
+def _noise_px(problem: Problem, state: State) -> float:
+    """Estimate the noise of a coordinate from the median distance (Rayleigh), for the freedom of the unknowns."""
+    distance_px = np.linalg.norm(residuals_px(problem, state), axis=-1)
+    distance_px = distance_px[np.isfinite(distance_px)]
+    if not len(distance_px):
+        return _MIN_SIGMA_PX
+    num_unknowns = problem.free.sum() + state.structure.num_blocks * state.structure.block_size
+    left = max(0.1, 1.0 - float(num_unknowns) / (2 * len(distance_px)))
+    return max(_MIN_SIGMA_PX, float(np.median(distance_px)) / np.sqrt(2 * np.log(2)) / np.sqrt(left))
+
+
+def _search(problem: Problem, state: State, sigma_px: float, max_steps: int) -> State:
+    """Run Levenberg-Marquardt from a state with a fixed noise."""
+    damping, lowest = 1e-4, cost(problem, state, sigma_px)
+    for _ in range(max_steps):
+        normal = build(problem, state, sigma_px)
+        before = lowest
+        while damping < _MAX_DAMPING:
+            changed = _moved(problem, state, *normal.step(damping))
+            if (found := cost(problem, changed, sigma_px)) < lowest:
+                state, lowest = changed, found
+                break
+            damping *= 10.0
+        damping = max(_MIN_DAMPING, damping / 10.0)
+        if before - lowest <= _SMALL_DECREASE * before:
+            break
+    return state
+
+
+def _moved(
+    problem: Problem, state: State, step: Float[np.ndarray, " parameters"], of_blocks: Float[np.ndarray, "blocks size"]
+) -> State:
+    num_free = int(problem.free.sum())
+    of_cameras = np.zeros(problem.free.shape)
+    of_cameras[problem.free] = step[:num_free]
+    cameras = tuple(move_camera(camera, one) for camera, one in zip(state.cameras, of_cameras, strict=True))
+    return State(cameras, state.structure.moved(of_blocks), read_only(state.lengths_m + step[num_free:]))

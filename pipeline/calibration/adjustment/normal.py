@@ -1,0 +1,205 @@
+"""Normal equations of an adjustment, with the blocks of the structure eliminated.
+
+Schur complement: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse.linalg import splu
+
+from pipeline.calibration.adjustment.links import LinkRows
+from pipeline.calibration.adjustment.parameters import offsets
+from pipeline.calibration.adjustment.problem import Problem
+from pipeline.calibration.adjustment.projection import linearise
+from pipeline.calibration.adjustment.structure import Points, Structure
+from pipeline.data import Camera
+from pipeline.geometry.camera import project
+
+# Added to the diagonal of a block, relative to its trace: a block that is hardly seen stays where it is.
+_RIDGE = 1e-10
+
+Solver = Callable[[Float[np.ndarray, "unknowns columns"]], Float[np.ndarray, "unknowns columns"]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Unknowns of an adjustment: cameras, structure, lengths of links."""
+
+    cameras: tuple[Camera, ...]
+    structure: Structure
+    lengths_m: Float[np.ndarray, " lengths"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normal:
+    """Normal equations. The first unknowns are the cameras' free parameters, then the lengths ("fixed"), then blocks.
+
+    Parameters
+    ----------
+    fixed, fixed_right
+        Normal matrix and right side of the free parameters and lengths.
+    mixed
+        Mixed part, blocks by free parameters and lengths.
+    blocks, blocks_right
+        Diagonal blocks and right side of the structure.
+    coupling
+        What links add to the normal matrix of the structure; ``None`` without links.
+    """
+
+    fixed: Float[np.ndarray, "parameters parameters"]
+    fixed_right: Float[np.ndarray, " parameters"]
+    mixed: Float[np.ndarray, "unknowns parameters"]
+    blocks: Float[np.ndarray, "blocks size size"]
+    blocks_right: Float[np.ndarray, " unknowns"]
+    coupling: csc_array | None
+
+    def reduced(self) -> Float[np.ndarray, "parameters parameters"]:
+        """Normal matrix of free parameters and lengths after the elimination: the inverse of their covariance."""
+        return self.fixed - self.mixed.T @ self._solver(0.0)(self.mixed)
+
+    def step(self, damping: float) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "blocks size"]]:
+        """Damped step of free parameters and lengths, and of the blocks.
+
+        Raises
+        ------
+        LinAlgError
+            If the equations are singular.
+        """
+        solve = self._solver(damping)
+        eliminated = solve(np.column_stack([self.mixed, self.blocks_right]))
+        diagonal = np.diag(self.fixed)
+        reduced = self.fixed + damping * np.diag(diagonal) - self.mixed.T @ eliminated[:, :-1]
+        # Scaled by the diagonal: units of the parameters differ by powers of ten.
+        scale = 1.0 / np.sqrt(np.maximum(diagonal, np.finfo(float).tiny))
+        right = self.fixed_right - self.mixed.T @ eliminated[:, -1]
+        step = -scale * np.linalg.solve(scale[:, None] * reduced * scale, scale * right)
+        of_blocks = -(eliminated[:, -1] + eliminated[:, :-1] @ step)
+        return step, of_blocks.reshape(self.blocks.shape[:2])
+
+    def _solver(self, damping: float) -> Solver:
+        size = self.blocks.shape[1]
+        along = np.arange(size)
+        blocks = self.blocks.copy()
+        if self.coupling is not None:
+            blocks[:, along, along] += damping * self.coupling.diagonal().reshape(-1, size)
+        blocks[:, along, along] += damping * self.blocks[:, along, along]
+        trace = np.trace(blocks, axis1=1, axis2=2)
+        blocks[:, along, along] += _RIDGE * np.maximum(trace, np.median(trace) if len(trace) else 0.0)[:, None]
+        if self.coupling is None:
+            inverse = np.linalg.inv(blocks)
+            return lambda right: (inverse @ right.reshape(len(blocks), size, -1)).reshape(right.shape)
+        numbers = np.arange(len(blocks) + 1)
+        matrix = csc_array(bsr_array((blocks, numbers[:-1], numbers)) + self.coupling)
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        return lambda right: np.asarray(factors.solve(np.ascontiguousarray(right)))
+
+
+def build(problem: Problem, state: State, sigma_px: float) -> Normal:
+    """Build the normal equations of a state for the noise of the observations; weights are those of the loss."""
+    starts = np.concatenate([[0], np.cumsum(problem.free.sum(1))])
+    total, num_blocks, size = (
+        int(starts[-1]) + len(state.lengths_m), state.structure.num_blocks, state.structure.block_size
+    )  # fmt: skip
+    fixed, fixed_right = np.zeros((total, total)), np.zeros(total)
+    mixed = np.zeros((num_blocks, size, total))
+    blocks, blocks_right = np.zeros((num_blocks, size, size)), np.zeros((num_blocks, size))
+    xyz_m, by_block = state.structure.in_world(problem.observations.block, problem.observations.model_m)
+    for number in range(len(state.cameras)):
+        own = slice(starts[number], starts[number + 1])
+        rows = np.flatnonzero(problem.observations.camera == number)
+        A, B, residual = _weighted_rows(problem, state, number, xyz_m[rows], by_block[rows], sigma_px)
+        flat = A.reshape(2 * len(rows), A.shape[-1])
+        fixed[own, own] = flat.T @ flat
+        fixed_right[own] = flat.T @ residual.ravel()
+        products = np.concatenate([B.swapaxes(1, 2) @ part for part in (A, B, residual[:, :, None])], axis=2)
+        by_blocks = csr_array(
+            (np.ones(len(rows)), (problem.observations.block[rows], np.arange(len(rows)))), (num_blocks, len(rows))
+        )
+        sums = (by_blocks @ products.reshape(len(rows), size * products.shape[-1])).reshape(num_blocks, size, -1)
+        mixed[:, :, own] = sums[:, :, : A.shape[-1]]
+        blocks += sums[:, :, A.shape[-1] : -1]
+        blocks_right += sums[:, :, -1]
+    offset = np.concatenate(
+        [offsets(problem.cameras, state.cameras)[problem.free], state.lengths_m - problem.lengths_m]
+    )
+    precision = np.concatenate([problem.prior_sigma[problem.free], problem.length_sigma_m]) ** -2.0
+    fixed[np.diag_indices(total)] += precision
+    fixed_right += precision * offset
+    coupling: csc_array | None = None
+    right, flat_mixed, lengths = blocks_right.ravel(), mixed.reshape(-1, total), slice(int(starts[-1]), total)
+    for link in problem.links:
+        rows_of_link = link.linearise(_xyz_m(state.structure), state.lengths_m)
+        J, L, residual = _jacobians(rows_of_link, num_blocks, len(state.lengths_m))
+        coupling = csc_array(J.T @ J if coupling is None else coupling + J.T @ J)
+        right += J.T @ residual
+        flat_mixed[:, lengths] += (J.T @ L).toarray()
+        fixed[lengths, lengths] += (L.T @ L).toarray()
+        fixed_right[lengths] += L.T @ residual
+    return Normal(fixed, fixed_right, flat_mixed, blocks, right, coupling)
+
+
+def _weighted_rows(
+    problem: Problem,
+    state: State,
+    number: int,
+    xyz_m: Float[np.ndarray, "n 3"],
+    by_block: Float[np.ndarray, "n 3 size"],
+    sigma_px: float,
+) -> tuple[Float[np.ndarray, "n 2 parameters"], Float[np.ndarray, "n 2 size"], Float[np.ndarray, "n 2"]]:
+    """Rows of a camera's observations, times the roots of their weights.
+
+    Returns
+    -------
+        Derivatives by the camera's free parameters, derivatives by the block, and residuals.
+    """
+    points_px, by_camera, by_point = linearise(state.cameras[number], xyz_m)
+    residual = (points_px - problem.observations.points_px[problem.observations.camera == number]) / sigma_px
+    root = np.sqrt(problem.loss.weights(np.linalg.norm(residual, axis=-1)))
+    factor = (root / sigma_px)[:, None, None]
+    return factor * by_camera[:, :, problem.free[number]], factor * (by_point @ by_block), root[:, None] * residual
+
+
+def cost(problem: Problem, state: State, sigma_px: float) -> float:
+    """Loss of the observations, priors and links; infinite if a point is behind a camera that sees it."""
+    distance = np.linalg.norm(residuals_px(problem, state), axis=-1) / sigma_px
+    total = problem.loss.cost(distance)
+    total += float(((offsets(problem.cameras, state.cameras) / problem.prior_sigma) ** 2)[problem.free].sum())
+    total += float((((state.lengths_m - problem.lengths_m) / problem.length_sigma_m) ** 2).sum())
+    for link in problem.links:
+        total += float((link.linearise(_xyz_m(state.structure), state.lengths_m).residual ** 2).sum())
+    return total if np.isfinite(total) else np.inf
+
+
+def residuals_px(problem: Problem, state: State) -> Float[np.ndarray, "n 2"]:
+    """Projections minus observations; NaN behind a camera."""
+    seen = problem.observations
+    xyz_m, _ = state.structure.in_world(seen.block, seen.model_m)
+    residual_px = np.full(seen.points_px.shape, np.nan)
+    for number, camera in enumerate(state.cameras):
+        rows = seen.camera == number
+        residual_px[rows] = project(camera, xyz_m[rows]) - seen.points_px[rows]
+    return residual_px
+
+
+def _xyz_m(structure: Structure) -> Float[np.ndarray, "points 3"]:
+    """Coordinates of free points; links are between free points only."""
+    if not isinstance(structure, Points):
+        raise TypeError("Links need free points.")
+    return structure.xyz_m
+
+
+def _jacobians(
+    rows: LinkRows, num_points: int, num_lengths: int
+) -> tuple[csr_array, csr_array, Float[np.ndarray, " rows"]]:
+    """Sparse derivatives of link rows by the coordinates of the points and by the lengths, and the residuals."""
+    number = np.arange(len(rows.residual))
+    columns = 3 * rows.points[:, :, None] + np.arange(3)
+    by_points = csr_array(
+        (rows.by_points.ravel(), (np.repeat(number, 6), columns.ravel())), (len(number), 3 * num_points)
+    )
+    by_lengths = csr_array((rows.by_length, (number, rows.length)), (len(number), max(num_lengths, 1)))
+    return by_points, by_lengths[:, :num_lengths], rows.residual

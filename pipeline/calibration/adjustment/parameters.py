@@ -1,0 +1,70 @@
+"""Parameters of a camera in an adjustment, as a vector of 22 steps from the present camera.
+
+Rotation in the camera's own axes (radians), shift of its centre (metres), logarithm of both focal lengths, logarithm of
+their ratio fy / fx, principal point (pixels), and OpenCV's twelve distortion coefficients in OpenCV's order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from pipeline.data import Camera, read_only
+from pipeline.geometry.camera import center_in_world, twelve_coefficients
+from pipeline.geometry.rigid import Rigid3
+
+ROTATION, POSITION, EXTRINSICS = slice(0, 3), slice(3, 6), slice(0, 6)
+FOCAL, ASPECT, PRINCIPAL, DISTORTION = slice(6, 7), slice(7, 8), slice(8, 10), slice(10, 22)
+NUM_PARAMETERS = 22
+
+Parameters = Float[np.ndarray, "cameras 22"]
+Free = Bool[np.ndarray, "cameras 22"]
+
+
+def none_free(num_cameras: int) -> Free:
+    """Mask of the free parameters in which no parameter is free; set the free ones by the slices of this module."""
+    return np.zeros((num_cameras, NUM_PARAMETERS), bool)
+
+
+def no_prior(num_cameras: int) -> Parameters:
+    """Standard deviations of parameters about which nothing is known: infinite."""
+    return np.full((num_cameras, NUM_PARAMETERS), np.inf)
+
+
+def move_camera(camera: Camera, step: Float[np.ndarray, " 22"]) -> Camera:
+    """Change a camera by a step of its parameters; coefficients beyond those that the camera has must stay zero."""
+    if not step.any():
+        return camera
+    rotation = Rotation.from_rotvec(step[ROTATION]).as_matrix() @ camera.cam_from_world.rotation
+    center_m = center_in_world(camera) + step[POSITION]
+    matrix = camera.matrix.copy()
+    matrix[:2, :2] *= np.exp(step[FOCAL])
+    matrix[1, 1] *= np.exp(step[ASPECT][0])
+    matrix[:2, 2] += step[PRINCIPAL]
+    return replace(
+        camera,
+        matrix=read_only(matrix),
+        distortion=read_only(camera.distortion + step[DISTORTION][: len(camera.distortion)]),
+        cam_from_world=Rigid3(read_only(rotation), read_only(-rotation @ center_m)),
+    )
+
+
+def offsets(given: Sequence[Camera], cameras: Sequence[Camera]) -> Parameters:
+    """Parameters of cameras relative to given ones: the steps of ``move_camera`` that lead to the cameras."""
+    return np.array([_offset(then, now) for then, now in zip(given, cameras, strict=True)])
+
+
+def _offset(then: Camera, now: Camera) -> Float[np.ndarray, " 22"]:
+    turn = now.cam_from_world.rotation @ then.cam_from_world.rotation.T
+    log_ratio = np.log(now.matrix.diagonal()[:2] / then.matrix.diagonal()[:2])
+    return np.concatenate(
+        [
+            Rotation.from_matrix(turn).as_rotvec(),
+            center_in_world(now) - center_in_world(then),
+            [log_ratio[0], log_ratio[1] - log_ratio[0]],
+            now.matrix[:2, 2] - then.matrix[:2, 2],
+            twelve_coefficients(now.distortion) - twelve_coefficients(then.distortion),
+        ]
+    )
