@@ -7,8 +7,9 @@ from pathlib import Path
 from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.contents import UNITS_M, Contents, Units, scaled
-from pipeline.calibration.readers import archive, colmap, json_formats, opencv, qca, toml_format, vicon
+from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
+from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.capture.parsing import UnreadableError, parse
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
@@ -19,8 +20,8 @@ Reader = Callable[[bytes, str], Contents]
 MAX_BYTES = 4 * 2**20
 
 SUPPORTED = (
-    "Use Qualisys QCA, Vicon XCP, TOML (Caliscope, anipose, Pose2Sim, FreeMoCap), JSON, OpenCV's YAML or XML, "
-    "EasyMocap, COLMAP, CMU Panoptic, VoxelPose or bioCV."
+    "Use Qualisys QCA, Vicon XCP, OptiTrack MCAL, TOML (Caliscope, anipose, Pose2Sim, FreeMoCap), JSON, OpenCV's YAML "
+    "or XML, EasyMocap, COLMAP, CMU Panoptic, VoxelPose, MVPose, OpenCap or bioCV."
 )
 
 
@@ -36,7 +37,8 @@ def _read_xml(content: bytes, file: str) -> Contents:
         root = ""
     if root == "opencv_storage":
         return _read_file_storage(read_xml, content, file)
-    return vicon.read(content, file) if root == vicon.ROOT else qca.read(content, file)
+    readers: Mapping[str, Reader] = {vicon.ROOT: vicon.read, optitrack.ROOT: optitrack.read}
+    return readers.get(root, qca.read)(content, file)
 
 
 def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> Contents:
@@ -59,6 +61,9 @@ _BY_ENDING: Mapping[str, Reader] = {
     ".xml": _read_xml,
     ".qca": qca.read,
     ".xcp": vicon.read,
+    ".mcal": optitrack.read,
+    ".pickle": pickled.read,
+    ".pkl": pickled.read,
     ".yml": _read_yaml,
     ".yaml": _read_yaml,
     ".zip": archive.read,

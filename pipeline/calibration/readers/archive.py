@@ -1,4 +1,4 @@
-"""Calibrations of several files, in a zip: EasyMocap, COLMAP, bioCV, and OpenCV with a file a camera."""
+"""Calibrations of several files, in a zip: EasyMocap, COLMAP, bioCV, OpenCap, and OpenCV with a file a camera."""
 
 import io
 import zipfile
@@ -9,6 +9,7 @@ from typing import Any
 from pipeline.calibration.contents import Contents, in_metres
 from pipeline.calibration.readers import colmap, opencv
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
+from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
 from pipeline.capture.parsing import UnreadableError, parse
 from pipeline.errors import InputError, Problem
@@ -16,6 +17,7 @@ from pipeline.errors import InputError, Problem
 _MAX_ENTRIES = 2 * MAX_CAMERAS
 _MAX_UNPACKED_BYTES = 16 * 2**20
 _PARSERS = {".yml": read_yaml, ".yaml": read_yaml, ".xml": read_xml, ".json": read_object}
+_OPENCAP = "cameraIntrinsicsExtrinsics.pickle"
 # Numbers of a bioCV file: width, height, K, a transform of 4 x 4, and at least 4 distortion coefficients.
 _MIN_BIOCV_NUMBERS = 2 + 9 + 16 + 4
 
@@ -30,13 +32,14 @@ def read(content: bytes, file: str) -> Contents:
         raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
     if found is None:
         message = "The archive has no calibration of a supported format."
-        hint = "Pack intri.yml and extri.yml, cameras.txt and images.txt, or a file of OpenCV or bioCV for each camera."
+        files = "a file of OpenCV, OpenCap or bioCV for each camera"
+        hint = f"Pack intri.yml and extri.yml, cameras.txt and images.txt, or {files}."
         raise InputError([Problem("calibration_format", message, file=file, hint=hint)])
     return found
 
 
 def _unpack(content: bytes) -> dict[str, bytes]:
-    """Read all files by their base names; hidden files and those of other endings are left out."""
+    """Read all files by their base names; hidden files are left out."""
     members: dict[str, bytes] = {}
     left = _MAX_UNPACKED_BYTES
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -44,7 +47,7 @@ def _unpack(content: bytes) -> dict[str, bytes]:
         if len(entries) > _MAX_ENTRIES:
             raise UnreadableError
         for entry in entries:
-            name = PurePosixPath(entry.filename).name
+            name = _name(PurePosixPath(entry.filename))
             if entry.is_dir() or name.startswith("."):
                 continue
             with archive.open(entry) as member:
@@ -53,6 +56,11 @@ def _unpack(content: bytes) -> dict[str, bytes]:
             if left < 0:
                 raise UnreadableError
     return members
+
+
+def _name(path: PurePosixPath) -> str:
+    """Base name of a file; for OpenCap's file, which has the same name in each camera's folder, that of the folder."""
+    return f"{path.parent.name}.pickle" if path.name == _OPENCAP and path.parent.name else path.name
 
 
 def _read_members(members: Mapping[str, bytes], file: str) -> Contents | None:
@@ -66,6 +74,9 @@ def _read_members(members: Mapping[str, bytes], file: str) -> Contents | None:
     if biocv:
         raw = [_raw_biocv(name, content) for name, content in biocv.items()]
         return in_metres("bioCV", build_cameras(raw, file), "mm")
+    pickles = {path.stem: members[name] for name, path in stems.items() if path.suffix in {".pickle", ".pkl"}}
+    if pickles:
+        return pickled.read_members(pickles, file)
     parsed = {
         path.stem: _PARSERS[path.suffix](members[name]) for name, path in stems.items() if path.suffix in _PARSERS
     }

@@ -1,0 +1,92 @@
+"""OptiTrack calibration (``.mcal``, XML of Motive 3.2 and later).
+
+``IntrinsicStandardCameraModel`` holds OpenCV's lens model in pixels, ``Extrinsic`` the camera's centre c in metres and
+its orientation R from the camera to the world, with y up and z backwards: ``x_cv = diag(1, -1, -1) R^T (X - c)``.
+Motive's world has y up.
+"""
+
+import math
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from defusedxml.ElementTree import fromstring
+
+from pipeline.calibration.contents import Contents, in_metres
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras
+from pipeline.capture.parsing import UnreadableError, parse
+from pipeline.capture.quantities import Quantity
+from pipeline.errors import InputError, Problem
+
+ROOT = "calibrationProfile"
+
+# Range of every number in the file, so that the arithmetic of this module does not overflow.
+_NUMBER = Quantity(-1e9, 1e9, "")
+_CV_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+# From a world with z up to Motive's, whose y points up.
+_MOTIVE_FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+# Attribute ImagerIndex of cameras that film in colour; the others track markers.
+_COLOUR = "30"
+
+
+def read(content: bytes, file: str) -> Contents:
+    """Read the colour cameras of a file, or all cameras if none films in colour; ``InputError`` lists all problems."""
+    try:
+        root = parse(fromstring, content)
+    except UnreadableError as error:
+        raise InputError(
+            [Problem("calibration_unreadable", "The file is not valid XML.", file=file, hint="Export it again.")]
+        ) from error
+    elements = list(root.iterfind("./Calibration/Cameras/Camera"))
+    colour = [element for element in elements if _attributes(element, "Properties").get("ImagerIndex") == _COLOUR]
+    notes = (
+        (f"{len(elements) - len(colour)} cameras of {file} that track markers are left out.",)
+        if 0 < len(colour) < len(elements)
+        else ()
+    )
+    problems: list[Problem] = []
+    # One camera above the limit suffices to report that there are too many.
+    raw = [_raw(element, file, problems) for element in islice(colour or elements, MAX_CAMERAS + 1)]
+    cameras = build_cameras(raw, file, problems)
+    return in_metres("OptiTrack", cameras, "m", axes="y up, turned to Z up", notes=notes)
+
+
+def _attributes(element: Any, tag: str) -> dict[str, str]:
+    part = element.find(tag)
+    return {} if part is None else dict(part.attrib)
+
+
+def _raw(element: Any, file: str, problems: list[Problem]) -> RawCamera:
+    name = element.get("Serial")
+
+    def number(tag: str, attribute: str) -> float:
+        try:
+            value = float(_attributes(element, tag).get(attribute, ""))
+            message = f"The attribute {attribute} of {tag} must be {_NUMBER}."
+        except ValueError:
+            value = math.nan
+            message = f"The attribute {attribute} of {tag} is missing or not a number."
+        if _NUMBER.holds(value):
+            return value
+        problems.append(Problem("invalid_number", message, file=file, camera=name, field=attribute))
+        # A finite number, so that a missing number is reported only once.
+        return 0.0
+
+    def lens(attribute: str) -> float:
+        return number("IntrinsicStandardCameraModel", attribute)
+
+    world_from_camera = np.array([number("Extrinsic", f"OrientMatrix{k}") for k in range(9)]).reshape(3, 3)
+    centre_m = np.array([number("Extrinsic", axis) for axis in "XYZ"])
+    rotation = _CV_FROM_CAMERA @ world_from_camera.T
+    return RawCamera(
+        name=name,
+        size_px=[number("Attributes", "ImagerPixelWidth"), number("Attributes", "ImagerPixelHeight")],
+        matrix=[
+            [lens("HorizontalFocalLength"), 0.0, lens("LensCenterX")],
+            [0.0, lens("VerticalFocalLength"), lens("LensCenterY")],
+            [0.0, 0.0, 1.0],
+        ],
+        distortion=[lens(attribute) for attribute in ("k1", "k2", "TangentialX", "TangentialY", "k3")],
+        rotation=rotation @ _MOTIVE_FROM_UPRIGHT,
+        translation_m=-rotation @ centre_m,
+    )

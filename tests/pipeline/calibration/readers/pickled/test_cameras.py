@@ -1,0 +1,105 @@
+"""OpenCap's and MVPose's pickles, written by ``pickle`` as those programs write them."""
+
+import io
+import pickle
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.contents import UNKNOWN_SIZE
+from pipeline.calibration.registry import read_contents
+from pipeline.data import Camera
+from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
+
+# World of an upright board: y = -z, z = y.
+BOARD_FROM_UPRIGHT = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def opencap(one: Camera) -> dict[str, Any]:
+    """Values, shapes and order of keys as in a session of OpenCap."""
+    width, height = one.size_px
+    rotation = one.cam_from_world.rotation @ BOARD_FROM_UPRIGHT.T
+    return {
+        "distortion": one.distortion.reshape(1, 5),
+        "intrinsicMat": one.matrix,
+        "imageSize": np.array([[float(height)], [float(width)]]),
+        "rotation": rotation,
+        "translation": 1000.0 * one.cam_from_world.translation_m.reshape(3, 1),
+        "rotation_EulerAngles": np.zeros((3, 1)),
+    }
+
+
+def zipped(members: dict[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("protocol", [3, 4, 5])
+@pytest.mark.parametrize("form", ["Videos/{}/cameraIntrinsicsExtrinsics.pickle", "{}.pickle", "{}.pkl"])
+def test_opencap(tmp_path: Path, protocol: int, form: str) -> None:
+    path = tmp_path / "session.zip"
+    path.write_bytes(zipped({form.format(one.name): pickle.dumps(opencap(one), protocol) for one in RIG}))
+    contents = read_contents(path)
+    assert (contents.format, contents.unit, contents.axes) == ("OpenCap", "mm", "y down, turned to Z up")
+    assert "board" in contents.notes[0]
+    assert_rig(contents)
+
+
+def test_a_portrait_phone_has_its_height_first(tmp_path: Path) -> None:
+    document = opencap(replace(RIG[0], size_px=(720, 1280)))
+    path = tmp_path / "Cam0.pickle"
+    path.write_bytes(pickle.dumps(document))
+    (camera,) = read_contents(path).cameras
+    assert (camera.name, camera.size_px) == ("Cam0", (720, 1280))
+
+
+@pytest.mark.parametrize("protocol", [3, 5])
+def test_mvpose(tmp_path: Path, protocol: int) -> None:
+    poses = [np.column_stack([one.cam_from_world.rotation, one.cam_from_world.translation_m]) for one in RIG]
+    matrices = np.stack([one.matrix for one in RIG])
+    document = {
+        "K": matrices.astype(np.float32),
+        "P": matrices @ np.stack(poses),
+        "RT": np.stack(poses).astype(np.float32),
+    }
+    path = tmp_path / "camera_parameter.pickle"
+    path.write_bytes(pickle.dumps(document, protocol))
+    contents = read_contents(path)
+    assert (contents.format, contents.unit) == ("MVPose pickle", None)
+    assert [one.section for one in contents.cameras] == ["Camera0", "Camera1"]
+    plain = tuple(replace(one, name=str(k), size_px=UNKNOWN_SIZE, distortion=np.zeros(0)) for k, one in enumerate(RIG))
+    assert_rig(contents, plain, num_digits=2)
+    in_mm = read_contents(path, "mm").cameras[0].cam_from_world.translation_m
+    np.testing.assert_allclose(in_mm, contents.cameras[0].cam_from_world.translation_m / 1000, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"intrinsicMat": np.eye(2)}, "invalid_matrix"),
+        ({"rotation": 2 * np.eye(3)}, "invalid_rotation"),
+        ({"translation": np.zeros((2, 1))}, "invalid_translation"),
+        ({"distortion": np.full((1, 5), np.nan)}, "invalid_distortion"),
+        ({"imageSize": np.zeros((2, 1))}, "invalid_size"),
+        ({"imageSize": "720 x 1280"}, "calibration_unreadable"),
+    ],
+)
+def test_wrong_values_are_reported(tmp_path: Path, changes: dict[str, Any], code: str) -> None:
+    path = tmp_path / "Cam0.pickle"
+    path.write_bytes(pickle.dumps(opencap(RIG[0]) | changes))
+    assert [found for found, _ in problems_of(path)] == [code]
+
+
+@pytest.mark.parametrize("document", [{}, [], {"K": np.eye(3)}, opencap(RIG[0]) | {"rotation": None}])
+def test_other_contents_are_refused(tmp_path: Path, document: Any) -> None:
+    path = tmp_path / "Cam0.pickle"
+    path.write_bytes(pickle.dumps(document))
+    (found,) = {code for code, _ in problems_of(path)}
+    assert found in {"calibration_unreadable", "invalid_rotation"}
