@@ -55,9 +55,13 @@ class Source(IntEnum):
         return "-mip"[self.value]
 
 
+LensModel = Literal["standard", "fisheye"]
+"""OpenCV's distortion models: that of ``calib3d``, and that of its module ``fisheye`` (Kannala and Brandt)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A calibrated pinhole camera with OpenCV's distortion model.
+    """A calibrated pinhole camera with one of OpenCV's distortion models.
 
     Parameters
     ----------
@@ -68,11 +72,14 @@ class Camera:
     matrix
         Camera matrix K.
     distortion
-        OpenCV's distortion coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; empty for none.
+        OpenCV's distortion coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; empty for none. Of a
+        fisheye lens k1, k2, k3, k4.
     cam_from_world
         Extrinsics: ``x_in_cam = R x_in_world + t``.
     section
         Second name of the camera in a calibration file, which video files may bear too; empty if there is none.
+    lens
+        Distortion model.
     """
 
     name: str
@@ -81,6 +88,12 @@ class Camera:
     distortion: Float[np.ndarray, " coefficients"]
     cam_from_world: Rigid3
     section: str = ""
+    lens: LensModel = "standard"
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether the lens is free of distortion."""
+        return self.lens == "standard" and not self.distortion.any()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -93,8 +93,10 @@ def _turned(camera: Camera) -> Camera:
     width, height = camera.size_px
     k = camera.matrix
     matrix = np.array([[k[1, 1], 0.0, k[1, 2]], [0.0, k[0, 0], width - 1 - k[0, 2]], [0.0, 0.0, 1.0]])
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = twelve_coefficients(camera.distortion)
-    distortion = np.array([k1, k2, -p2, p1, k3, k4, k5, k6, s3, s4, -s1, -s2])[: len(camera.distortion)]
+    distortion = camera.distortion
+    if camera.lens == "standard":
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = twelve_coefficients(camera.distortion)
+        distortion = np.array([k1, k2, -p2, p1, k3, k4, k5, k6, s3, s4, -s1, -s2])[: len(camera.distortion)]
     pose = camera.cam_from_world
     turned = Rigid3(read_only(_QUARTER @ pose.rotation), read_only(_QUARTER @ pose.translation_m))
     return replace(

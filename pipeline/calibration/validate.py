@@ -17,13 +17,15 @@ from pipeline.capture.quantities import (
     SKEW_PX,
     TRANSLATION,
 )
-from pipeline.data import Camera, read_only
+from pipeline.data import Camera, LensModel, read_only
 from pipeline.errors import InputError, Problem
+from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.rigid import Rigid3
 
 MAX_CAMERAS = 128
 _MAX_NAME_LENGTH = 64
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+_FISHEYE_LENGTHS = (0, NUM_COEFFICIENTS)
 # The last two of 14 coefficients tilt the sensor.
 _MAX_UNTILTED = 12
 # Files have 5 to 7 digits: a correct rotation is far within this tolerance, a mistake far outside.
@@ -43,9 +45,11 @@ class RawCamera:
     matrix
         Camera matrix K, 3 x 3.
     distortion
-        OpenCV's coefficients.
+        OpenCV's coefficients; none count as four zeros for a fisheye lens.
     rotation, translation_m
         Transform from world to camera.
+    lens
+        Distortion model.
     """
 
     name: Any
@@ -55,6 +59,7 @@ class RawCamera:
     rotation: Any
     translation_m: Any
     section: str = ""
+    lens: LensModel = "standard"
 
 
 def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
@@ -170,10 +175,11 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
     if fault:
         complain("name", fault)
     values: dict[str, np.ndarray] = {}
+    lengths = _FISHEYE_LENGTHS if raw_camera.lens == "fisheye" else _DISTORTION_LENGTHS
     for field, value, shapes in (
         ("size", raw_camera.size_px, [(2,)]),
         ("matrix", raw_camera.matrix, [(3, 3)]),
-        ("distortion", raw_camera.distortion, [(n,) for n in _DISTORTION_LENGTHS]),
+        ("distortion", raw_camera.distortion, [(n,) for n in lengths]),
         ("rotation", raw_camera.rotation, [(3, 3)]),
         ("translation", raw_camera.translation_m, [(3,)]),
     ):
@@ -203,12 +209,20 @@ def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | No
             name=raw_camera.name,
             size_px=(int(values["size"][0]), int(values["size"][1])),
             matrix=read_only(values["matrix"]),
-            distortion=read_only(values["distortion"][:_MAX_UNTILTED].copy()),
+            distortion=read_only(_coefficients(values["distortion"], raw_camera.lens)),
             cam_from_world=Rigid3(read_only(values["rotation"]), read_only(values["translation"])),
             section=raw_camera.section,
+            lens=raw_camera.lens,
         ),
         [],
     )
+
+
+def _coefficients(distortion: np.ndarray, lens: LensModel) -> np.ndarray:
+    """Coefficients of a camera: without those of a tilted sensor; four of a fisheye lens, zeros if it has none."""
+    if lens == "fisheye" and not distortion.size:
+        return np.zeros(NUM_COEFFICIENTS)
+    return distortion[:_MAX_UNTILTED].copy()
 
 
 def unknown_fields(fields: Any, known: frozenset[str], file: str, camera: str | None) -> list[Problem]:

@@ -24,6 +24,8 @@ def encode(cameras: Sequence[Camera]) -> bytes:
                 "rotation": camera.cam_from_world.rotation.tolist(),
                 "translation_m": camera.cam_from_world.translation_m.tolist(),
             }
+            # Other cameras keep the form of earlier versions.
+            | ({"lens": camera.lens} if camera.lens != "standard" else {})
             for camera in cameras
         ],
     }
@@ -66,7 +68,7 @@ def _section(number: int, camera: Camera) -> str:
         "distortions": camera.distortion.tolist(),
         "rotation": _rotation_vector(camera),
         "translation": camera.cam_from_world.translation_m.tolist(),
-        "fisheye": False,
+        "fisheye": camera.lens == "fisheye",
     }
     # JSON's texts, numbers and lists are TOML's, too.
     return "\n".join([f"[cam_{number}]", *(f"{name} = {json.dumps(value)}" for name, value in fields.items()), ""])
@@ -82,6 +84,7 @@ def _mapping(camera: Camera) -> str:
         f"{camera.name if _PLAIN.fullmatch(camera.name) else json.dumps(camera.name)}:",
         f"   image_width: {camera.size_px[0]}",
         f"   image_height: {camera.size_px[1]}",
+        *(["   camera_model: fisheye"] if camera.lens == "fisheye" else []),
         *_matrix("camera_matrix", camera.matrix.tolist()),
     ]
     for name, numbers in vectors.items():

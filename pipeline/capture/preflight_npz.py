@@ -25,7 +25,7 @@ DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
 
 def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
     """Cameras as a part of the head, and as arrays, of an archive."""
-    head = [{"name": camera.name, "size_px": camera.size_px} for camera in cameras]
+    head = [{"name": camera.name, "size_px": camera.size_px, "lens": camera.lens} for camera in cameras]
     arrays: dict[str, np.ndarray] = {}
     for k, camera in enumerate(cameras):
         arrays |= {
@@ -45,6 +45,8 @@ def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.n
             matrix=arrays[f"matrix_{k}"],
             distortion=arrays[f"distortion_{k}"],
             cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
+            # Records of earlier versions have no lens model.
+            lens=one.get("lens", "standard"),
         )
         for k, one in enumerate(head)
     )

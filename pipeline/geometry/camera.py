@@ -1,13 +1,14 @@
 """Distortion, projection and rays of one camera (OpenCV's pinhole model).
 
-The distortion model is documented in OpenCV's ``calib3d``: radial k1..k6 (rational), tangential p1, p2 and thin prism
-s1..s4.
+The standard distortion model is documented in OpenCV's ``calib3d``: radial k1..k6 (rational), tangential p1, p2 and
+thin prism s1..s4. That of fisheye lenses is in ``lenses/fisheye.py``.
 """
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Camera
+from pipeline.geometry.lenses.fisheye import distort_fisheye
 
 
 def image_from_world(camera: Camera) -> Float[np.ndarray, "3 4"]:
@@ -30,7 +31,7 @@ def twelve_coefficients(distortion: Float[np.ndarray, " coefficients"]) -> Float
 def distort(
     points: Float[np.ndarray, "*batch 2"], distortion: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "*batch 2"]:
-    """Distort points on the normalised image plane (z = 1); NaN stays NaN."""
+    """Distort points on the normalised image plane (z = 1) by the standard model; NaN stays NaN."""
     if not np.any(distortion):
         return points
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = twelve_coefficients(distortion)
@@ -46,16 +47,23 @@ def distort(
     )
 
 
+def bend(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Distort points on the normalised image plane (z = 1) by the lens; NaN beyond a fisheye's angle limit."""
+    return (
+        distort_fisheye(points, camera.distortion) if camera.lens == "fisheye" else distort(points, camera.distortion)
+    )
+
+
 def project(camera: Camera, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
     """Project world points (metres) to distorted pixels.
 
     Returns
     -------
-        Pixels of the full image; NaN for points behind the camera, and for NaN.
+        Pixels of the full image; NaN for points behind the camera or beyond a fisheye's angle limit, and for NaN.
     """
     in_cam = camera.cam_from_world.apply(points_m)
     depth_m = np.where(in_cam[..., 2:] > 1e-6, in_cam[..., 2:], np.nan)
-    return distort(in_cam[..., :2] / depth_m, camera.distortion) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+    return bend(camera, in_cam[..., :2] / depth_m) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
 
 
 def rays_in_world(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:

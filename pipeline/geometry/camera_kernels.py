@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.kernels import point_dtype, view_dtype
+from pipeline.geometry.lenses.fisheye import angle_limit_rad
 from pipeline.runtime.jit import kernel, record_dtype, round_up, zero_records
 
 
@@ -23,7 +24,8 @@ class Lenses(NamedTuple):
 
     poses: np.ndarray  # (cameras, 3, 4): extrinsics [R | t]
     matrices: np.ndarray  # (cameras, 3, 3)
-    distortions: np.ndarray  # (cameras, 12), in the order of camera.distort
+    distortions: np.ndarray  # (cameras, 12), in the order of camera.distort; of a fisheye its four coefficients
+    fisheye_limit_rad: np.ndarray  # (cameras,): angle limit of a fisheye, 0 for the standard model
     min_weight: float  # an observation is used if its weight is above 0 and at least this
     points: np.ndarray  # (1,) of kernels.point_dtype
     views: np.ndarray  # (1,) of kernels.view_dtype
@@ -36,6 +38,7 @@ def make_lenses(cameras: Sequence[Camera], num_joints: int, min_weight: float) -
         np.array([camera.cam_from_world.matrix for camera in cameras]),
         np.array([camera.matrix for camera in cameras]),
         np.array([twelve_coefficients(camera.distortion) for camera in cameras]),
+        np.array([angle_limit_rad(camera.distortion) if camera.lens == "fisheye" else 0.0 for camera in cameras]),
         float(min_weight),
         zero_records(1, point_dtype(lanes)),
         zero_records(1, view_dtype(lanes)),
@@ -64,6 +67,30 @@ def _add_errors(here, view, p, m, d):
         seen_v = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + s4 * r2)
         dx = m00 * seen_u + m01 * seen_v + m02 - view.px[0, k]
         dy = m10 * seen_u + m11 * seen_v + m12 - view.px[1, k]
+        off_px = np.sqrt(dx * dx + dy * dy)
+        here.cost[k] += off_px if view.weight[k] > 0 else 0.0
+        here.weight_sum[k] += view.weight[k]
+        here.views[k] += 1.0 if view.weight[k] > 0 else 0.0
+
+
+@kernel
+@no_type_check
+def _add_fisheye_errors(here, view, p, m, d, limit_rad):
+    """Project the joints into a camera with a fisheye lens (``lenses/fisheye.py``), and add their errors."""
+    for k in range(view.weight.shape[0]):
+        x, y, z = here.xyz_m[0, k], here.xyz_m[1, k], here.xyz_m[2, k]
+        depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
+        over = 1.0 / depth if depth > 1e-6 else np.nan
+        u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * over
+        v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * over
+        ideal = np.sqrt(u * u + v * v)
+        angle = np.arctan(ideal)
+        a2 = angle * angle
+        radius = angle * (1 + a2 * (d[0] + a2 * (d[1] + a2 * (d[2] + a2 * d[3]))))
+        ratio = radius / ideal if ideal > 1e-9 else 1.0
+        ratio = ratio if angle <= limit_rad else np.nan
+        dx = (m[0, 0] * u + m[0, 1] * v) * ratio + m[0, 2] - view.px[0, k]
+        dy = (m[1, 0] * u + m[1, 1] * v) * ratio + m[1, 2] - view.px[1, k]
         off_px = np.sqrt(dx * dx + dy * dy)
         here.cost[k] += off_px if view.weight[k] > 0 else 0.0
         here.weight_sum[k] += view.weight[k]
@@ -104,7 +131,11 @@ def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, view
             continue
         for k in range(weights.shape[1]):
             view.px[0, k], view.px[1, k] = flat_px[c, 2 * k], flat_px[c, 2 * k + 1]
-        _add_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c])
+        limit_rad = lenses.fisheye_limit_rad[c]
+        if limit_rad > 0:
+            _add_fisheye_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c], limit_rad)
+        else:
+            _add_errors(here, view, lenses.poses[c], lenses.matrices[c], lenses.distortions[c])
     for k in range(weights.shape[1]):
         seen = here.views[k]
         error, weight = here.cost[k] / seen, here.weight_sum[k] / seen

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from pipeline.data import Camera
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import block_dtype, undistort
+from pipeline.geometry.lenses.fisheye import undistort_fisheye
 from pipeline.runtime.jit import zero_records
 
 # Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
@@ -22,12 +23,19 @@ def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Fl
     ----------
     points_px
         Distorted pixels of the full image; NaN stays NaN.
+
+    Returns
+    -------
+        Pixels; NaN where a fisheye lens sees beyond its angle limit.
     """
-    if not np.any(camera.distortion):
+    if camera.is_ideal:
         return points_px
     inverse = np.linalg.inv(camera.matrix)
     # One large product: NumPy computes a stack of small products one by one.
     normalised = points_px.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]
-    blocks = zero_records(1, block_dtype(_BLOCK))
-    undistort(normalised, twelve_coefficients(camera.distortion), _MAX_STEPS, _TOLERANCE, blocks)
+    if camera.lens == "fisheye":
+        normalised = undistort_fisheye(normalised, camera.distortion)
+    else:
+        blocks = zero_records(1, block_dtype(_BLOCK))
+        undistort(normalised, twelve_coefficients(camera.distortion), _MAX_STEPS, _TOLERANCE, blocks)
     return (normalised @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).reshape(points_px.shape)

@@ -6,7 +6,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import Camera, read_only
+from pipeline.data import Camera, LensModel, read_only
 from pipeline.geometry.rigid import Rigid3
 
 
@@ -38,7 +38,10 @@ class Rig:
     target_height_m
         Height of the point at which cameras look.
     distortion
-        OpenCV's k1, k2, p1, p2, k3; each camera's coefficients differ from these by up to a tenth.
+        OpenCV's k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4; each camera's coefficients differ from these by
+        up to a tenth.
+    lens
+        Distortion model.
     """
 
     layout: Layout
@@ -48,7 +51,8 @@ class Rig:
     size_px: tuple[int, int] = (1280, 720)
     focal_px: float = 800.0
     target_height_m: float = 1.0
-    distortion: tuple[float, float, float, float, float] = (-0.10, 0.03, 0.0005, -0.0004, 0.0)
+    distortion: tuple[float, ...] = (-0.10, 0.03, 0.0005, -0.0004, 0.0)
+    lens: LensModel = "standard"
 
 
 def build_cameras(rig: Rig, rng: np.random.Generator) -> tuple[Camera, ...]:
@@ -81,8 +85,9 @@ def _camera(name: str, center_m: np.ndarray, target_m: np.ndarray, rig: Rig, rng
     focal_px = rig.focal_px * rng.uniform(0.98, 1.02)
     center_px = np.array([(width_px - 1) / 2, (height_px - 1) / 2]) + rng.uniform(-0.01, 0.01, 2) * width_px
     matrix = np.array([[focal_px, 0.0, center_px[0]], [0.0, focal_px, center_px[1]], [0.0, 0.0, 1.0]])
-    distortion = np.array(rig.distortion) * rng.uniform(0.9, 1.1, 5)
-    return Camera(name, rig.size_px, read_only(matrix), read_only(distortion), look_at(center_m, target_m))
+    distortion = np.array(rig.distortion) * rng.uniform(0.9, 1.1, len(rig.distortion))
+    pose = look_at(center_m, target_m)
+    return Camera(name, rig.size_px, read_only(matrix), read_only(distortion), pose, lens=rig.lens)
 
 
 def choose_views(num_cameras: int, num_views: int) -> list[int]:

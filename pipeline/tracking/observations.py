@@ -50,7 +50,9 @@ def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detection
         Frame times and detections by camera name.
     """
     ordered = [detections[camera.name] for camera in cameras]
-    seen_px = np.concatenate([of_camera.keypoints_px for of_camera in ordered])
+    seen_px = np.concatenate(
+        [_within_view(camera, of_camera.keypoints_px) for camera, of_camera in zip(cameras, ordered, strict=True)]
+    )
     score = np.concatenate([of_camera.score for of_camera in ordered])
     clear_unfound(seen_px, score)
     return Bodies(
@@ -61,6 +63,13 @@ def gather(cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detection
         score=score,
         colour=_gather_colours(ordered),
     )
+
+
+def _within_view(
+    camera: Camera, seen_px: Float[np.ndarray, "detections joints 2"]
+) -> Float[np.ndarray, "detections joints 2"]:
+    """Joints of a camera; NaN beyond the angle to which a fisheye lens is used."""
+    return seen_px if camera.lens == "standard" else np.where(np.isnan(undistort_px(camera, seen_px)), np.nan, seen_px)
 
 
 def _gather_colours(ordered: Sequence[Detections]) -> UInt8[np.ndarray, "detections parts bins"]:
@@ -79,7 +88,7 @@ def _gather_colours(ordered: Sequence[Detections]) -> UInt8[np.ndarray, "detecti
 
 def undistorted(cameras: Sequence[Camera], bodies: Bodies) -> Float[np.ndarray, "detections joints 2"]:
     """Undistort the joints of all detections; returns ``bodies.seen_px`` itself if no camera has distortion."""
-    if not any(np.any(camera.distortion) for camera in cameras):
+    if all(camera.is_ideal for camera in cameras):
         return bodies.seen_px
     ideal_px = np.empty_like(bodies.seen_px)  # filled camera by camera: a long session is a large part of the memory
     borders = np.searchsorted(bodies.camera, np.arange(len(cameras) + 1)).tolist()

@@ -56,8 +56,8 @@ CALIBRATIONS = CodeGroup(
         ProblemCode(
             "unsupported_lens",
             _FILES,
-            "The lens model is fisheye, has a tilted sensor, or can't be expressed by OpenCV's standard model.",
-            "Undistort the videos, or calibrate with the standard model.",
+            "The lens model is none of OpenCV's standard and fisheye models, or has a tilted sensor.",
+            "Undistort the videos, or calibrate with the standard or the fisheye model.",
         ),
     ),
 )

@@ -1,7 +1,8 @@
 """Parameters of a camera in an adjustment, as a vector of 22 steps from the present camera.
 
 Rotation in the camera's own axes (radians), shift of its centre (metres), logarithm of both focal lengths, logarithm of
-their ratio fy / fx, principal point (pixels), and OpenCV's twelve distortion coefficients in OpenCV's order.
+their ratio fy / fx, principal point (pixels), and OpenCV's twelve distortion coefficients in OpenCV's order
+(of a fisheye lens its four).
 """
 
 from collections.abc import Sequence

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.data import Camera
-from pipeline.geometry.camera import distort, twelve_coefficients
+from pipeline.geometry.camera import bend, twelve_coefficients
+from pipeline.geometry.lenses.fisheye import fisheye_by_coefficients, fisheye_by_ideal
 
 
 class Projection(NamedTuple):
@@ -37,9 +38,9 @@ def linearise(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> Projectio
     ideal_by_cam = np.zeros((len(xyz_m), 2, 3))
     ideal_by_cam[:, 0, 0] = ideal_by_cam[:, 1, 1] = 1.0 / depth_m
     ideal_by_cam[:, :, 2] = -ideal / depth_m[:, None]
-    by_cam = scale @ distortion_by_ideal(ideal, camera.distortion) @ ideal_by_cam
+    by_cam = scale @ _by_ideal(camera, ideal) @ ideal_by_cam
     by_point = by_cam @ rotation
-    from_principal = distort(ideal, camera.distortion) @ scale.T
+    from_principal = bend(camera, ideal) @ scale.T
     by_aspect = np.zeros((len(xyz_m), 2, 1))
     by_aspect[:, 1, 0] = from_principal[:, 1]
     by_camera = np.concatenate(
@@ -49,11 +50,26 @@ def linearise(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> Projectio
             from_principal[:, :, None],
             by_aspect,
             np.tile(np.eye(2), (len(xyz_m), 1, 1)),
-            scale @ distortion_by_coefficients(ideal, camera.distortion),
+            scale @ _by_coefficients(camera, ideal),
         ],
         axis=-1,
     )
     return Projection(from_principal + camera.matrix[:2, 2], by_camera, by_point)
+
+
+def _by_ideal(camera: Camera, ideal: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2 2"]:
+    """Derivatives of ``geometry.camera.bend`` by the points on the normalised image plane."""
+    derivatives = fisheye_by_ideal if camera.lens == "fisheye" else distortion_by_ideal
+    return derivatives(ideal, camera.distortion)
+
+
+def _by_coefficients(camera: Camera, ideal: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2 12"]:
+    """Derivatives of ``geometry.camera.bend`` by the coefficients; 0 by those that a fisheye does not have."""
+    if camera.lens == "standard":
+        return distortion_by_coefficients(ideal, camera.distortion)
+    derivatives = np.zeros((len(ideal), 2, 12))
+    derivatives[..., : len(camera.distortion)] = fisheye_by_coefficients(ideal)
+    return derivatives
 
 
 def distortion_by_ideal(

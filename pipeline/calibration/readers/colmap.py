@@ -28,6 +28,9 @@ _MODELS: Mapping[str, tuple[tuple[int, int, int, int], int]] = {
     "RADIAL": ((0, 0, 1, 2), 2),
     "OPENCV": ((0, 1, 2, 3), 4),
     "FULL_OPENCV": ((0, 1, 2, 3), 8),
+    "SIMPLE_RADIAL_FISHEYE": ((0, 0, 1, 2), 1),
+    "RADIAL_FISHEYE": ((0, 0, 1, 2), 2),
+    "OPENCV_FISHEYE": ((0, 1, 2, 3), 4),
 }
 _MIN_COEFFICIENTS = 4
 _NUM_CAMERA_WORDS, _NUM_IMAGE_WORDS = 4, 10
@@ -112,4 +115,5 @@ def _raw(name: str, image: list[str], lenses: Mapping[str, list[str]], file: str
         distortion=coefficients,
         rotation=quaternion_matrix(np.array([qx, qy, qz, qw])),
         translation_m=translation,
+        lens="fisheye" if model.endswith("_FISHEYE") else "standard",
     )

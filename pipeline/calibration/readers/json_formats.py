@@ -1,18 +1,20 @@
 """Calibration in JSON: Multicap's own format, benchmark conversions (``K``, ``R``, ``t``, ``dist``), other programs."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 from pipeline.calibration.contents import Contents
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
 from pipeline.capture.parsing import UnreadableError, read_unique_json
+from pipeline.data import LensModel
 from pipeline.errors import InputError, Problem
 
 SCHEMA_VERSION = 1
 
-_OWN = frozenset({"name", "size_px", "matrix", "distortion", "rotation", "translation_m"})
+_OWN = frozenset({"name", "size_px", "matrix", "distortion", "rotation", "translation_m", "lens"})
+_LENSES = get_args(LensModel)
 _SHORT = frozenset({"name", "width", "height", "K", "R", "t", "dist"})
 
 
@@ -50,6 +52,10 @@ def read(content: bytes, file: str) -> Contents:
     known, raw = (_SHORT, _raw_short) if short else (_OWN, _raw_own)
     for camera in listed:
         problems.extend(unknown_fields(camera, known, file, str(camera.get("name"))))
+        if not short and camera.get("lens", "standard") not in _LENSES:
+            message = f"The lens must be one of {', '.join(_LENSES)}."
+            name = str(camera.get("name"))
+            problems.append(Problem("unsupported_lens", message, file=file, camera=name, field="lens"))
     cameras = build_cameras([raw(camera) for camera in listed], file, problems)
     return Contents("JSON with K, R and t", cameras, None) if short else Contents("Multicap JSON", cameras, "m")
 
@@ -71,6 +77,7 @@ def _raw_own(camera: Mapping[str, Any]) -> RawCamera:
         distortion=camera.get("distortion"),
         rotation=camera.get("rotation"),
         translation_m=camera.get("translation_m"),
+        lens="fisheye" if camera.get("lens") == "fisheye" else "standard",
     )
 
 

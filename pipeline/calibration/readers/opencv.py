@@ -36,7 +36,8 @@ _WIDTH = ("image_width", "image_Width", "imageWidth", "width", "W")
 _HEIGHT = ("image_height", "image_Height", "imageHeight", "height", "H")
 _LENS = ("distortion_model", "camera_model", "lens_model", "model")
 _FISHEYE = ("fisheye", "fisheye_model", "is_fisheye")
-_FISHEYE_MODELS = frozenset({"fisheye", "equidistant", "kannala_brandt", "kannala-brandt", "omnidir", "omni", "mei"})
+_FISHEYE_MODELS = frozenset({"fisheye", "equidistant", "kannala_brandt", "kannala-brandt", "opencv_fisheye"})
+_UNSUPPORTED_MODELS = frozenset({"omnidir", "omni", "mei"})
 
 _RIG = "OpenCV"
 _EASYMOCAP = "EasyMocap"
@@ -96,14 +97,14 @@ def _first(fields: Mapping[str, Any], names: tuple[str, ...]) -> Any:
 
 
 def _raw(name: str, fields: Mapping[str, Any], file: str, problems: list[Problem]) -> RawCamera:
-    if _is_fisheye(fields):
+    if _model(fields) in _UNSUPPORTED_MODELS:
         problems.append(
             Problem(
                 "unsupported_lens",
-                "Fisheye lenses are not supported.",
+                "Omnidirectional lens models are not supported.",
                 file=file,
                 camera=name,
-                hint="Undistort the videos, or calibrate with the standard model.",
+                hint="Undistort the videos, or calibrate with the standard or the fisheye model.",
             )
         )
     rotation, translation = _first(fields, _ROTATION), _first(fields, _TRANSLATION)
@@ -125,12 +126,18 @@ def _raw(name: str, fields: Mapping[str, Any], file: str, problems: list[Problem
         rotation=rotation,
         translation_m=_flat(translation),
         section="",
+        lens="fisheye" if _is_fisheye(fields) else "standard",
     )
 
 
 def _is_fisheye(fields: Mapping[str, Any]) -> bool:
-    flag, model = _first(fields, _FISHEYE), _first(fields, _LENS)
-    return flag not in (None, False, 0, "false") or (isinstance(model, str) and model.lower() in _FISHEYE_MODELS)
+    return _first(fields, _FISHEYE) not in (None, False, 0, "false") or _model(fields) in _FISHEYE_MODELS
+
+
+def _model(fields: Mapping[str, Any]) -> str:
+    """Name of the lens model in lower case, empty if there is none."""
+    model = _first(fields, _LENS)
+    return model.lower() if isinstance(model, str) else ""
 
 
 def _size(fields: Mapping[str, Any]) -> Any:

@@ -62,17 +62,9 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
         section = {}
     name = section.get("name", section_name)
     problems.extend(unknown_fields(section, _KNOWN | _FREEMOCAP_FIELDS, file, str(name)))
-    if section.get("fisheye", False) is not False:
-        problems.append(
-            Problem(
-                "unsupported_lens",
-                "Fisheye lenses are not supported.",
-                file=file,
-                camera=str(name),
-                field="fisheye",
-                hint="Undistort the videos, or calibrate with the standard model.",
-            )
-        )
+    if not isinstance(section.get("fisheye", False), bool):
+        message = "The field fisheye must be true or false."
+        problems.append(Problem("unsupported_lens", message, file=file, camera=str(name), field="fisheye"))
     try:
         rotation = rodrigues_matrix(section.get("rotation"))
     except UnreadableError:
@@ -87,4 +79,5 @@ def _raw(section_name: str, section: Any, file: str, problems: list[Problem]) ->
         rotation=rotation,
         translation_m=section.get("translation"),
         section=section_name,
+        lens="fisheye" if section.get("fisheye") is True else "standard",
     )

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.refinement.sightings import Sightings
 from pipeline.data import Camera, read_only
-from pipeline.geometry.camera import center_in_world, distort, image_from_world, project
+from pipeline.geometry.camera import bend, center_in_world, image_from_world, project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_px
@@ -252,12 +252,12 @@ def linearise(
     in_cam = camera.cam_from_world.apply(xyz_m)
     depth_m = np.where(in_cam[:, 2:] > 1e-6, in_cam[:, 2:], np.nan)
     ideal = in_cam[:, :2] / depth_m
-    bent = distort(ideal, camera.distortion)
+    bent = bend(camera, ideal)
     scale = camera.matrix[:2, :2]
     from_axis = (np.eye(2) * _STEP_OF_DERIVATIVE)[:, None]
-    ahead, behind = distort(ideal + from_axis, camera.distortion), distort(ideal - from_axis, camera.distortion)
-    bend = np.moveaxis((ahead - behind) / (2 * _STEP_OF_DERIVATIVE), 0, -1)
-    by_ideal = scale @ bend
+    ahead, behind = bend(camera, ideal + from_axis), bend(camera, ideal - from_axis)
+    bent_by_ideal = np.moveaxis((ahead - behind) / (2 * _STEP_OF_DERIVATIVE), 0, -1)
+    by_ideal = scale @ bent_by_ideal
     ideal_by_cam = np.zeros((len(xyz_m), 2, 3))
     ideal_by_cam[:, 0, 0] = ideal_by_cam[:, 1, 1] = 1.0 / depth_m[:, 0]
     ideal_by_cam[:, :, 2] = -ideal / depth_m

@@ -260,12 +260,24 @@ def test_names_that_could_do_harm(tmp_path: Path, name: Any) -> None:
     assert problems_of(write_own(tmp_path / "cameras.json", [own(name=name)])) == [("invalid_name", "number 1", "name")]
 
 
-def test_fisheye_is_refused(tmp_path: Path) -> None:
+FISHEYE = "[a]\nsize=[6,4]\nmatrix=[[5,0,3],[0,5,2],[0,0,1]]\nrotation=[0,0,0]\ntranslation=[0,0,1]\nfisheye="
+
+
+def test_a_fisheye_without_coefficients_has_four_zeros(tmp_path: Path) -> None:
     path = tmp_path / "fisheye.toml"
-    path.write_text(
-        "[a]\nsize=[6,4]\nmatrix=[[5,0,3],[0,5,2],[0,0,1]]\nrotation=[0,0,0]\ntranslation=[0,0,1]\nfisheye=true\n"
-    )
+    path.write_text(FISHEYE + "true\n")
+    (camera,) = read_calibration(path)
+    assert (camera.lens, camera.distortion.tolist()) == ("fisheye", [0.0] * 4)
+
+
+def test_wrong_fisheyes_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "fisheye.toml"
+    path.write_text(FISHEYE + '"yes"\n')
     assert problems_of(path) == [("unsupported_lens", "a", "fisheye")]
+    path.write_text(FISHEYE + "true\ndistortions=[1,2,3,4,5]\n")
+    assert problems_of(path) == [("invalid_distortion", "a", "distortion")]
+    path = write_own(tmp_path / "cameras.json", [own(lens="mei")])
+    assert problems_of(path) == [("unsupported_lens", "left", "lens")]
 
 
 def test_qca_with_missing_numbers(tmp_path: Path) -> None:

@@ -8,12 +8,12 @@ import pytest
 
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS
-from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera
+from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
 
 
 @pytest.mark.parametrize("ending", ENCODERS)
 def test_what_is_written_is_read(tmp_path: Path, ending: str) -> None:
-    rig = (*RIG, camera('Kamera "1" é: #', 0.5, ()), camera("01", 1.0, tuple(0.01 * np.arange(12))))
+    rig = (*RIG, camera('Kamera "1" é: #', 0.5, ()), camera("01", 1.0, tuple(0.01 * np.arange(12))), fisheye("f", 2.0))
     path = tmp_path / f"rig{ending}"
     path.write_bytes(ENCODERS[ending](rig))
     assert_rig(read_contents(path), rig, num_digits=9)

@@ -103,7 +103,7 @@ def _cells(camera: Camera) -> list[str]:
         "unknown" if camera.size_px == UNKNOWN_SIZE else f"{width} x {height}",
         f"{fx:.1f}, {fy:.1f} px",
         f"{cx:.1f}, {cy:.1f} px",
-        " ".join(f"{value:.4g}" for value in camera.distortion),
+        " ".join([*(["fisheye"] * (camera.lens == "fisheye")), *(f"{value:.4g}" for value in camera.distortion)]),
         f"{position} m",
     ]
 
@@ -119,6 +119,7 @@ def _document(contents: Contents, units: str) -> dict[str, Any]:
                 "name": camera.name,
                 "size_px": None if camera.size_px == UNKNOWN_SIZE else list(camera.size_px),
                 "matrix": camera.matrix.tolist(),
+                "lens": camera.lens,
                 "distortion": camera.distortion.tolist(),
                 "rotation": camera.cam_from_world.rotation.tolist(),
                 "translation_m": camera.cam_from_world.translation_m.tolist(),

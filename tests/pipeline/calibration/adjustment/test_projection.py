@@ -1,5 +1,7 @@
 """Derivatives of projections, parameters of cameras, and structures, against finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -43,6 +45,23 @@ def test_derivatives_are_those_of_the_projection(place: tuple[float, float, floa
     for k in range(3):
         step_m = np.eye(3)[k] * tiny
         numeric = (project(camera, point_m + step_m) - project(camera, point_m - step_m)) / (2 * tiny)
+        np.testing.assert_allclose(found.by_point[..., k], numeric, rtol=1e-5, atol=2e-3)
+
+
+@given(place=st.tuples(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(0.0, 2.0)))
+def test_derivatives_of_a_fisheye_are_those_of_its_projection(place: tuple[float, float, float]) -> None:
+    fisheye = replace(camera_with(4), lens="fisheye")
+    point_m, tiny = np.array([place]), 1e-6
+    found = linearise(fisheye, point_m)
+    np.testing.assert_allclose(found.points_px, project(fisheye, point_m), atol=1e-9)
+    assert not found.by_camera[..., 14:].any()
+    for k in range(14):
+        step = np.eye(NUM_PARAMETERS)[k] * tiny
+        ahead, behind = (project(move_camera(fisheye, sign * step), point_m) for sign in (1, -1))
+        np.testing.assert_allclose(found.by_camera[..., k], (ahead - behind) / (2 * tiny), rtol=1e-5, atol=2e-3)
+    for k in range(3):
+        step_m = np.eye(3)[k] * tiny
+        numeric = (project(fisheye, point_m + step_m) - project(fisheye, point_m - step_m)) / (2 * tiny)
         np.testing.assert_allclose(found.by_point[..., k], numeric, rtol=1e-5, atol=2e-3)
 
 

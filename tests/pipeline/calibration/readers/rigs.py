@@ -1,5 +1,6 @@
 """A rig of two cameras, and the comparison of what a reader finds with it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,11 @@ def camera(name: str, turn: float, distortion: tuple[float, ...] = (-0.11, 0.07,
     return Camera(name, (1920, 1080), matrix, np.array(distortion), Rigid3(rotation, np.array([0.1, 1.2, 4.2])))
 
 
+def fisheye(name: str, turn: float, distortion: tuple[float, ...] = (0.035, -0.011, 0.002, -0.0005)) -> Camera:
+    """The same camera with a fisheye lens."""
+    return replace(camera(name, turn, distortion), lens="fisheye")
+
+
 RIG = (camera("left", 0.3), camera("right", -0.8))
 
 
@@ -33,7 +39,7 @@ def assert_rig(contents: Contents, rig: tuple[Camera, ...] = RIG, num_digits: in
     """Compare names, sizes and projections of points in metres."""
     assert [found.name for found in contents.cameras] == [expected.name for expected in rig]
     for found, expected in zip(contents.cameras, rig, strict=True):
-        assert found.size_px == expected.size_px
+        assert (found.size_px, found.lens) == (expected.size_px, expected.lens)
         seen_px = project(expected, POINTS_M)
         assert np.isfinite(seen_px).all()
         np.testing.assert_allclose(project(found, POINTS_M), seen_px, atol=10.0**-num_digits)

@@ -79,17 +79,21 @@ def test_images_in_folders_have_the_folders_names(tmp_path: Path) -> None:
         ("PINHOLE 1920 1080 1400 1410 960 540", (), (1400, 1410)),
         ("SIMPLE_RADIAL 1920 1080 1400 960 540 -0.1", (-0.1, 0, 0, 0), (1400, 1400)),
         ("RADIAL 1920 1080 1400 960 540 -0.1 0.2", (-0.1, 0.2, 0, 0), (1400, 1400)),
+        ("SIMPLE_RADIAL_FISHEYE 1920 1080 1400 960 540 -0.1", (-0.1, 0, 0, 0), (1400, 1400)),
+        ("RADIAL_FISHEYE 1920 1080 1400 960 540 -0.1 0.2", (-0.1, 0.2, 0, 0), (1400, 1400)),
+        ("OPENCV_FISHEYE 1920 1080 1400 1410 960 540 1 2 3 4", (1, 2, 3, 4), (1400, 1410)),
         ("FULL_OPENCV 1920 1080 1400 1410 960 540 1 2 3 4 5 6 7 8", (1, 2, 3, 4, 5, 6, 7, 8), (1400, 1410)),
     ],
 )
 def test_lens_models(tmp_path: Path, line: str, distortion: tuple[float, ...], focal_px: tuple[float, float]) -> None:
     cameras = f"{CAMERAS}1 {line}\n2 {line}\n"
     one, _ = read_contents(write_zip(tmp_path / "rig.zip", cameras, parts()[1])).cameras
+    assert one.lens == ("fisheye" if "FISHEYE" in line else "standard")
     np.testing.assert_array_equal(one.distortion, distortion)
     np.testing.assert_array_equal(one.matrix, [[focal_px[0], 0, 959.5], [0, focal_px[1], 539.5], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("model", ["OPENCV_FISHEYE", "FOV", "THIN_PRISM_FISHEYE", "nonsense"])
+@pytest.mark.parametrize("model", ["FOV", "THIN_PRISM_FISHEYE", "nonsense"])
 def test_other_lens_models_are_refused_by_name(tmp_path: Path, model: str) -> None:
     cameras = parts()[0].replace("2 OPENCV", f"2 {model}")
     path = write_zip(tmp_path / "rig.zip", cameras, parts()[1])

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents
 from pipeline.data import Camera
-from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, problems_of
+from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye, problems_of
 
 
 def write_storage(path: Path, fields: dict[str, Any]) -> Path:
@@ -101,9 +101,15 @@ def test_14_coefficients_without_tilt_are_12(tmp_path: Path) -> None:
     assert problems_of(write_storage(tmp_path / "tilted.yml", fields)) == [("unsupported_lens", "a")]
 
 
-@pytest.mark.parametrize("fisheye", [{"fisheye_model": 1}, {"distortion_model": "equidistant"}])
-def test_fisheye_is_refused(tmp_path: Path, fisheye: dict[str, Any]) -> None:
-    fields = {"left": fields_of(RIG[0]), "right": fields_of(RIG[1]) | fisheye}
+@pytest.mark.parametrize("model", [{"fisheye_model": 1}, {"distortion_model": "equidistant"}, {"fisheye": "true"}])
+def test_fisheye(tmp_path: Path, model: dict[str, Any]) -> None:
+    rig = (RIG[0], fisheye("right", -0.8))
+    fields = {"left": fields_of(rig[0]), "right": fields_of(rig[1]) | model}
+    assert_rig(read_contents(write_storage(tmp_path / "rig.yml", fields)), rig)
+
+
+def test_omnidirectional_models_are_refused(tmp_path: Path) -> None:
+    fields = {"left": fields_of(RIG[0]), "right": fields_of(RIG[1]) | {"camera_model": "omnidir"}}
     assert problems_of(write_storage(tmp_path / "rig.yml", fields)) == [("unsupported_lens", "right")]
 
 

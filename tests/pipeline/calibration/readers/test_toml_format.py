@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
 from pipeline.data import Camera
-from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
+from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, fisheye, problems_of
 
 
 def section(title: str, one: Camera, unit_per_m: float, more: str = "") -> str:
@@ -43,6 +43,12 @@ def test_pose2sim(tmp_path: Path) -> None:
     rig = tuple(replace(one, distortion=one.distortion[:4]) for one in RIG)
     path = write(tmp_path / "Calib.toml", 1.0, "adjusted = false\nerror = 0.0", rig, "fisheye = false")
     path.write_text(path.read_text().replace("[ 1920, 1080,]", "[ 1920.0, 1080.0]"))
+    assert_rig(read_contents(path), rig)
+
+
+def test_fisheye(tmp_path: Path) -> None:
+    rig = (fisheye("left", 0.3), fisheye("right", -0.8))
+    path = write(tmp_path / "calibration.toml", 1.0, "adjusted = true\nerror = 0.3", rig, "fisheye = true")
     assert_rig(read_contents(path), rig)
 
 

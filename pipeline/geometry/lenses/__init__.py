@@ -1,0 +1,1 @@
+"""Distortion models beside the standard one, which is in ``geometry/camera.py``."""
