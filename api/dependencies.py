@@ -21,6 +21,9 @@ from worker.jobs.files.disk import DiskSpace
 from worker.jobs.queue import WorkQueue
 from worker.jobs.store import JobStore
 
+POLL_AFTER_S = 1
+"""Time after which a client asks for a new job again."""
+
 _UUID = {"format": "uuid"}
 
 
@@ -90,8 +93,15 @@ def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", js
     return _canonical(upload_id, "upload")
 
 
+def _calibration_id(
+    calibration_id: Annotated[str, Path(description="Id of a calibration.", json_schema_extra=_UUID)],
+) -> str:
+    return _canonical(calibration_id, "calibration")
+
+
 ServicesDep = Annotated[Services, Depends(services_of)]
 SessionId = Annotated[str, Depends(_session_id)]
+CalibrationId = Annotated[str, Depends(_calibration_id)]
 JobId = Annotated[str, Depends(_job_id)]
 UploadId = Annotated[str, Depends(_upload_id)]
 Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]

@@ -2,6 +2,7 @@
 
 import json
 import unicodedata
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 from uuid import UUID
 
@@ -33,7 +34,8 @@ Id = Annotated[str, Field(json_schema_extra=_UUID)]
 NextCursor = Annotated[str | None, Field(description="Cursor of the next page; null on the last page.")]
 
 
-def _printable(text: str) -> str:
+def printable_name(text: str) -> str:
+    """Refuse control characters in a name."""
     if any(unicodedata.category(character).startswith("C") for character in text):
         raise PydanticCustomError("control_characters", "Control characters are not allowed.")
     return text
@@ -49,7 +51,7 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
     return value
 
 
-class _Response(BaseModel):
+class ResponseModel(BaseModel):
     """Base of the bodies of responses."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
@@ -60,10 +62,10 @@ class CameraManifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: Annotated[str, AfterValidator(_printable)] = Field(
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
         min_length=1, max_length=64, description="Name of the camera in the calibration."
     )
-    file: Annotated[str, AfterValidator(_printable)] | None = Field(
+    file: Annotated[str, AfterValidator(printable_name)] | None = Field(
         default=None,
         min_length=1,
         max_length=200,
@@ -92,7 +94,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: Annotated[str, AfterValidator(_printable)] = Field(
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
         default="untitled", min_length=1, max_length=200, description="Name of the session for people."
     )
     frame_rate_hz: float | None = Field(
@@ -115,23 +117,53 @@ class Manifest(BaseModel):
     )
 
 
-class UploadedSession(BaseModel):
-    """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+class UploadedFiles(BaseModel):
+    """Files that are sent as uploads, each given by the id of its upload. Unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     videos: tuple[UUID, ...] = Field(default=(), description="Uploads of the videos, one for each camera.")
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        return [("videos", one) for one in self.videos]
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return ()
+
+    def upload_ids(self) -> tuple[str, ...]:
+        """Ids of all uploads."""
+        return tuple(sorted({str(upload_id) for _, upload_id in self.uploads()}))
+
+
+class UploadedSession(UploadedFiles):
+    """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+
     keypoints: tuple[UUID, ...] = Field(
         default=(),
         description="Uploads of keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as "
         "the camera.",
     )
-    calibration: UUID = Field(description="Upload of the calibration of all cameras.")
+    calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
+    calibration_id: UUID | None = Field(
+        default=None, description="Id of a stored calibration, in place of `calibration`."
+    )
     timestamps: UUID | None = Field(
         default=None,
         description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
     )
     manifest: Manifest = Manifest()
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        single = (("calibration", self.calibration), ("timestamps", self.timestamps))
+        keypoints = [("keypoints", one) for one in self.keypoints]
+        return [*super().uploads(), *keypoints, *((part, one) for part, one in single if one is not None)]
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return () if self.calibration_id is None else ("calibration_id",)
 
 
 class UploadedCapture(UploadedSession):
@@ -140,7 +172,7 @@ class UploadedCapture(UploadedSession):
     spec: JobSpec = JobSpec()
 
 
-class FileOut(_Response):
+class FileOut(ResponseModel):
     """File of a session."""
 
     name: str = Field(description="Name of the file.")
@@ -149,7 +181,7 @@ class FileOut(_Response):
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
 
 
-class CameraOut(_Response):
+class CameraOut(ResponseModel):
     """Camera of the calibration with its video or its keypoints."""
 
     name: str = Field(description="Name of the camera in the calibration.")
@@ -160,7 +192,7 @@ class CameraOut(_Response):
     start_time_s: float = Field(default=0.0, description="Time of the camera's first frame on the session's clock.")
 
 
-class TimebaseOut(_Response):
+class TimebaseOut(ResponseModel):
     """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
 
     start_time_s: float = Field(description="Time of output frame 0.")
@@ -168,7 +200,7 @@ class TimebaseOut(_Response):
     num_frames: int = Field(description="Number of output frames.")
 
 
-class PreflightOut(_Response):
+class PreflightOut(ResponseModel):
     """Result of the check of a session's files."""
 
     cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
@@ -176,14 +208,14 @@ class PreflightOut(_Response):
     warnings: tuple[str, ...] = Field(description="Warnings about the files.")
 
 
-class SessionLinks(_Response):
+class SessionLinks(ResponseModel):
     """Paths of a session and of its jobs."""
 
     self: str = Field(description="Path of the session.")
     jobs: str = Field(description="Path of the session's jobs.")
 
 
-class SessionOut(_Response):
+class SessionOut(ResponseModel):
     """Capture session."""
 
     id: Id
@@ -211,14 +243,14 @@ class SessionOut(_Response):
         )
 
 
-class SessionPage(_Response):
+class SessionPage(ResponseModel):
     """Page of sessions, the newest session first."""
 
     sessions: tuple[SessionOut, ...]
     next_cursor: NextCursor
 
 
-class StageOut(_Response):
+class StageOut(ResponseModel):
     """Stage of a job with its progress."""
 
     name: str = Field(description="Name of the stage, such as `detect`.")
@@ -239,7 +271,7 @@ class StageOut(_Response):
         return cls(label=label, fraction=min(1.0, fraction), **_fields(stage, cls, without=("label", "fraction")))
 
 
-class JobError(_Response):
+class JobError(ResponseModel):
     """Error of a job or of an attempt at a chunk."""
 
     code: str = Field(description="Stable code; docs/problems.md lists all codes.")
@@ -255,7 +287,7 @@ class JobError(_Response):
         return cls(**_fields(problem, cls))
 
 
-class FailureOut(_Response):
+class FailureOut(ResponseModel):
     """Failed attempt at a chunk of a stage."""
 
     stage: str = Field(description="Name of the stage.")
@@ -274,7 +306,7 @@ class FailureOut(_Response):
         )
 
 
-class AttemptOut(_Response):
+class AttemptOut(ResponseModel):
     """Attempt of a job: its first run, or a retry."""
 
     attempt: int = Field(description="Number of the attempt, from 1.")
@@ -295,20 +327,20 @@ class AttemptOut(_Response):
         )
 
 
-class AttemptList(_Response):
+class AttemptList(ResponseModel):
     """All attempts of a job, in the order of time."""
 
     attempts: tuple[AttemptOut, ...]
 
 
-class WarningOut(_Response):
+class WarningOut(ResponseModel):
     """Warning about a result."""
 
     code: str = Field(description="Stable code, such as `few_views`; docs/problems.md lists all codes.")
     message: str = Field(description="Sentence for people.")
 
 
-class JobLinks(_Response):
+class JobLinks(ResponseModel):
     """Paths of a job and of everything that belongs to it."""
 
     self: str = Field(description="Path of the job.")
@@ -323,10 +355,12 @@ class JobLinks(_Response):
     )
 
 
-class JobOut(_Response):
-    """Job: a reconstruction of a session."""
+class JobOut(ResponseModel):
+    """Job: a reconstruction of a session, or the making of a calibration from it."""
 
     id: Id
+    kind: Literal["reconstruction", "calibration"] = Field(description="What the job makes.")
+    calibration_id: Id | None = Field(description="Calibration that the job makes; null of a reconstruction.")
     session_id: Id
     session_name: str = Field(description="Name of the session.")
     num_frames: int = Field(description="Output frames of the whole session; `spec.frame_range` may select some.")
@@ -363,7 +397,9 @@ class JobOut(_Response):
         """Build the response from a job."""
         address = f"/v1/jobs/{job.id}"
         return cls(
-            **_fields(job, cls, without=("stages", "error", "result_warnings", "links")),
+            **_fields(job, cls, without=("kind", "calibration_id", "stages", "error", "result_warnings", "links")),
+            kind="reconstruction" if job.making is None else "calibration",
+            calibration_id=None if job.making is None else job.id,
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,
             result_warnings=tuple(WarningOut(**_fields(warning, WarningOut)) for warning in job.result_warnings),
@@ -380,14 +416,14 @@ class JobOut(_Response):
         )
 
 
-class JobPage(_Response):
+class JobPage(ResponseModel):
     """Page of jobs, the newest job first."""
 
     jobs: tuple[JobOut, ...]
     next_cursor: NextCursor
 
 
-class EndedJob(_Response):
+class EndedJob(ResponseModel):
     """Job that has ended, in short; `GET /v1/jobs/{id}` has all fields."""
 
     id: Id
@@ -397,7 +433,7 @@ class EndedJob(_Response):
     warnings: tuple[str, ...] = Field(description="Warnings of the job.")
 
 
-class JobEnded(_Response):
+class JobEnded(ResponseModel):
     """Webhook about the end of a job, by Standard Webhooks.
 
     Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
@@ -408,7 +444,7 @@ class JobEnded(_Response):
     data: EndedJob
 
 
-class ResultOut(_Response):
+class ResultOut(ResponseModel):
     """Result file of a job."""
 
     name: str = Field(description="Name of the file.")
@@ -425,20 +461,20 @@ class ResultOut(_Response):
         return cls(link=f"/v1/jobs/{job_id}/results/{result.name}", **_fields(result, cls, without=("link",)))
 
 
-class ResultList(_Response):
+class ResultList(ResponseModel):
     """All result files of a job."""
 
     results: tuple[ResultOut, ...]
 
 
-class QuotaOut(_Response):
+class QuotaOut(ResponseModel):
     """Usage and limit of a quota."""
 
     used: int = Field(description="Present usage of the tenant.")
     limit: int | None = Field(description="Largest allowed usage; null without a limit.")
 
 
-class QuotasOut(_Response):
+class QuotasOut(ResponseModel):
     """Quotas of a tenant."""
 
     sessions: QuotaOut = Field(description="Number of sessions.")
@@ -456,7 +492,7 @@ class QuotasOut(_Response):
         )
 
 
-class CallerOut(_Response):
+class CallerOut(ResponseModel):
     """Caller of a request: its tenant, key and quotas."""
 
     tenant: str = Field(description="Tenant whose sessions and jobs the caller sees.")
@@ -476,13 +512,13 @@ class BrowserSession(BaseModel):
     key: str = Field(max_length=200, description="API key, `mc_...`.")
 
 
-class Health(_Response):
+class Health(ResponseModel):
     """Liveness of the API process."""
 
     status: str = "ok"
 
 
-class DetectorOut(_Response):
+class DetectorOut(ResponseModel):
     """Detector network that can be used alone, and whether it is installed."""
 
     name: str = Field(description="Value of `detector` in the spec of a job.")
@@ -492,7 +528,7 @@ class DetectorOut(_Response):
     install: str = Field(description="Advice to the operator on the installation.")
 
 
-class ProfileNetworksOut(_Response):
+class ProfileNetworksOut(ResponseModel):
     """Networks of a profile for some joints, and whether they are installed."""
 
     joints: JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
@@ -503,7 +539,7 @@ class ProfileNetworksOut(_Response):
     install: str = Field(description="Advice to the operator on the installation.")
 
 
-class ProfileOut(_Response):
+class ProfileOut(ResponseModel):
     """Profile: networks that find the 2D joints."""
 
     name: Profile = Field(description="Value of `profile` in the spec of a job.")
@@ -511,7 +547,7 @@ class ProfileOut(_Response):
     joints: tuple[ProfileNetworksOut, ...] = Field(description="Networks by joints.")
 
 
-class ValueOut(_Response):
+class ValueOut(ResponseModel):
     """Named value of a choice."""
 
     name: str = Field(description="Value in the spec of a job.")
@@ -519,7 +555,7 @@ class ValueOut(_Response):
     note: str = Field(description="Further sentence, such as a measured cost; empty for none.")
 
 
-class ChoiceOut(_Response):
+class ChoiceOut(ResponseModel):
     """Choice of a job, as a field of a form."""
 
     name: str = Field(description="Name of the field in the spec of a job.")
@@ -558,7 +594,7 @@ class ChoiceOut(_Response):
         )
 
 
-class Options(_Response):
+class Options(ResponseModel):
     """Choices of a job, profiles and detector networks."""
 
     profiles: tuple[ProfileOut, ...] = Field(description="All profiles, with their networks.")
@@ -569,7 +605,7 @@ class Options(_Response):
     )
 
 
-class Readiness(_Response):
+class Readiness(ResponseModel):
     """Readiness of the service: a worker could start a job now."""
 
     status: str = "ready"

@@ -12,6 +12,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from pipeline.calibration_choices import CalibrationChoices
+
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
 
@@ -311,6 +313,8 @@ class ReconstructionConfig(JobChoices):
         ``tracking.parameters.TrackingParameters``.
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
+    making
+        Choices of the calibration that is made in place of a reconstruction; ``None``: it reconstructs.
     chunk_frames
         Output frames of one chunk, which is decoded and detected as one piece, of one camera.
     processes
@@ -319,6 +323,7 @@ class ReconstructionConfig(JobChoices):
 
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
+    making: CalibrationChoices | None = None
     chunk_frames: Annotated[
         int,
         About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),

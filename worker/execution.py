@@ -119,7 +119,7 @@ class _TaskContext(Context):
 
     @property
     def config(self) -> ReconstructionConfig:
-        return self.work.claim.spec.config
+        return self.work.claim.config
 
     @property
     def facts(self) -> SessionFacts:

@@ -5,10 +5,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol, runtime_checkable
 
+from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
-from worker.jobs.model import ChunkPlan, Claim, InputFile, StagePlan
+from worker.jobs.model import ChunkPlan, Claim, InputFile, StagePlan, config_of
 from worker.jobs.spec import JobSpec
 
 
@@ -30,6 +31,7 @@ def plan_job(
     spec: JobSpec,
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
     codes: Mapping[str, str] | None = None,
+    making: CalibrationChoices | None = None,
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
@@ -37,8 +39,10 @@ def plan_job(
     ----------
     codes
         Digests of the stages' code; ``None``: of this process's.
+    making
+        See ``worker.jobs.model.Job``.
     """
-    stages = plan(session_facts(session), spec.config, codes or stage_codes(), chunk_frames)
+    stages = plan(session_facts(session), config_of(spec, making), codes or stage_codes(), chunk_frames)
     return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
 
 

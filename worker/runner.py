@@ -16,7 +16,7 @@ from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.files.interim import read_interim, write_interim
-from worker.jobs.model import Claim, Result, ResultWarning
+from worker.jobs.model import Claim, MadeCalibration, Result, ResultWarning
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.problems import problem_of
@@ -173,6 +173,7 @@ class Runner:
             len(output.content),
             results=results,
             warnings=[ResultWarning(**warning) for warning in output.warnings],
+            calibration=None if output.calibration is None else MadeCalibration(**output.calibration),
         )
 
     def _reusable(self, claim: Claim) -> tuple[str, int] | None:
@@ -194,7 +195,7 @@ class Runner:
 
     def _lacks_interim(self, claim: Claim) -> bool:
         """Whether this chunk's interim output is missing, and a stage that reads it has yet to run."""
-        if not STAGE_BY_NAME[claim.stage].leaves_interim(claim.spec.config):
+        if not STAGE_BY_NAME[claim.stage].leaves_interim(claim.config):
             return False
         if read_interim(self._artifacts, claim, claim.output_key) is not None:
             return False

@@ -20,6 +20,7 @@ COMMANDS: Mapping[str, str] = {
     "demo": "Reconstruct the sample capture with a temporary service: BVH, JSON, metrics and pictures.",
     "serve": "Run the service on this machine: web API, workers, broker and database.",
     "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
+    "calibrate": "Make a calibration from videos or photographs of a board.",
     "calibration": "Calibration files of any supported format: show, convert.",
     "models": "Detector networks: list, install, add from a file, verify.",
     "samples": "Sample capture of two people with four cameras: install.",

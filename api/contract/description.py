@@ -9,10 +9,11 @@ from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 from starlette.routing import BaseRoute
 
+from api.calibration_schemas import CalibrationSpec, UploadedCalibration
 from api.contract import examples
 from api.errors import ErrorItem, ProblemDetails
 from api.http.rates import RATE_HEADERS
-from api.requests.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS
+from api.requests.form import CALIBRATION, CALIBRATION_ID, INTRINSICS, KEYPOINTS, TIMESTAMPS, VIDEOS
 from api.schemas import JobEnded, Manifest, UploadedCapture, UploadedSession
 from worker.jobs.spec import JobSpec
 
@@ -35,6 +36,7 @@ _CONVENTIONS = """
 - Errors are `application/problem+json` with a stable `code`; `errors` lists all problems of the request."""
 _TAGS = {
     "uploads": "Large files in pieces, by tus 1.0. After an interrupted connection a client continues at the offset.",
+    "calibrations": "Calibrations of cameras: sent as files, or made from a board or from people.",
     "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
     "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
     "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
@@ -110,6 +112,11 @@ def session_body(*documents: str) -> dict[str, Any]:
             "camera.",
         },
         CALIBRATION: file | {"description": "Calibration of all cameras."},
+        CALIBRATION_ID: {
+            "type": "string",
+            "format": "uuid",
+            "description": "Id of a stored calibration, in place of `calibration`.",
+        },
         TIMESTAMPS: file | {"description": "Timestamps of keypoints: CSV with the columns camera, frame and time_s."},
         **parts,
     }
@@ -121,7 +128,7 @@ def session_body(*documents: str) -> dict[str, Any]:
                     "schema": {
                         "type": "object",
                         "properties": properties,
-                        "required": [CALIBRATION],
+                        "anyOf": [{"required": [CALIBRATION]}, {"required": [CALIBRATION_ID]}],
                         "additionalProperties": False,
                     },
                     "encoding": {part: {"contentType": "application/json"} for part in documents},
@@ -138,6 +145,35 @@ def session_body(*documents: str) -> dict[str, Any]:
                         CALIBRATION: examples.UPLOAD_IDS[2],
                         **{part: examples.DOCUMENTS[part] for part in documents},
                     },
+                },
+            },
+        }
+    }
+
+
+def calibration_body() -> dict[str, Any]:
+    """Body of a calibration, as a form or as JSON that names uploads, for ``openapi_extra``."""
+    file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
+    properties = {
+        CALIBRATION: file | {"description": "Calibration file, for the method `file`."},
+        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board or of people."},
+        INTRINSICS: file | {"description": "Calibration file whose intrinsics are kept, and poses ignored."},
+        "spec": {"$ref": _SCHEMA_REF.format(model=CalibrationSpec.__name__)},
+    }
+    spec = examples.DOCUMENTS["calibration_spec"]
+    form = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {
+        "requestBody": {
+            "required": True,
+            "content": {
+                "multipart/form-data": {
+                    "schema": form,
+                    "encoding": {"spec": {"contentType": "application/json"}},
+                    "example": {VIDEOS: ["cam_0.mp4", "cam_1.mp4"], "spec": spec},
+                },
+                "application/json": {
+                    "schema": {"$ref": _SCHEMA_REF.format(model=UploadedCalibration.__name__)},
+                    "example": {VIDEOS: examples.UPLOAD_IDS[:2], **spec},
                 },
             },
         }
@@ -192,7 +228,13 @@ def describe(app: FastAPI) -> dict[str, Any]:
         for name in ("HTTPValidationError", "ValidationError"):
             schema["components"]["schemas"].pop(name, None)
         models = schema["components"]["schemas"]
-        sent: list[type[BaseModel]] = [*_DOCUMENTS.values(), UploadedSession, UploadedCapture]
+        sent: list[type[BaseModel]] = [
+            *_DOCUMENTS.values(),
+            UploadedSession,
+            UploadedCapture,
+            CalibrationSpec,
+            UploadedCalibration,
+        ]
         for model in (ErrorItem, ProblemDetails):
             _describe(models, model, "serialization")
         for part_model in sent:

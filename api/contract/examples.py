@@ -4,15 +4,17 @@ import json
 from typing import Any
 
 from api.errors import title_of
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK, STAGE_BY_NAME
+from pipeline.stages.plan import ASSOCIATE, CALIBRATE, DETECT, EXPORT, FIND_BOARD, FIT, IDENTIFY, LOOK, STAGE_BY_NAME
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
+_CALIBRATION_ID = "01890a5b-9d2c-7f10-8a11-2b3c4d5e6f70"
 _SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 UPLOAD_IDS = [f"01890a5c-7c1e-7a4b-8f00-00000000000{index}" for index in range(3)]
 
 PATH_PARAMETERS = {
+    "calibration_id": _CALIBRATION_ID,
     "session_id": _SESSION_ID,
     "job_id": _JOB_ID,
     "upload_id": UPLOAD_IDS[0],
@@ -64,6 +66,7 @@ DOCUMENTS: dict[str, Any] = {
         "people": "auto",
         "exports": ["bvh"],
     },
+    "calibration_spec": {"method": "board", "name": "Studio B", "board": "charuco:7x5:0.06:0.045:DICT_4X4_50"},
 }
 
 _PREFLIGHT: dict[str, Any] = {
@@ -113,8 +116,39 @@ def _stage(name: str, state: str, done: int, total: int) -> dict[str, Any]:
     }
 
 
+_CALIBRATION: dict[str, Any] = {
+    "id": _CALIBRATION_ID,
+    "name": "Studio B",
+    "method": "file",
+    "state": "ready",
+    "created_at": "2026-03-01T09:00:00Z",
+    "source": {"file": "Calib.toml", "format": "TOML", "units": "m", "axes": "as calibrated; Z must point up"},
+    "warnings": [],
+    "cameras": [
+        {
+            "name": "cam_0",
+            "size_px": [1280, 720],
+            "matrix": [[1040.0, 0.0, 640.0], [0.0, 1040.0, 360.0], [0.0, 0.0, 1.0]],
+            "distortion": [-0.12, 0.03, 0.0, 0.0, 0.0],
+            "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+            "translation_m": [0.0, 1.5, 4.0],
+            "position_m": [0.0, -4.0, 1.5],
+        }
+    ],
+    "report": None,
+    "error": None,
+    "links": {
+        "self": f"/v1/calibrations/{_CALIBRATION_ID}",
+        "file": f"/v1/calibrations/{_CALIBRATION_ID}/file",
+        "job": None,
+        "session": None,
+    },
+}
+
 _JOB: dict[str, Any] = {
     "id": _JOB_ID,
+    "kind": "reconstruction",
+    "calibration_id": None,
     "session_id": _SESSION_ID,
     "session_name": "Handshake, take 3",
     "num_frames": 300,
@@ -203,7 +237,21 @@ JOB_ENDED: dict[str, Any] = {
 
 EVENT: dict[str, Any] = {"id": "17", "event": "job", "data": json.dumps(_JOB), "retry": 2000}
 
+_CALIBRATION_JOB: dict[str, Any] = _JOB | {
+    "kind": "calibration",
+    "calibration_id": _JOB_ID,
+    "state": "queued",
+    "stages": [_stage(FIND_BOARD, "ready", 0, 600), _stage(CALIBRATE, "waiting", 0, 30)],
+    "progress": 0.0,
+    "queue_position": 1,
+    "eta_s": None,
+    "started_at": None,
+}
+
 ANSWERS: dict[str, dict[str, Any]] = {
+    "Calibration": _CALIBRATION,
+    "CalibrationPage": {"calibrations": [_CALIBRATION], "next_cursor": None},
+    "CalibrationJob": _CALIBRATION_JOB,
     "Session": _SESSION,
     "SessionPage": {"sessions": [_SESSION], "next_cursor": None},
     "Job": _JOB,

@@ -1,4 +1,4 @@
-"""Form of a session: its parts with their names and size limits.
+"""Forms of sessions and calibrations: their parts with names and size limits.
 
 A part above its limit is refused at once. All other problems with names and parts are collected while the rest is read,
 so that one response lists all of them.
@@ -7,7 +7,8 @@ so that one response lists all of them.
 import contextlib
 import hashlib
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BufferedWriter
 from pathlib import Path
@@ -15,8 +16,12 @@ from pathlib import Path
 from api.errors import ApiError, ErrorItem, pointer_to
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
+INTRINSICS = "intrinsics"
 VIEWS = (VIDEOS, KEYPOINTS)
 """Parts with a file for each camera; the other parts have one file."""
+
+CALIBRATION_ID = "calibration_id"
+"""Document that names a stored calibration in place of a file."""
 
 _MAX_NAME_BYTES = 200
 # Limit on the parts beside the files of cameras: the errors of any number of wrong parts would fill the memory.
@@ -36,6 +41,44 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class FormKind:
+    """Kind of a form.
+
+    Parameters
+    ----------
+    noun
+        What is sent, for problems.
+    parts
+        Names of the parts with files.
+    faults
+        Code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
+    """
+
+    noun: str
+    parts: tuple[str, ...]
+    faults: Callable[[Mapping[str, int]], Iterable[tuple[str, str, str]]]
+
+
+def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[str, str, str]]:
+    if not any(counts[part] for part in VIEWS):
+        yield "missing_part", "There are no videos and no keypoints: a session needs either.", VIDEOS
+    if not counts[CALIBRATION] and not counts[CALIBRATION_ID]:
+        yield "missing_part", "There is no calibration: a session needs one.", CALIBRATION
+    if counts[CALIBRATION] and counts[CALIBRATION_ID]:
+        message = "There is a calibration and a calibration_id: a session needs one of both."
+        yield "part_not_allowed", message, CALIBRATION_ID
+    if counts[VIDEOS]:
+        for part in (KEYPOINTS, TIMESTAMPS):
+            if counts[part]:
+                yield "part_not_allowed", "A session of videos has no such files.", part
+
+
+SESSION_FORM = FormKind("session", (VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS), _session_faults)
+# What a calibration needs depends on its method, which is in a document: checked when that is parsed.
+CALIBRATION_FORM = FormKind("calibration", (CALIBRATION, VIDEOS, INTRINSICS), lambda counts: ())
+
+
+@dataclass(frozen=True, slots=True)
 class ReceivedFile:
     """Complete file of a form, on disk under its own name."""
 
@@ -47,22 +90,39 @@ class ReceivedFile:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Received form of a session.
+    """Received form.
 
     Parameters
     ----------
+    files
+        Files of each part, by the part's name.
     documents
         JSON parts by name, unparsed.
     errors
-        Everything that is wrong with names and parts; files with errors are not in the other fields.
+        Everything that is wrong with names and parts; files with errors are not in ``files``.
     """
 
-    videos: tuple[ReceivedFile, ...]
-    keypoints: tuple[ReceivedFile, ...]
-    calibration: ReceivedFile | None
-    timestamps: ReceivedFile | None
+    files: Mapping[str, tuple[ReceivedFile, ...]]
     documents: Mapping[str, bytes]
     errors: tuple[ErrorItem, ...]
+
+    @property
+    def videos(self) -> tuple[ReceivedFile, ...]:
+        """Videos, one for each camera."""
+        return self.files.get(VIDEOS, ())
+
+    @property
+    def keypoints(self) -> tuple[ReceivedFile, ...]:
+        """Archives of keypoints, one for each camera."""
+        return self.files.get(KEYPOINTS, ())
+
+    def pointers(self) -> dict[str, ReceivedFile]:
+        """Files by their JSON pointers."""
+        return {
+            f"/{part}/{index}" if part in VIEWS else f"/{part}": file
+            for part, files in self.files.items()
+            for index, file in enumerate(files)
+        }
 
 
 @dataclass(slots=True)
@@ -87,16 +147,13 @@ class _OpenFile:
 class Parts:
     """Receiver of the parts of a form: files go to disk, JSON to memory; refused parts are dropped."""
 
-    def __init__(self, folder: Path, limits: Limits, documents: frozenset[str]) -> None:
+    def __init__(self, folder: Path, limits: Limits, documents: frozenset[str], kind: FormKind = SESSION_FORM) -> None:
         self._folder = folder
         self._limits = limits
         self._document_names = documents
-        self._max_file_bytes = {
-            VIDEOS: limits.max_file_bytes,
-            KEYPOINTS: limits.max_keypoints_bytes,
-            CALIBRATION: limits.max_calibration_bytes,
-            TIMESTAMPS: limits.max_calibration_bytes,
-        }
+        self._kind = kind
+        of_views = {VIDEOS: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
+        self._max_file_bytes = {part: of_views.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)
         self._names: set[str] = set()
@@ -169,23 +226,13 @@ class Parts:
             ErrorItem(code=code, message=message, pointer=self._next_pointer(part), file=file, hint=hint)
         )
 
-    def form(self) -> Form:
-        """Return all parts; for the end of the body."""
-        if not any(self._counts[part] for part in VIEWS):
-            message = "There are no videos and no keypoints: a session needs either."
-            self._add_error("missing_part", message, f"/{VIDEOS}")
-        if not self._counts[CALIBRATION]:
-            message = "There is no calibration: a session needs one."
-            self._add_error("missing_part", message, f"/{CALIBRATION}")
-        if self._counts[VIDEOS]:
-            for part in (KEYPOINTS, TIMESTAMPS):
-                if self._counts[part]:
-                    self._add_error("part_not_allowed", "A session of videos has no such files.", f"/{part}")
+    def form(self, documents: Iterable[str] = ()) -> Form:
+        """Return all parts, for the end of the body; ``documents`` are names of further documents that were sent."""
+        sent = dict.fromkeys((*self._documents, *documents), 1) | {name: n for name, n in self._counts.items() if n}
+        for code, message, part in self._kind.faults(Counter(sent)):
+            self._add_error(code, message, f"/{part}")
         return Form(
-            videos=tuple(self._files[VIDEOS]),
-            keypoints=tuple(self._files[KEYPOINTS]),
-            calibration=next(iter(self._files[CALIBRATION]), None),
-            timestamps=next(iter(self._files[TIMESTAMPS]), None),
+            files={part: tuple(files) for part, files in self._files.items()},
             documents={name: bytes(content) for name, content in self._documents.items()},
             errors=tuple(self._errors),
         )
@@ -202,14 +249,14 @@ class Parts:
         index, pointer = self._counts[part], self._next_pointer(part)
         if part in VIEWS and index >= self._limits.max_videos:
             if index == self._limits.max_videos:
-                limit = f"A session has {self._limits.max_videos} {part} at most."
+                limit = f"A {self._kind.noun} has {self._limits.max_videos} {part} at most."
                 self._add_error(f"too_many_{part}", limit, pointer)
         elif part not in VIEWS and index > 0:
-            self._add_error("duplicate_part", f"A session has one file of {part}.", pointer)
+            self._add_error("duplicate_part", f"A {self._kind.noun} has one file of {part}.", pointer)
         elif message := name_error(name):
             self._add_error("file_name_invalid", message, pointer)
         elif _folded(name) in self._names:
-            self._add_error("duplicate_file_name", "Two files of the session have this name.", pointer, name)
+            self._add_error("duplicate_file_name", f"Two files of the {self._kind.noun} have this name.", pointer, name)
         else:
             self._names.add(_folded(name))
             return True

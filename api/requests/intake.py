@@ -1,13 +1,14 @@
-"""Intake of sessions, from a form or from uploads: receive, check, store."""
+"""Intake of sessions and calibrations, from a form or from uploads: receive, check, store."""
 
 import contextlib
 import hashlib
 import json
 import shutil
+import uuid
 from collections.abc import AsyncIterator, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import anyio
 import uuid_utils
@@ -19,13 +20,23 @@ from starlette.concurrency import run_in_threadpool
 from api.dependencies import Services
 from api.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.requests.bodies import announced_bytes, limited
-from api.requests.form import CALIBRATION, KEYPOINTS, TIMESTAMPS, VIDEOS, Form, Parts, ReceivedFile
+from api.requests.form import (
+    CALIBRATION,
+    CALIBRATION_ID,
+    INTRINSICS,
+    SESSION_FORM,
+    VIDEOS,
+    Form,
+    FormKind,
+    Parts,
+    ReceivedFile,
+)
 from api.requests.idempotency import IdempotentRequest
 from api.requests.multipart import receive_form
 from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.requests.spec_checks import callback_errors, limit_errors, network_errors, spec_errors
 from api.requests.validation import model_items
-from api.schemas import Manifest, UploadedCapture, UploadedSession
+from api.schemas import Manifest, UploadedCapture, UploadedFiles, UploadedSession
 from pipeline.capture.preflight_record import Preflight
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix
@@ -36,7 +47,7 @@ from worker.jobs.tenant_records import TenantRecords
 MANIFEST, SPEC = "manifest", "spec"
 
 # Kinds of files that differ from the name of the form's part.
-_KINDS = {VIDEOS: "video", KEYPOINTS: KEYPOINTS}
+_KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
 
 # Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "rate"}
@@ -48,22 +59,22 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A session as a client sent it, in a folder of the spool.
+    """A session or a calibration as a client sent it, in a folder of the spool.
 
     Parameters
     ----------
     folder
         Holds the files of a form; gone with the request.
     content
-        Parsed form, or names of uploads.
+        Received form, or names of uploads.
     parts
         JSON of the content, for the fingerprint of the request.
     with_job
-        Whether the session is to be reconstructed at once.
+        Whether a session is to be reconstructed at once.
     """
 
     folder: Path
-    content: Form | UploadedSession
+    content: Form | UploadedFiles
     parts: object
     with_job: bool
 
@@ -76,6 +87,8 @@ class Arrival:
     ----------
     manifest, spec
         ``None`` where they are wrong; ``errors`` then says why.
+    calibration_id
+        Calibration that the session names in place of a file.
     upload_ids
         Uploads that the files are from.
     """
@@ -84,7 +97,12 @@ class Arrival:
     manifest: Manifest | None
     spec: JobSpec | None
     errors: tuple[ErrorItem, ...] = ()
+    calibration_id: str | None = None
     upload_ids: tuple[str, ...] = ()
+
+    def with_error(self, error: ErrorItem) -> "Arrival":
+        """Return the arrival with one more error."""
+        return replace(self, errors=(*self.errors, error))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,23 +138,32 @@ class NewSession:
 
 @contextlib.asynccontextmanager
 async def received(
-    request: Request, services: Services, idempotent: IdempotentRequest, documents: frozenset[str]
+    request: Request,
+    services: Services,
+    idempotent: IdempotentRequest,
+    documents: frozenset[str],
+    model: type[UploadedFiles],
+    kind: FormKind = SESSION_FORM,
 ) -> AsyncIterator[Sent]:
-    """Receive a session as a form, or as JSON that names uploads; its files are there inside the block.
+    """Receive a session or a calibration as a form, or as JSON that names uploads; its files are there in the block.
 
     Parameters
     ----------
     documents
-        Its JSON parts: ``manifest``, and ``spec`` if it is to be reconstructed at once.
+        JSON parts of the form; a session with ``spec`` is to be reconstructed at once.
+    model
+        Model of the JSON that names uploads.
+    kind
+        Kind of the form.
 
     Raises
     ------
     ApiError
-        If there is no room for the session, or the request can't be read.
+        If there is no room for it, or the request can't be read.
     """
     names_uploads = request.headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
     to_come = 0 if names_uploads else announced_bytes(request)
-    with_job = SPEC in documents
+    with_job = kind is SESSION_FORM and SPEC in documents
     # A request that comes again may need no more room than there is.
     is_answered = await run_in_threadpool(idempotent.is_answered)
     if not is_answered:
@@ -146,10 +173,10 @@ async def received(
         if names_uploads:
             if not is_answered:
                 services.disk.require_room()
-            names = await _receive_names(request, services, documents)
+            names = await _receive_names(request, services, model)
             yield Sent(folder, names, names.model_dump(mode="json"), with_job)
         else:
-            form = await receive_form(request, folder, services.limits, documents, services.disk)
+            form = await receive_form(request, folder, services.limits, documents, services.disk, kind)
             yield Sent(folder, form, _parts_of(form), with_job)
 
 
@@ -162,30 +189,31 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         With all that is wrong.
     """
     owner = request.state.caller.owner
-    if isinstance(sent.content, Form):
-        arrival = _parsed(sent.content)
-    else:
+    if isinstance(sent.content, UploadedSession):
         # Large files are read once, for their digests, in the turn of the checks.
-        arrival = await services.checks.run(owner, _adopt, services, records, sent.folder, sent.content)
+        arrival = await services.checks.run(owner, _named, services, records, sent.folder, sent.content)
+    else:
+        arrival = _parsed(cast("Form", sent.content))
+    arrival = await run_in_threadpool(_with_calibration, records, arrival, sent.folder)
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
     if form.keypoints and arrival.manifest and arrival.manifest.cameras:
         message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
         errors.append(ErrorItem(code="cameras_of_keypoints", message=message, pointer=f"/{MANIFEST}/cameras"))
     preflight: Preflight | None = None
-    record_path = sent.folder / f"{uuid_utils.uuid7()}.npz"  # no file of the client's has such a name
-    if not form.errors:
+    record_path = record_path_in(sent.folder)
+    if not form.errors and form.files[CALIBRATION]:
         try:
             with _tracer.start_as_current_span("preflight"):
                 preflight = await services.checks.run(
                     owner,
                     services.preflight.check,
-                    _arguments(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
+                    arguments_of(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
                     record_path,
                     allowance_s(form),
                     further_wait_s=further_wait_s(form),
                 )
         except InvalidFilesError as invalid:
-            errors.extend(_located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)
+            errors.extend(located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)
     if preflight:
         errors.extend(limit_errors(services, preflight))
     if preflight and arrival.spec:
@@ -207,7 +235,7 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
     process that is killed in between.
     """
     session_id = services.store.sessions.reserve_id()
-    sources = [(_KINDS.get(pointer.split("/")[1], pointer[1:]), file) for pointer, file in _files(checked.form).items()]
+    sources = [(_KINDS.get(part, part), file) for part, files in checked.form.files.items() for file in files]
     files = tuple(_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(sources))
     with contextlib.ExitStack() as undo:
         undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
@@ -243,13 +271,20 @@ async def _folder(spool_dir: Path) -> AsyncIterator[Path]:
 
 
 def _parsed(form: Form) -> Arrival:
-    """Parse the JSON parts of a form."""
-    manifest, manifest_errors = _document(form, MANIFEST, Manifest)
-    spec, spec_problems = _document(form, SPEC, JobSpec)
-    return Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
+    """Parse the documents of a form."""
+    manifest, manifest_errors = document(form, MANIFEST, Manifest)
+    spec, spec_problems = document(form, SPEC, JobSpec)
+    arrival = Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
+    if (text := form.documents.get(CALIBRATION_ID)) is None:
+        return arrival
+    try:
+        return replace(arrival, calibration_id=str(uuid.UUID(text.decode().strip().strip('"'))))
+    except ValueError:
+        message = "The part calibration_id must be the id of a calibration."
+        return arrival.with_error(ErrorItem(code="wrong_format", message=message, pointer=pointer_to(CALIBRATION_ID)))
 
 
-def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
+def document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
     """Parse a JSON part; a missing part has all defaults."""
     try:
         return model.model_validate_json(form.documents.get(part, b"{}")), []
@@ -259,13 +294,12 @@ def _document(form: Form, part: str, model: type[_Model]) -> tuple[_Model | None
 
 def _parts_of(form: Form) -> object:
     """Content of a form as JSON, independent of its encoding."""
-    files = {pointer: [file.name, file.sha256] for pointer, file in _files(form).items()}
+    files = {pointer: [file.name, file.sha256] for pointer, file in form.pointers().items()}
     return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
 
 
-async def _receive_names(request: Request, services: Services, documents: frozenset[str]) -> UploadedSession:
+async def _receive_names(request: Request, services: Services, model: type[UploadedFiles]) -> UploadedFiles:
     body = await limited(request, services.settings.max_json_bytes).body()
-    model = UploadedCapture if SPEC in documents else UploadedSession
     try:
         return model.model_validate_json(body)
     except ValidationError as error:
@@ -274,12 +308,10 @@ async def _receive_names(request: Request, services: Services, documents: frozen
         raise unprocessable(model_items(error.errors(), model)) from None
 
 
-def _adopt(services: Services, records: TenantRecords, folder: Path, sent: UploadedSession) -> Arrival:
+def adopted(services: Services, records: TenantRecords, folder: Path, sent: UploadedFiles, kind: FormKind) -> Form:
     """Build the form from uploads, whose files stay on their spool."""
-    parts = Parts(folder, services.limits, frozenset())
-    named = [(VIDEOS, one) for one in sent.videos] + [(KEYPOINTS, one) for one in sent.keypoints]
-    named += [(part, one) for part, one in ((CALIBRATION, sent.calibration), (TIMESTAMPS, sent.timestamps)) if one]
-    for part, upload_id in named:
+    parts = Parts(folder, services.limits, frozenset(), kind)
+    for part, upload_id in sent.uploads():
         try:
             upload = records.uploads.get(str(upload_id))
             num_bytes = services.uploads.offset(upload.id)
@@ -292,25 +324,49 @@ def _adopt(services: Services, records: TenantRecords, folder: Path, sent: Uploa
             parts.lack(part, "upload_unfinished", message, "Send the rest of it first.", upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.path(upload.id))
+    return parts.form(sent.named())
+
+
+def _named(services: Services, records: TenantRecords, folder: Path, sent: UploadedSession) -> Arrival:
+    """Build the arrival of a session that names uploads."""
+    form = adopted(services, records, folder, sent, SESSION_FORM)
     spec = sent.spec if isinstance(sent, UploadedCapture) else JobSpec()
-    upload_ids = tuple(sorted({str(upload_id) for _, upload_id in named}))
-    return Arrival(parts.form(), sent.manifest, spec, upload_ids=upload_ids)
+    calibration_id = str(sent.calibration_id) if sent.calibration_id else None
+    return Arrival(form, sent.manifest, spec, calibration_id=calibration_id, upload_ids=sent.upload_ids())
 
 
-def _files(form: Form) -> dict[str, ReceivedFile]:
-    """Files of a form by their pointers."""
-    views = ((VIDEOS, form.videos), (KEYPOINTS, form.keypoints))
-    files = {f"/{part}/{index}": file for part, several in views for index, file in enumerate(several)}
-    for part, one in ((CALIBRATION, form.calibration), (TIMESTAMPS, form.timestamps)):
-        if one is not None:
-            files[f"/{part}"] = one
-    return files
+def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) -> Arrival:
+    """Add the file of the stored calibration that a session names, if it names one."""
+    if arrival.calibration_id is None:
+        return arrival
+    pointer = pointer_to(CALIBRATION_ID)
+    try:
+        calibration = records.calibrations.get(arrival.calibration_id)
+    except NotFound:
+        message, hint = "There is no such calibration.", "GET /v1/calibrations lists them."
+        return arrival.with_error(ErrorItem(code="calibration_unknown", message=message, pointer=pointer, hint=hint))
+    if (files := calibration.files) is None:
+        message, hint = "The calibration is not made yet.", "Wait for its job, or see why it failed."
+        return arrival.with_error(ErrorItem(code="calibration_unmade", message=message, pointer=pointer, hint=hint))
+    if not (calibration.report or {"has_extrinsics": True})["has_extrinsics"]:
+        message, hint = "The calibration has intrinsics, and no poses.", "Make one from videos that cameras share."
+        return arrival.with_error(ErrorItem(code="calibration_unposed", message=message, pointer=pointer, hint=hint))
+    name = f"calibration-{arrival.calibration_id}.json"
+    path, content = folder / name, files["multicap"].encode()
+    path.write_bytes(content)
+    file = ReceivedFile(name, path, len(content), hashlib.sha256(content).hexdigest())
+    return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, CALIBRATION: (file,)}))
 
 
-def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
+def record_path_in(folder: Path) -> Path:
+    """Path for the preflight's record; no file of the client's has such a name."""
+    return folder / f"{uuid_utils.uuid7()}.npz"
+
+
+def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
     """Arguments of the preflight for a form."""
     paths: dict[str, list[str]] = {}
-    for pointer, file in _files(form).items():
+    for pointer, file in form.pointers().items():
         paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
     if manifest.units != "m":
@@ -325,10 +381,10 @@ def _arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
         arguments.append(f"--frame-rate={manifest.frame_rate_hz!r}")
     if form.keypoints:
         arguments.append(f"--max-joints={max_joints}")
-    return arguments
+    return ["--calibration" if word == f"--{INTRINSICS}" else word for word in arguments]
 
 
-def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
+def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
     """Add the pointer of a problem: to the entry of a camera in the manifest, or to the part of a file in the form.
 
     Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
@@ -338,7 +394,7 @@ def _located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
         stated = manifest.cameras[of_camera[-1]].model_fields_set
         field = [item.field] if item.field in stated else []
         return item.model_copy(update={"pointer": pointer_to(MANIFEST, "cameras", of_camera[-1], *field)})
-    pointers = {file.name: pointer for pointer, file in _files(form).items()}
+    pointers = {file.name: pointer for pointer, file in form.pointers().items()}
     of_archive = {PurePosixPath(file.name).stem: pointers[file.name] for file in form.keypoints}
     file = item.file or ""
     pointer = pointers.get(file) or of_archive.get(file.split("/")[0])

@@ -13,16 +13,21 @@ from starlette.requests import Request
 
 from api.errors import ApiError
 from api.requests.bodies import announced_bytes, blocks, drain
-from api.requests.form import Form, Limits, Parts, too_large
+from api.requests.form import SESSION_FORM, Form, FormKind, Limits, Parts, too_large
 from worker.jobs.files.disk import DiskSpace
 
 # Boundaries and headers of the parts, in addition to the bytes of the files.
 _ENVELOPE_BYTES = 2**20
-_TAKEN = "A session is sent as multipart/form-data, or as application/json that names uploads."
+_TAKEN = "Files are sent as multipart/form-data, or named as uploads by application/json."
 
 
 async def receive_form(
-    request: Request, folder: Path, limits: Limits, documents: frozenset[str], disk: DiskSpace
+    request: Request,
+    folder: Path,
+    limits: Limits,
+    documents: frozenset[str],
+    disk: DiskSpace,
+    kind: FormKind = SESSION_FORM,
 ) -> Form:
     """Stream a request's form to disk.
 
@@ -34,6 +39,8 @@ async def receive_form(
         Names of the allowed JSON parts.
     disk
         Disk of the folder, whose free space is checked.
+    kind
+        What is sent.
 
     Raises
     ------
@@ -49,7 +56,7 @@ async def receive_form(
     try:
         _check_announced_length(request, limits)
         disk.require_room(announced_bytes(request))
-        parts = Parts(folder, limits, documents)
+        parts = Parts(folder, limits, documents, kind)
         reader = _Reader(boundary, parts)
         try:
             async for block in blocks(stream):

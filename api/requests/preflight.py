@@ -53,6 +53,26 @@ def further_wait_s(form: Form) -> float:
     return sum(file.num_bytes for file in (*form.videos, *form.keypoints)) * _S_PER_SENT_BYTE
 
 
+class CalibrationContents(BaseModel):
+    """Contents of a calibration file, as the program prints them.
+
+    Parameters
+    ----------
+    format, units, axes, notes
+        See ``pipeline.calibration.contents.Contents``.
+    files
+        The calibration in metres: text by format.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    format: str
+    units: str
+    axes: str
+    notes: tuple[str, ...]
+    files: dict[str, str]
+
+
 @dataclass(frozen=True, slots=True)
 class PreflightProgram:
     """Program that checks files, with its limits.
@@ -103,18 +123,48 @@ class PreflightProgram:
         OSError
             If the disk is full.
         """
+        answer = self._answer([*arguments, "--record", str(record)], record.parent, allowance_s)
+        if record.is_file() and (session := _parsed(answer)) is not None:
+            return session
+        raise _failed()
+
+    def read_calibration(self, arguments: Sequence[str], folder: Path) -> CalibrationContents:
+        """Read a calibration.
+
+        Parameters
+        ----------
+        arguments
+            File and choices, as arguments of the program.
+        folder
+            Folder for temporary files, which the caller removes.
+
+        Returns
+        -------
+            What the program printed.
+
+        Raises
+        ------
+        InvalidFilesError, ApiError, OSError
+            As ``check``.
+        """
+        try:
+            return CalibrationContents.model_validate_json(self._answer(arguments, folder, 0.0))
+        except ValidationError:
+            raise _failed() from None
+
+    def _answer(self, arguments: Sequence[str], folder: Path, allowance_s: float) -> bytes:
+        """Run the program, and return what it prints about usable files."""
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as log:
-            command = [*self.command, *arguments, "--record", str(record)]
-            exit_code = self._run(command, self.timeout_s + allowance_s, record.parent, output, log)
+            exit_code = self._run([*self.command, *arguments], self.timeout_s + allowance_s, folder, output, log)
             printed = _read(output, self.max_bytes)
-            if exit_code == 0 and record.is_file() and (session := _parsed(printed)) is not None:
-                return session
+            if exit_code == 0 and printed:
+                return printed
             if exit_code == _EXIT_BAD_INPUT and (problems := _problems(printed)):
                 raise InvalidFilesError(problems)
             if exit_code == _EXIT_DISK_FULL:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             _log.error("preflight_failed", exit_code=exit_code, output_bytes=len(printed), log=_tail(log))
-        raise ApiError("preflight_failed", "The check of the files failed; the log says why.", retryable=True)
+        raise _failed()
 
     def _run(self, command: Sequence[str], timeout_s: float, temporary: Path, output: IO[bytes], log: IO[bytes]) -> int:
         with subprocess.Popen(  # noqa: S603 - the command is the operator's, the files' names are absolute paths
@@ -155,6 +205,10 @@ class _Problems(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     problems: tuple[ErrorItem, ...]
+
+
+def _failed() -> ApiError:
+    return ApiError("preflight_failed", "The check of the files failed; the log says why.", retryable=True)
 
 
 def _read(file: IO[bytes], max_bytes: int) -> bytes:

@@ -18,14 +18,15 @@ from api.contract.description import (
     problems,
     session_body,
 )
-from api.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
-from api.errors import unprocessable
+from api.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
+from api.errors import ApiError, unprocessable
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.requests.bodies import SmallBodyRoute
+from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
 from api.requests.spec_checks import callback_errors, network_errors, spec_errors
-from api.schemas import AttemptList, AttemptOut, JobOut, JobPage
+from api.schemas import AttemptList, AttemptOut, JobOut, JobPage, UploadedCapture
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobState
 from worker.jobs.spec import JobSpec
@@ -39,7 +40,6 @@ small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
 
 _log = structlog.get_logger(__name__)
 
-_POLL_AFTER_S = 1
 _ONE, _PAGE = answer("Job"), answer("JobPage")
 State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
 _ACCEPTED: Responses = {
@@ -67,6 +67,9 @@ def create_job(
         return earlier
     with idempotent.working():
         session = idempotent.records.sessions.get(session_id)
+        if session.purpose == "calibration":
+            message = "The session was sent for a calibration, and its cameras are not calibrated."
+            raise ApiError("conflict", message, hint="Send its videos as a session with the calibration's id.")
         errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
         if has_videos(session):
             errors += network_errors(spec, services, ())
@@ -93,7 +96,8 @@ def create_job(
 )
 async def create_session_and_job(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads."""
-    async with received(request, services, idempotent, frozenset({MANIFEST, SPEC})) as sent:
+    documents = frozenset({MANIFEST, SPEC, CALIBRATION_ID})
+    async with received(request, services, idempotent, documents, UploadedCapture) as sent:
         if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
         async with idempotent.held():
@@ -210,7 +214,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         if may_retry and has_videos(session) and (errors := network_errors(job.spec, services, None)):
             raise unprocessable(errors)
         services.disk.require_room()
-        stages = plan_job(session, job.spec, services.settings.chunk_frames)
+        stages = plan_job(session, job.spec, services.settings.chunk_frames, making=job.making)
         with idempotent.records.transaction() as work:
             answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
@@ -248,5 +252,5 @@ def _announce(services: Services, job: Job) -> None:
 
 
 def _accepted(job: Job) -> Answer:
-    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(_POLL_AFTER_S)}
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
     return Answer(202, headers, JobOut.of(job).model_dump_json())

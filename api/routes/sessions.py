@@ -7,9 +7,10 @@ from api.auth import RecordsDep
 from api.contract.description import answer, location, problems, session_body
 from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, CheckedSession, check, received, stored
-from api.schemas import SessionOut, SessionPage
+from api.schemas import SessionOut, SessionPage, UploadedSession
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Session
 
@@ -34,7 +35,7 @@ async def create_session(request: Request, services: ServicesDep, idempotent: Id
     As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
     found, or all that is wrong.
     """
-    async with received(request, services, idempotent, frozenset({MANIFEST})) as sent:
+    async with received(request, services, idempotent, frozenset({MANIFEST, CALIBRATION_ID}), UploadedSession) as sent:
         if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
             return earlier
         async with idempotent.held():

@@ -113,7 +113,8 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray | str:
     return left @ right
 
 
-def _name_problem(name: Any) -> str | None:
+def name_problem(name: Any) -> str | None:
+    """End of a sentence about a wrong name of a camera, or ``None``."""
     if not isinstance(name, str) or not name.strip():
         return "is missing or not a text."
     if len(name) > _MAX_NAME_LENGTH or not name.isprintable() or "/" in name or "\\" in name:
@@ -166,7 +167,7 @@ def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> lis
 
 def _build(raw_camera: RawCamera, position: int, file: str) -> tuple[Camera | None, list[Problem]]:
     problems: list[Problem] = []
-    fault = _name_problem(raw_camera.name)
+    fault = name_problem(raw_camera.name)
     label = f"number {position + 1}" if fault else str(raw_camera.name)
 
     def complain(field: str, message: str) -> None:

@@ -7,18 +7,29 @@ from typing import Any
 
 from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.readers.json_formats import SCHEMA_VERSION
 from pipeline.data import Camera
 
 
 def encode(cameras: Sequence[Camera]) -> bytes:
     """Encode cameras with every digit of their numbers; equal cameras give equal bytes."""
-    document = {
+    return (json.dumps(_document(cameras), indent=1, allow_nan=False) + "\n").encode()
+
+
+def encodings(cameras: Sequence[Camera]) -> dict[str, str]:
+    """Encode cameras in every format; texts by name of the format."""
+    return {name: encoder(cameras).decode() for name, (_, encoder) in FORMATS.items()}
+
+
+def _document(cameras: Sequence[Camera]) -> dict[str, Any]:
+    """Cameras as a JSON object of Multicap's own format; ``size_px`` is null for an unknown size."""
+    return {
         "schema_version": SCHEMA_VERSION,
         "cameras": [
             {
                 "name": camera.name,
-                "size_px": list(camera.size_px),
+                "size_px": None if camera.size_px == UNKNOWN_SIZE else list(camera.size_px),
                 "matrix": camera.matrix.tolist(),
                 "distortion": camera.distortion.tolist(),
                 "rotation": camera.cam_from_world.rotation.tolist(),
@@ -29,7 +40,6 @@ def encode(cameras: Sequence[Camera]) -> bytes:
             for camera in cameras
         ],
     }
-    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
 def encode_toml(cameras: Sequence[Camera]) -> bytes:
@@ -42,12 +52,14 @@ def encode_opencv(cameras: Sequence[Camera]) -> bytes:
     return "\n".join(["%YAML:1.0", "---", *(_mapping(camera) for camera in cameras), ""]).encode()
 
 
-ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = {
-    ".json": encode,
-    ".toml": encode_toml,
-    ".yml": encode_opencv,
-    ".yaml": encode_opencv,
+FORMATS: Mapping[str, tuple[str, Callable[[Sequence[Camera]], bytes]]] = {
+    "multicap": (".json", encode),
+    "caliscope": (".toml", encode_toml),
+    "opencv": (".yml", encode_opencv),
 }
+"""Ending and encoder of each format."""
+
+ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = dict(FORMATS.values()) | {".yaml": encode_opencv}
 """Encoder by the ending of the file."""
 
 

@@ -1,10 +1,13 @@
-"""Check a session in a child process.
+"""Check a session, or a calibration, in a child process.
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
 [--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: the session's report, or
 ``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the numeric libraries, and
 without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the files need not be
 examined again.
+
+Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
+without ``--calibration`` are those of a calibration that is to be made.
 """
 
 import argparse
@@ -16,8 +19,12 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.contents import UNITS_M
+from pipeline.calibration.registry import read_contents
+from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
@@ -87,6 +94,28 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     return report(session, files, arguments.units), encode_keypoints(session)
 
 
+def _check(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Check the session, or the calibration, and build the answer."""
+    if not arguments.videos and not arguments.keypoints:
+        return _check_calibration(arguments)
+    preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+    if arguments.record:
+        _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
+    return preflight.to_json()
+
+
+def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Read a calibration: its cameras in metres, and what the format says."""
+    contents = read_contents(arguments.calibration, arguments.units)
+    return {
+        "format": printable(contents.format),
+        "units": contents.unit or arguments.units,
+        "axes": printable(contents.axes),
+        "notes": [printable(note) for note in contents.notes],
+        "files": encodings(contents.cameras),
+    }
+
+
 def _write_record(path: Path, record: bytes, content: str) -> None:
     try:
         path.write_bytes(record)
@@ -101,10 +130,10 @@ def _write_record(path: Path, record: bytes, content: str) -> None:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the check with the command line's arguments, or with ``words``; return the exit code."""
     parser = argparse.ArgumentParser(description="Check a capture session.")
-    views = parser.add_mutually_exclusive_group(required=True)
+    views = parser.add_mutually_exclusive_group()
     views.add_argument("--videos", nargs="+", type=Path)
     views.add_argument("--keypoints", nargs="+", type=Path)
-    parser.add_argument("--calibration", type=Path, required=True)
+    parser.add_argument("--calibration", type=Path)
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
@@ -112,13 +141,15 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
     )
+    parser.add_argument("--board", help="Board that the videos show; its specification is checked.")
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args(words)
+    if arguments.calibration is None and not arguments.videos:
+        parser.error("name a calibration")
     try:
-        preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
-        if arguments.record:
-            _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
-        answer = preflight.to_json()
+        if arguments.board:
+            parse_board(arguments.board)
+        answer = _check(arguments)
     except InputError as error:
         answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
     except MemoryError:

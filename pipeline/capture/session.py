@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
+from pipeline.calibration.guess import guessed_camera
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.sizes import fit_to_picture
+from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
@@ -82,7 +84,7 @@ class Recording:
 
 
 def open_session(
-    videos: Path | Sequence[Path], calibration: Path, recordings: Sequence[Recording] = (), units: Units = "m"
+    videos: Path | Sequence[Path], calibration: Path | None, recordings: Sequence[Recording] = (), units: Units = "m"
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
@@ -93,6 +95,9 @@ def open_session(
 
     Parameters
     ----------
+    calibration
+        ``None``: it is to be made from the videos, of which one may be alone. The cameras have the names of the videos,
+        or of their recordings, and are guessed, see ``guessed_camera``.
     recordings
         Facts about the videos of some cameras, at most one recording a camera.
     units
@@ -103,16 +108,24 @@ def open_session(
     InputError
         With all problems of all files.
     """
-    paths, warnings, problems = _find_videos(videos)
+    paths, warnings, problems = _find_videos(videos, 1 if calibration is None else MIN_CAMERAS)
     cameras: tuple[Camera, ...] = ()
-    try:
-        contents = read_contents(calibration, units)
-        cameras, warnings = contents.cameras, [*warnings, *contents.notes]
-    except InputError as error:
-        problems.extend(error.problems)
+    if calibration is not None:
+        try:
+            contents = read_contents(calibration, units)
+            cameras, warnings = contents.cameras, [*warnings, *contents.notes]
+        except InputError as error:
+            problems.extend(error.problems)
 
     probed = probe_in_children(paths)
     problems.extend(result for result in probed if isinstance(result, Problem))
+    if calibration is None:
+        cameras = _guessed([result for result in probed if isinstance(result, VideoInfo)], recordings)
+        problems += [
+            Problem("invalid_name", f"The name {fault}", camera=camera.name, field="name", hint="Rename the video.")
+            for camera in cameras
+            if (fault := name_problem(camera.name))
+        ]
     problems += _range_problems(recordings)
     recording_of_camera, recording_problems = _known_recordings(recordings, cameras, paths) if cameras else ({}, [])
     problems += recording_problems
@@ -247,7 +260,13 @@ def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoI
     return clock_problems(times, start_s, rate_hz, source)
 
 
-def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], list[Problem]]:
+def _guessed(videos: Sequence[VideoInfo], recordings: Sequence[Recording]) -> tuple[Camera, ...]:
+    """Cameras with the names of the videos, or of the recordings that name a video."""
+    named = {recording.file: recording.camera for recording in recordings}
+    return tuple(guessed_camera(named.get(video.path.name, video.path.stem), video.size_px) for video in videos)
+
+
+def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[Path], list[str], list[Problem]]:
     """List the video files; warn of ignored files, and report missing videos and equal names."""
     warnings: list[str] = []
     problems: list[Problem] = []
@@ -257,11 +276,12 @@ def _find_videos(videos: Path | Sequence[Path]) -> tuple[list[Path], list[str], 
         warnings.extend(f"{path.name} is ignored: it is not a video." for path in files if path not in paths)
     else:
         paths = [videos] if isinstance(videos, Path) else list(videos)
-    if len(paths) < MIN_CAMERAS:
+    if len(paths) < min_videos:
+        found, required = ("is one video", "are") if paths else ("are no videos", "are" if min_videos > 1 else "is")
         problems.append(
             Problem(
                 "too_few_videos",
-                f"There {'is one video' if paths else 'are no videos'}; at least {MIN_CAMERAS} are required.",
+                f"There {found}; at least {min_videos} {required} required.",
                 hint="Provide one video of each camera.",
             )
         )

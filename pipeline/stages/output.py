@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,12 @@ class Output:
         Warnings about the results, ``code`` and ``message``.
     interim
         Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
+    calibration
+        Calibration that the job has made: ``files``, texts by format, and ``report``.
     """
 
     content: bytes
     files: tuple[ResultFile, ...] = ()
     warnings: tuple[Mapping[str, str], ...] = ()
     interim: bytes | None = None
+    calibration: Mapping[str, Any] | None = None

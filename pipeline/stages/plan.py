@@ -1,4 +1,6 @@
-"""Plan of a reconstruction: stages, their tasks and the keys of the tasks' outputs. Standard library only.
+"""Plan of a job: stages, their tasks and the keys of the tasks' outputs. Standard library only.
+
+A job reconstructs a session, or makes a calibration from its board or its people.
 
 ``STAGES`` declares each stage once; progress, labels, keys, the page and the command line read it. ``plan`` is pure:
 equal inputs give equal plans on every machine. The key of a task is a hash of the stage, the digest of its code, the
@@ -9,14 +11,16 @@ again, after a crash or for another job, has the same keys, and its outputs are 
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from itertools import islice
 from typing import Any, Literal
 
-from pipeline.config import JobChoices, ReconstructionConfig, detected_joints, networks_of
+from pipeline.calibration_choices import BOARD_FRAMES
+from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 
 LOOK, DETECT, REFINE, LENGTHS, POSES, ASSOCIATE = "look", "detect", "refine", "lengths", "poses", "associate"
 IDENTIFY, FIT, EXPORT = "identify", "fit", "export"
+FIND_BOARD, CALIBRATE = "find_board", "make_calibration"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
@@ -120,7 +124,7 @@ class Stage:
     function
         Name of its function in ``pipeline.stages.run``.
     is_planned
-        Whether a reconstruction has this stage.
+        Whether a job has this stage.
     unit
         What its progress counts.
     is_reusable
@@ -137,26 +141,34 @@ class Stage:
     follows: tuple[str, ...]
     choices: tuple[str, ...]
     function: str
-    is_planned: Callable[[SessionFacts, JobChoices], bool] = lambda facts, config: True
+    is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.making is None
     unit: Literal["frames", "steps"] = "steps"
     is_reusable: bool = True
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
 
 
-def _has_videos(facts: SessionFacts, _: JobChoices) -> bool:
-    return facts.has_videos
+def _is_detecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+    return facts.has_videos and not _is_finding_board(facts, config)
 
 
-def _is_clustering(_: SessionFacts, config: JobChoices) -> bool:
-    return config.method == "clustering"
+def _is_sized(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+    return _is_detecting(facts, config) and networks_of(config).is_sized
 
 
-def _is_refining(_: SessionFacts, config: JobChoices) -> bool:
-    return config.refine_calibration == "auto"
+def _is_finding_board(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is not None and config.making.method == "board"
 
 
-def _is_sized(facts: SessionFacts, config: JobChoices) -> bool:
-    return facts.has_videos and networks_of(config).is_sized
+def _is_calibrating(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is not None
+
+
+def _is_clustering(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None and config.method == "clustering"
+
+
+def _is_refining(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None and config.refine_calibration == "auto"
 
 
 STAGES = (
@@ -177,9 +189,29 @@ STAGES = (
         follows=(LOOK,),
         choices=("profile", "joints", "detector", "output"),
         function="detect",
-        is_planned=_has_videos,
+        is_planned=_is_detecting,
         unit="frames",
         leaves_interim=lambda config: config.uses_colours,
+    ),
+    Stage(
+        FIND_BOARD,
+        "Find the board",
+        cut="cameras",
+        follows=(),
+        choices=("making",),
+        function="find_board",
+        is_planned=_is_finding_board,
+        unit="frames",
+    ),
+    Stage(
+        CALIBRATE,
+        "Calibrate cameras",
+        cut="whole",
+        follows=(DETECT, FIND_BOARD),
+        choices=("making",),
+        function="calibrate",
+        is_planned=_is_calibrating,
+        is_reusable=False,
     ),
     Stage(
         REFINE,
@@ -313,7 +345,7 @@ def plan(
     codes: Mapping[str, str],
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
 ) -> tuple[PlannedStage, ...]:
-    """Cut a reconstruction into stages and tasks.
+    """Cut a job into stages and tasks.
 
     Parameters
     ----------
@@ -365,6 +397,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         **{name: None if has_no_effect.get(name) else values[name] for name in values.keys() - _WITHOUT_EFFECT},
         "joints": None if config.detector != "auto" else detected_joints(config),
         "exports": sorted(config.exports),
+        "making": None if config.making is None else asdict(config.making),
         "tracking": None if is_clustering else dict(config.tracking),
         "clustering": dict(config.clustering) if is_clustering else None,
         "output": "fields" if config.uses_fields else "bodies",
@@ -404,8 +437,9 @@ class _WholeCameraTasks:
 
     def __iter__(self) -> Iterator[Task]:
         frames = range(self.facts.num_frames)
-        num_units = max(1, min(LOOKED_AT_FRAMES, len(frames)))
-        for index, camera in enumerate(self.facts.camera_rates_hz):
+        for index, (camera, rate_hz) in enumerate(self.facts.camera_rates_hz.items()):
+            num_frames = max(1, round(len(frames) * rate_hz / self.facts.frame_rate_hz))
+            num_units = min(LOOKED_AT_FRAMES if self.stage == LOOK else BOARD_FRAMES, num_frames)
             key = _hash([self.stage_key, camera])
             yield Task(self.stage, index, camera, frames, self.chunk_frames, num_units, key)
 

@@ -10,6 +10,12 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.source import frames_to_look_at, look_in_video
+from pipeline.calibration.board.spec import parse_board
+from pipeline.calibration.board.views import decode_views, encode_views
+from pipeline.calibration.report import MadeCalibration, report_document
+from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
 from pipeline.data import Animation, Camera, DamagedVideo, Detections, Reconstruction, Refinement
@@ -19,7 +25,7 @@ from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import joints_of, load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
-from pipeline.errors import PipelineError
+from pipeline.errors import PipelineError, listed
 from pipeline.export.results import METRICS, write_results
 from pipeline.hands.attach import has_hands, without_fingers
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
@@ -62,6 +68,7 @@ from pipeline.stages.outputs_npz import (
 from pipeline.stages.plan import (
     ASSOCIATE,
     DETECT,
+    FIND_BOARD,
     FIT,
     IDENTIFY,
     LENGTHS,
@@ -79,7 +86,7 @@ from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 
 _PEOPLE = "people.npz"
-_MEDIA_TYPES = {".json": "application/json"} | {
+_MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"} | {
     f".{name}": file_format.media_type for name, file_format in FILE_FORMATS.items()
 }
 
@@ -214,6 +221,49 @@ def detect(task: Task, context: Context) -> Output:
         detections = detect_chunk(session, task.camera, span, detector, context.on_unit, config.uses_colours)
         interim = encode_colours(detections) if config.uses_colours else None
         return Output(encode_detections(detections), interim=interim)
+
+
+def find_board(task: Task, context: Context) -> Output:
+    """Look for the board in frames of a camera."""
+    session, making = context.session(), context.config.making
+    if isinstance(session, KeypointSession) or task.camera is None or making is None:
+        raise PipelineError("A board is looked for in videos.")
+    number = [camera.name for camera in session.cameras].index(task.camera)
+    times_s = [times.time_s for times in session.times.values()]
+    span = min(float(one[0]) for one in times_s), max(float(one[-1]) for one in times_s)
+    own_s = session.times[task.camera].time_s
+    frames = frames_to_look_at(own_s, span, 1.0 / session.timebase.frame_rate_hz)
+    board = parse_board(making.board or "")
+    with context.video(task.camera):
+        views = look_in_video(session.videos[number], task.camera, own_s, frames, board, context.on_unit)
+    return Output(encode_views(views))
+
+
+def calibrate(task: Task, context: Context) -> Output:
+    """Make a calibration from the views of a board, or from the people of a session."""
+    session, making, on_share = context.outline(), context.config.making, _on_share(task, context)
+    if making is None:
+        raise PipelineError("The job makes no calibration.")
+    given = {camera.name: camera for camera in session.cameras} if making.has_intrinsics else None
+    views = [decode_views(content) for content in context.outputs(FIND_BOARD)]
+    board, rate_hz = parse_board(making.board or ""), session.timebase.frame_rate_hz
+    made = calibrate_board(views, board, given, rate_hz, on_share=on_share)
+    return _calibrated(made, context)
+
+
+def _calibrated(made: MadeCalibration, context: Context) -> Output:
+    """Write the calibration, its report and its pictures."""
+    report, texts = report_document(made), encodings(made.cameras)
+    written = {
+        "calibration.json": texts["multicap"],
+        "report.json": json.dumps(report, indent=1) + "\n",
+        **made.pictures,
+    }
+    for name, text in written.items():
+        (context.scratch / name).write_text(text, encoding="utf-8")
+    files = tuple(_result_file(context.scratch / name) for name in written)
+    warnings = tuple({"code": one.code, "message": str(one)} for one in listed(made.warnings))
+    return Output(texts["multicap"].encode(), files, warnings, calibration={"files": texts, "report": report})
 
 
 def refine_calibration(task: Task, context: Context) -> Output:
@@ -431,8 +481,9 @@ def _archive_of_people(context: Context, stage: str) -> Path:
 
 
 def _result_file(path: Path) -> ResultFile:
+    is_of_person = path.suffix.removeprefix(".") in FILE_FORMATS
     kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
-    person = None if path.suffix == ".json" else path.stem
+    person = path.stem if is_of_person else None
     return ResultFile(path.name, kind, person, _MEDIA_TYPES[path.suffix], path)
 
 
@@ -441,6 +492,8 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
     for function in (
         look,
         detect,
+        find_board,
+        calibrate,
         refine_calibration,
         measure_lengths,
         find_poses,

@@ -200,6 +200,7 @@ def live(service: Live) -> Iterator[Live]:
     with contextlib.closing(sqlite3.connect(service.settings.data_dir / "multicap.db")) as database, database:
         database.execute("PRAGMA foreign_keys = ON")
         database.execute("DELETE FROM sessions")
+        database.execute("DELETE FROM calibrations")
         database.execute("DELETE FROM uploads")
     for path in service.settings.uploads_dir.iterdir():
         path.unlink()

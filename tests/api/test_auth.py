@@ -63,7 +63,7 @@ class Guarded:
     def ask(self, method: str, path: str, secret: str | None, **options: Any) -> httpx2.Response:
         headers = {"Authorization": f"Bearer {secret}"} if secret is not None else {}
         address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
-        if (method, path) in {("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
+        if (method, path) in {("POST", "/v1/calibrations"), ("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
             options.setdefault("files", form())
         if path.startswith("/v1/uploads"):
             headers |= TUS
@@ -90,7 +90,9 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
         upload = live.client.post("/v1/uploads", headers=TUS).headers["location"]
         del live.client.headers["Authorization"]
+        records = live.services.store.of("theirs")
         ids = {
+            "calibration_id": records.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id,
             "session_id": session_id,
             "job_id": job_id,
             "name": "person-1.bvh",

@@ -15,12 +15,14 @@
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
+from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
+from pipeline.config import ReconstructionConfig
 from worker.jobs.spec import JobSpec
 
 
@@ -130,6 +132,9 @@ class Upload:
     expires_at: datetime
 
 
+Purpose = Literal["capture", "calibration"]
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     """A capture session: its files, and what the preflight found in them.
@@ -140,6 +145,8 @@ class Session:
         JSON object of the client.
     record_sha256
         Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions.
+    purpose
+        Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures.
     """
 
     id: str
@@ -149,6 +156,7 @@ class Session:
     preflight: Preflight
     metadata: Mapping[str, Any] = field(default_factory=dict)
     record_sha256: str | None = None
+    purpose: Purpose = "capture"
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,12 +242,53 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
+class Calibration:
+    """A calibration: sent as a file, or made by the job of the same id.
+
+    Parameters
+    ----------
+    method
+        ``file``, ``board`` or ``people``.
+    source
+        Of a file its name, format, units, axes and notes; else the choices with which it is made.
+    files
+        Text by format; ``None`` until it is made.
+    report
+        See ``pipeline.calibration.report.report_document``; ``None`` of a file.
+    session_id
+        Session from which it is made; it may be deleted since.
+    job_state, problem
+        State and problem of the job that makes it; ``None`` of a file, or once the job is deleted.
+    """
+
+    id: str
+    name: str
+    method: str
+    created_at: datetime
+    source: Mapping[str, Any]
+    files: Mapping[str, str] | None
+    report: Mapping[str, Any] | None
+    session_id: str | None = None
+    job_state: JobState | None = None
+    problem: Problem | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MadeCalibration:
+    """Calibration that a job has made; fields as of ``Calibration``."""
+
+    files: Mapping[str, str]
+    report: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
 class Job:
-    """A reconstruction of a session.
+    """A reconstruction of a session, or the making of a calibration from it.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
     units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
-    those of ``result_warnings``.
+    those of ``result_warnings``. ``making`` has the choices of the calibration that it makes; without it, the job
+    reconstructs.
     """
 
     id: str
@@ -261,6 +310,7 @@ class Job:
     problem: Problem | None
     warnings: tuple[str, ...]
     result_warnings: tuple[ResultWarning, ...]
+    making: CalibrationChoices | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,3 +433,14 @@ class Claim:
     attempt: int  # try of the chunk, from 1
     job_attempt: int
     trace: str | None  # W3C traceparent of the request for the job
+    making: CalibrationChoices | None = None  # as of ``Job``
+
+    @property
+    def config(self) -> ReconstructionConfig:
+        """Configuration of the job."""
+        return config_of(self.spec, self.making)
+
+
+def config_of(spec: JobSpec, making: CalibrationChoices | None) -> ReconstructionConfig:
+    """Configuration of a job by its spec and, if it makes a calibration, the choices of this."""
+    return replace(spec.config, making=making)

@@ -13,10 +13,10 @@ from worker.jobs.database.totals import read_figures
 from worker.jobs.model import Actor, Figures
 from worker.jobs.repositories.audit import Audit
 from worker.jobs.repositories.browser_sessions import BrowserSessions
+from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.keys import Keys
-from worker.jobs.repositories.removals import Removals
 from worker.jobs.repositories.results import Results
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.repositories.uploads import Uploads
@@ -25,6 +25,7 @@ from worker.jobs.repositories.webhooks import Webhooks
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS, Leases
 from worker.jobs.repositories.work.outputs import Outputs
 from worker.jobs.repositories.work.plans import Plans
+from worker.jobs.repositories.work.removals import Removals
 from worker.jobs.repositories.work.workers import Workers
 from worker.jobs.tenant_records import TenantRecords
 
@@ -49,6 +50,7 @@ class JobStore:
         access = Access(self._database)
         # Reached by tenants too, through ``of``.
         self.sessions = Sessions(access)
+        self.calibrations = Calibrations(access)
         self.jobs = Jobs(access)
         self.results = Results(access)
         self.uploads = Uploads(access)

@@ -8,6 +8,7 @@ from worker.jobs.database.access import Access
 from worker.jobs.database.quotas import NO_QUOTAS, read_usage, require_room
 from worker.jobs.database.transactions import OpenTransaction
 from worker.jobs.model import Usage
+from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
@@ -25,6 +26,7 @@ class TenantRecords:
     def __init__(self, access: Access) -> None:
         self._access = access
         self.sessions = Sessions(access)
+        self.calibrations = Calibrations(access)
         self.jobs = Jobs(access)
         self.results = Results(access)
         self.uploads = Uploads(access)

@@ -301,8 +301,8 @@ PARTS = CodeGroup(
         ProblemCode(
             "part_not_allowed",
             _FIELD,
-            "Keypoints or timestamps were sent together with videos.",
-            "Send either videos or keypoints; timestamps belong to keypoints.",
+            "Files that exclude each other were sent, or the method of a calibration has no use for one.",
+            "Send either videos or keypoints, timestamps with keypoints only, a calibration or its id.",
         ),
         ProblemCode("too_many_videos", _FIELD, "The session has more videos than allowed.", "Send fewer cameras."),
         ProblemCode("too_many_keypoints", _FIELD, "The session has more archives than allowed.", "Send fewer cameras."),
@@ -321,6 +321,25 @@ PARTS = CodeGroup(
             "`cameras` of the manifest was sent with keypoints.",
             "Omit it: timestamps and the names of the archives state the same.",
         ),
+        ProblemCode(
+            "calibration_unknown",
+            _FIELD,
+            "There is no calibration with this id.",
+            "List the calibrations, or send the file.",
+        ),
+        ProblemCode(
+            "calibration_unmade",
+            _FIELD,
+            "The calibration is being made, or its job has failed.",
+            "Wait for its job, or read the job's error.",
+        ),
+        ProblemCode(
+            "calibration_unposed",
+            _FIELD,
+            "The calibration has the intrinsics of its cameras, and no poses.",
+            "Make one from videos in which the cameras see the board at the same time.",
+        ),
+        ProblemCode("session_unknown", _FIELD, "There is no session with this id.", "List the sessions."),
         ProblemCode(
             "upload_unknown", _FIELD, "There is no such upload, or it was used or has expired.", "Send the file again."
         ),

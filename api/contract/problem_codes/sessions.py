@@ -4,6 +4,8 @@ from api.contract.problem_codes.model import CodeGroup, ProblemCode
 
 # Places of codes that the check of a session and ``multicap reconstruct`` report.
 _FILES = ("422", "command")
+# Places of codes of calibrations that are made.
+_MADE = ("job", "command")
 # Places of codes that are also reported when the frames are decoded.
 _FRAMES = ("422", "job", "command")
 
@@ -31,6 +33,39 @@ CALIBRATIONS = CodeGroup(
             _FILES,
             "The format states its own unit of length; `units` contradicts it.",
             "Omit `units`.",
+        ),
+        ProblemCode(
+            "board_invalid",
+            _FILES,
+            "The specification of a board is malformed or not plausible.",
+            "Write it as [calibration](calibration.md#from-a-board) says.",
+        ),
+        ProblemCode(
+            "board_not_found",
+            _MADE,
+            "The board was found in too few pictures of a camera.",
+            "Check the numbers of the board; film it sharp and whole.",
+        ),
+        ProblemCode(
+            "board_unlinked",
+            _MADE,
+            "A camera shares too few views of the board with the others.",
+            "Film the board where the camera and a neighbour both see it.",
+        ),
+        ProblemCode(
+            "board_unsynchronised",
+            _MADE,
+            "Two cameras see the board at poses that contradict each other.",
+            "Synchronise the videos; `hint` has the offset if one was found.",
+        ),
+        ProblemCode("images_missing", ("command",), "The folder has no photographs.", "Check the path."),
+        ProblemCode("image_unreadable", ("command",), "A photograph can't be read.", "Leave it out."),
+        ProblemCode("image_size", ("command",), "Photographs of a camera differ in size.", "Leave some out."),
+        ProblemCode(
+            "camera_unknown",
+            ("command",),
+            "The file of the intrinsics has no camera of this name.",
+            "Name the folders of the photographs as the cameras.",
         ),
         ProblemCode("unknown_version", _FILES, "`schema_version` is not supported.", "Write version 1."),
         ProblemCode("too_many_cameras", _FILES, "The calibration has more cameras than allowed.", "Remove some."),

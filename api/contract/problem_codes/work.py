@@ -166,6 +166,36 @@ WARNINGS = CodeGroup(
             "A camera was moved during the take.",
             "Reconstruct the frames before and after the time in the message on their own (`frame_range`).",
         ),
+        ProblemCode(
+            "board_few_views",
+            _WARNING,
+            "The board was found in few pictures of a camera.",
+            "Film it longer, at several distances and tilts.",
+        ),
+        ProblemCode(
+            "board_poor_coverage",
+            _WARNING,
+            "The board covers a small part of a camera's picture.",
+            "Film it near the edges and corners too; see the picture `coverage_CAMERA.svg`.",
+        ),
+        ProblemCode(
+            "board_mirrored",
+            _WARNING,
+            "The board is mirrored in some pictures.",
+            "Turn off the mirroring of the camera: its videos are mirrored too.",
+        ),
+        ProblemCode(
+            "board_few_shared",
+            _WARNING,
+            "A camera is linked to the others by few views of the board.",
+            "Film the board where the camera and a neighbour both see it.",
+        ),
+        ProblemCode(
+            "board_floor_uncertain",
+            _WARNING,
+            "The board never lies still on the floor, so that the floor of the world is a guess.",
+            "Lay it flat on the floor for a second, or state the time (`--floor-time`).",
+        ),
         ProblemCode("upside_down", _WARNING, "Heads are below feet.", "Turn the calibration: Z must point up."),
         ProblemCode(
             "not_upright", _WARNING, "People lean in most frames.", "Check that the calibration's up axis is Z."

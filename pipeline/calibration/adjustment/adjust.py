@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.adjustment.normal import State, build, cost, residuals_px
 from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, Parameters, move_camera
-from pipeline.calibration.adjustment.problem import Problem
+from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.structure import Structure
 from pipeline.data import Camera, read_only
 
@@ -45,7 +45,7 @@ class Adjustment:
 
 
 def adjust(
-    problem: Problem,
+    problem: AdjustmentProblem,
     structure: Structure,
     start: tuple[Camera, ...] | None = None,
     sigma_px: float | None = None,
@@ -79,7 +79,7 @@ def adjust(
     )
 
 
-def camera_sigma(problem: Problem, state: State, sigma_px: float) -> Parameters:
+def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> Parameters:
     """Compute standard deviations of the cameras' parameters from the inverse of the reduced normal matrix."""
     sigma = np.zeros((len(state.cameras), NUM_PARAMETERS))
     reduced = build(problem, state, sigma_px).reduced()
@@ -93,7 +93,7 @@ def camera_sigma(problem: Problem, state: State, sigma_px: float) -> Parameters:
     return read_only(sigma)
 
 
-def _noise_px(problem: Problem, state: State) -> float:
+def _noise_px(problem: AdjustmentProblem, state: State) -> float:
     """Estimate the noise of a coordinate from the median distance (Rayleigh), for the freedom of the unknowns."""
     distance_px = np.linalg.norm(residuals_px(problem, state), axis=-1)
     distance_px = distance_px[np.isfinite(distance_px)]
@@ -104,7 +104,7 @@ def _noise_px(problem: Problem, state: State) -> float:
     return max(_MIN_SIGMA_PX, float(np.median(distance_px)) / np.sqrt(2 * np.log(2)) / np.sqrt(left))
 
 
-def _search(problem: Problem, state: State, sigma_px: float, max_steps: int) -> State:
+def _search(problem: AdjustmentProblem, state: State, sigma_px: float, max_steps: int) -> State:
     """Run Levenberg-Marquardt from a state with a fixed noise."""
     damping, lowest = 1e-4, cost(problem, state, sigma_px)
     for _ in range(max_steps):
@@ -123,7 +123,10 @@ def _search(problem: Problem, state: State, sigma_px: float, max_steps: int) -> 
 
 
 def _moved(
-    problem: Problem, state: State, step: Float[np.ndarray, " parameters"], of_blocks: Float[np.ndarray, "blocks size"]
+    problem: AdjustmentProblem,
+    state: State,
+    step: Float[np.ndarray, " parameters"],
+    of_blocks: Float[np.ndarray, "blocks size"],
 ) -> State:
     num_free = int(problem.free.sum())
     of_cameras = np.zeros(problem.free.shape)

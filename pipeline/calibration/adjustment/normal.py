@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 
 from pipeline.calibration.adjustment.links import LinkRows
 from pipeline.calibration.adjustment.parameters import offsets
-from pipeline.calibration.adjustment.problem import Problem
+from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.adjustment.structure import Points, Structure
 from pipeline.data import Camera
@@ -98,7 +98,7 @@ class Normal:
         return lambda right: np.asarray(factors.solve(np.ascontiguousarray(right)))
 
 
-def build(problem: Problem, state: State, sigma_px: float) -> Normal:
+def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
     """Build the normal equations of a state for the noise of the observations; weights are those of the loss."""
     starts = np.concatenate([[0], np.cumsum(problem.free.sum(1))])
     total, num_blocks, size = (
@@ -130,7 +130,8 @@ def build(problem: Problem, state: State, sigma_px: float) -> Normal:
     fixed[np.diag_indices(total)] += precision
     fixed_right += precision * offset
     coupling: csc_array | None = None
-    right, flat_mixed, lengths = blocks_right.ravel(), mixed.reshape(-1, total), slice(int(starts[-1]), total)
+    right, lengths = blocks_right.ravel(), slice(int(starts[-1]), total)
+    flat_mixed = mixed.reshape(num_blocks * size, total)
     for link in problem.links:
         rows_of_link = link.linearise(_xyz_m(state.structure), state.lengths_m)
         J, L, residual = _jacobians(rows_of_link, num_blocks, len(state.lengths_m))
@@ -143,7 +144,7 @@ def build(problem: Problem, state: State, sigma_px: float) -> Normal:
 
 
 def _weighted_rows(
-    problem: Problem,
+    problem: AdjustmentProblem,
     state: State,
     number: int,
     xyz_m: Float[np.ndarray, "n 3"],
@@ -163,7 +164,7 @@ def _weighted_rows(
     return factor * by_camera[:, :, problem.free[number]], factor * (by_point @ by_block), root[:, None] * residual
 
 
-def cost(problem: Problem, state: State, sigma_px: float) -> float:
+def cost(problem: AdjustmentProblem, state: State, sigma_px: float) -> float:
     """Loss of the observations, priors and links; infinite if a point is behind a camera that sees it."""
     distance = np.linalg.norm(residuals_px(problem, state), axis=-1) / sigma_px
     total = problem.loss.cost(distance)
@@ -174,7 +175,7 @@ def cost(problem: Problem, state: State, sigma_px: float) -> float:
     return total if np.isfinite(total) else np.inf
 
 
-def residuals_px(problem: Problem, state: State) -> Float[np.ndarray, "n 2"]:
+def residuals_px(problem: AdjustmentProblem, state: State) -> Float[np.ndarray, "n 2"]:
     """Projections minus observations; NaN behind a camera."""
     seen = problem.observations
     xyz_m, _ = state.structure.in_world(seen.block, seen.model_m)

@@ -70,7 +70,7 @@ def _no_lengths() -> Float[np.ndarray, " 0"]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class AdjustmentProblem:
     """Data of an adjustment, and the parameters that it may change.
 
     The gauge is the caller's: leave the extrinsics of one camera fixed, and for free points also one coordinate of a

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, get_args
 
-from pipeline.calibration.contents import Contents
+from pipeline.calibration.contents import UNKNOWN_SIZE, Contents
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_cameras, unknown_fields
@@ -72,7 +72,7 @@ def _read_other(document: dict[str, Any], file: str) -> Contents | None:
 def _raw_own(camera: Mapping[str, Any]) -> RawCamera:
     return RawCamera(
         name=camera.get("name"),
-        size_px=camera.get("size_px"),
+        size_px=UNKNOWN_SIZE if camera.get("size_px", ...) is None else camera.get("size_px"),
         matrix=camera.get("matrix"),
         distortion=camera.get("distortion"),
         rotation=camera.get("rotation"),

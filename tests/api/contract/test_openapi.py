@@ -52,11 +52,12 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert schema["openapi"].startswith("3.1")
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
-        "cancelJob", "closeBrowserSession", "continueUpload", "createJob", "createSession", "createSessionAndJob",
-        "createUpload", "deleteJob", "deleteSession", "deleteUpload", "describeUploads", "getAllResults", "getCaller",
-        "getHealth", "getJob", "getMetrics", "getOptions", "getReadiness", "getResult", "getSession", "getUpload",
-        "listAttempts", "listJobs", "listResults", "listSessionJobs", "listSessions", "openBrowserSession", "retryJob",
-        "streamJobEvents",
+        "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createSession",
+        "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession", "deleteUpload",
+        "describeUploads", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller", "getHealth", "getJob",
+        "getMetrics", "getOptions", "getReadiness", "getResult", "getSession", "getUpload", "listAttempts",
+        "listCalibrations", "listJobs", "listResults", "listSessionJobs", "listSessions", "openBrowserSession",
+        "retryJob", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
     for operation in operations(schema):

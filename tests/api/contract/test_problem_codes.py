@@ -23,6 +23,7 @@ PLACES = {"job", "attempt", "readyz", "command", "warning"}
 
 # Functions with tuples whose first items are codes.
 IN_TUPLES = {
+    "api/requests/form.py": {"_session_faults"},
     "api/requests/spec_checks.py": {"callback_errors"},
     "api/cli/commands/backup.py": {"_code_and_faults"},
     "pipeline/capture/session.py": {"_range_problems"},
@@ -34,6 +35,7 @@ IN_TUPLES = {
 }
 # Functions that get their codes from a caller or a mapping; the codes are found there.
 PASSED_ON = {
+    ("api/requests/form.py", "form"),  # those of FormKind.faults
     ("api/requests/spec_checks.py", "spec_errors"),  # those of JobSpec.problems
     ("api/requests/spec_checks.py", "callback_errors"),
     ("api/requests/validation.py", "_parameter_items"),  # those of _CODES and of validators

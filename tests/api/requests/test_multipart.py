@@ -72,8 +72,8 @@ def test_form_is_the_same_wherever_the_network_cuts_it(
     (video,) = found.videos
     assert video.path.read_bytes() == VIDEO
     assert (video.name, video.num_bytes, video.sha256) == ("cam_0.mp4", len(VIDEO), hashlib.sha256(VIDEO).hexdigest())
-    assert found.calibration is not None
-    assert found.calibration.path.read_bytes() == b"[cam_0]"
+    (calibration,) = found.files["calibration"]
+    assert calibration.path.read_bytes() == b"[cam_0]"
     assert found.documents == {"manifest": b'{"name": "x"}'}
 
 

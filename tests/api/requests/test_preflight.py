@@ -227,7 +227,7 @@ def test_large_files_wait_longer_for_their_check(make_settings: Callable[..., Se
 )
 def test_the_time_of_a_check_grows_with_its_files(num_views: int, num_bytes: int, seconds: float) -> None:
     videos = tuple(ReceivedFile(f"{k}.mp4", Path(f"{k}.mp4"), num_bytes, "") for k in range(num_views))
-    of_videos = Form(videos, (), None, None, {}, ())
+    of_videos = Form({"videos": videos}, {}, ())
     assert allowance_s(of_videos) == pytest.approx(seconds, abs=0.01)
-    of_keypoints = allowance_s(Form((), videos, None, None, {}, ()))
+    of_keypoints = allowance_s(Form({"keypoints": videos}, {}, ()))
     assert of_keypoints - 0.2 * num_views == pytest.approx(30 * (seconds - 0.2 * num_views), abs=0.2)

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 from sqlalchemy import Connection, func, select
 
-from worker.jobs.database.tables import artifacts, jobs, results, sessions, uploads
+from worker.jobs.database.tables import artifacts, calibrations, jobs, results, sessions, uploads
 from worker.jobs.errors import QuotaExceeded
 from worker.jobs.model import FINISHED, JobState, Usage
 
@@ -25,7 +25,8 @@ NO_QUOTAS = Quotas()
 def read_usage(connection: Connection, tenant: str) -> Usage:
     """Read how much a tenant has now.
 
-    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, and the announced sizes of uploads.
+    ``stored_bytes`` counts input files of sessions, outputs of chunks, results, calibrations, and uploads by their
+    announced sizes.
     """
     mine = jobs.c.tenant == tenant
     num_sessions, input_bytes = connection.execute(
@@ -35,6 +36,7 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     shown = (
         select(func.coalesce(func.sum(results.c.num_bytes), 0)).join(jobs).where(mine, jobs.c.state != JobState.EXPIRED)
     )
+    calibrated = select(func.coalesce(func.sum(calibrations.c.num_bytes), 0)).where(calibrations.c.tenant == tenant)
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
     ).one()
@@ -43,7 +45,8 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
         sessions=num_sessions,
         unfinished_jobs=connection.scalar(unfinished) or 0,
         stored_bytes=sum(
-            int(some or 0) for some in (input_bytes, connection.scalar(found), connection.scalar(shown), upload_bytes)
+            int(some or 0)
+            for some in (input_bytes, *(connection.scalar(query) for query in (found, shown, calibrated)), upload_bytes)
         ),
         uploads=num_uploads,
     )

@@ -7,12 +7,24 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
+from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
 from pipeline.stages.plan import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
-from worker.jobs.model import ChunkState, InputFile, Job, JobState, Problem, Result, ResultWarning, Session, Stage
+from worker.jobs.model import (
+    Calibration,
+    ChunkState,
+    InputFile,
+    Job,
+    JobState,
+    Problem,
+    Result,
+    ResultWarning,
+    Session,
+    Stage,
+)
 from worker.jobs.spec import JobSpec
 
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
@@ -28,6 +40,7 @@ def session_of(row: Row[Any]) -> Session:
         preflight=Preflight.from_json(row.preflight),
         metadata=row.client_metadata,
         record_sha256=row.record_sha256,
+        purpose=row.purpose,
     )
 
 
@@ -106,6 +119,28 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
             *(warning.message for warning in found),
         ),
         result_warnings=found,
+        making=making_of(row.making),
+    )
+
+
+def making_of(choices: Mapping[str, Any] | None) -> CalibrationChoices | None:
+    """Choices of the calibration that a job makes, from its column."""
+    return None if choices is None else CalibrationChoices(**choices)
+
+
+def calibration_of(row: Row[Any]) -> Calibration:
+    """Calibration from its row, with the state and the problem of its job."""
+    return Calibration(
+        id=row.id,
+        name=row.name,
+        method=row.method,
+        created_at=row.created_at,
+        source=row.source,
+        files=row.files,
+        report=row.report,
+        session_id=row.session_id,
+        job_state=None if row.job_state is None else JobState(row.job_state),
+        problem=None if row.problem is None else Problem(**row.problem),
     )
 
 

@@ -59,6 +59,7 @@ sessions = Table(
     Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
     Column("record_sha256", String(64)),  # of the preflight's file for the workers; null: session of an older version
+    Column("purpose", String(16), nullable=False, server_default="capture"),  # or "calibration": not listed
     Index(None, "tenant", "id"),
 )
 
@@ -94,11 +95,29 @@ jobs = Table(
     Column("trace", String(55)),  # W3C traceparent of the request for this attempt
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # of its session
     Column("warnings", JSON, nullable=False, server_default="[]"),  # about its results: objects with code and message
+    Column("making", JSON(none_as_null=True)),  # choices of the calibration that it makes; null: it reconstructs
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),
     Index(None, "state", "tenant", "queued_at"),
     Index(None, "expires_at"),
+)
+
+# A calibration that is made has the id of the job that makes it. It stays when its job or its session is deleted.
+calibrations = Table(
+    "calibrations",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant", String(64), nullable=False),
+    Column("name", String, nullable=False),
+    Column("method", String(16), nullable=False),
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("source", JSON, nullable=False),  # file and what its format says, or choices of the calibration
+    Column("files", JSON(none_as_null=True)),  # text of the calibration by format; null until it is made
+    Column("report", JSON(none_as_null=True)),
+    Column("num_bytes", BigInteger, nullable=False),  # of files and report
+    Column("session_id", String(36), index=True),  # from which it is made; it may be deleted
+    Index(None, "tenant", "id"),
 )
 
 chunks = Table(

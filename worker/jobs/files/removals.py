@@ -3,7 +3,7 @@
 import structlog
 
 from worker.jobs.files.artifacts import ArtifactStore
-from worker.jobs.repositories.removals import Removals
+from worker.jobs.repositories.work.removals import Removals
 
 log = structlog.get_logger()
 

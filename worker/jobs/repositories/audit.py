@@ -24,6 +24,8 @@ class AuditAction(StrEnum):
     JOB_DELETED = "job-deleted"
     UPLOAD_CREATED = "upload-created"
     UPLOAD_DELETED = "upload-deleted"
+    CALIBRATION_CREATED = "calibration-created"
+    CALIBRATION_DELETED = "calibration-deleted"
     KEY_CREATED = "key-created"
     KEY_REVOKED = "key-revoked"
     WEBHOOK_SECRET_MADE = "webhook-secret-made"  # noqa: S105 - an action
@@ -31,7 +33,7 @@ class AuditAction(StrEnum):
 
 
 def record_event(connection: Connection, actor: Actor, tenant: str, action: AuditAction, subject: str) -> None:
-    """Record an action on a session, a job, an upload or a key, whose id is ``subject``."""
+    """Record an action on a session, a calibration, a job, an upload or a key, whose id is ``subject``."""
     connection.execute(
         insert(audit).values(
             done_at=now(), tenant=tenant, key_id=actor.key_id, request_id=actor.request_id, act=action, subject=subject

@@ -1,11 +1,13 @@
 """Jobs: added, read, canceled, retried, deleted."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
+from pipeline.calibration_choices import CalibrationChoices
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import remove_later
@@ -17,6 +19,7 @@ from worker.jobs.files.artifacts import job_prefix
 from worker.jobs.model import FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
+from worker.jobs.repositories.calibrations import forget_unmade
 from worker.jobs.repositories.sessions import lock_session
 from worker.jobs.repositories.work.plans import insert_chunks
 from worker.jobs.spec import JobSpec
@@ -35,6 +38,7 @@ class Jobs:
         stages: Sequence[StagePlan],
         retention_s: float | None = None,
         trace: str | None = None,
+        making: CalibrationChoices | None = None,
     ) -> Job:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
@@ -44,6 +48,8 @@ class Jobs:
             Time that results are kept after the job's end; ``None``: until somebody deletes them.
         trace
             W3C traceparent of the request, for the workers.
+        making
+            See ``worker.jobs.model.Job``.
 
         Raises
         ------
@@ -69,6 +75,7 @@ class Jobs:
                     queued_at=now(),
                     retention_s=retention_s,
                     trace=trace,
+                    making=None if making is None else asdict(making),
                 )
             )
             insert_chunks(connection, job_id, stages)
@@ -177,6 +184,7 @@ class Jobs:
                 raise Conflict("The job is unfinished; cancel it first.")
             remove_later(connection, job_prefix(job_id))
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_DELETED, job_id)
+            forget_unmade(connection, job_id)
             connection.execute(delete(jobs).where(jobs.c.id == job_id))
 
     def _read(self, connection: Connection, job_id: str) -> Job:

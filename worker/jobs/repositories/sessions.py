@@ -16,8 +16,9 @@ from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import jobs, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
-from worker.jobs.model import FINISHED, InputFile, Session
+from worker.jobs.model import FINISHED, InputFile, Purpose, Session
 from worker.jobs.repositories.audit import AuditAction, record_event
+from worker.jobs.repositories.calibrations import forget_unmade
 
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 
@@ -46,6 +47,7 @@ class Sessions:
         session_id: str,
         metadata: Mapping[str, Any] = _NO_METADATA,
         record_sha256: str | None = None,
+        purpose: Purpose = "capture",
     ) -> Session:
         """Add a session whose files are in the artifact store.
 
@@ -57,6 +59,8 @@ class Sessions:
             JSON object of the client, stored as it is.
         record_sha256
             Digest of the preflight record in the artifact store; ``None``: the record is read without a comparison.
+        purpose
+            See ``worker.jobs.model.Session``.
 
         Raises
         ------
@@ -80,6 +84,7 @@ class Sessions:
                     num_bytes=num_bytes,
                     tenant=access.owner,
                     record_sha256=record_sha256,
+                    purpose=purpose,
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.SESSION_CREATED, session_id)
@@ -91,8 +96,9 @@ class Sessions:
             return self._read(connection, session_id)
 
     def page(self, limit: int = 50, after: str | None = None) -> list[Session]:
-        """Sessions, the newest first; ``after`` is the last id of the page before."""
-        query = select(sessions).where(self._access.may_reach(sessions)).order_by(sessions.c.id.desc()).limit(limit)
+        """Sessions that are captures, the newest first; ``after`` is the last id of the page before."""
+        is_listed = (self._access.may_reach(sessions), sessions.c.purpose == "capture")
+        query = select(sessions).where(*is_listed).order_by(sessions.c.id.desc()).limit(limit)
         if after is not None:
             query = query.where(sessions.c.id < after)
         with self._access.reading() as connection:
@@ -114,6 +120,7 @@ class Sessions:
                 if job.state not in FINISHED:
                     raise Conflict("A job of this session is unfinished.")
                 remove_later(connection, job_prefix(job.id))
+                forget_unmade(connection, job.id)
             remove_later(connection, session_prefix(session_id))
             record_event(connection, self._access.actor, tenant, AuditAction.SESSION_DELETED, session_id)
             connection.execute(delete(sessions).where(sessions.c.id == session_id))

@@ -21,7 +21,7 @@ from pipeline.calibration.adjustment.parameters import (
     none_free,
     offsets,
 )
-from pipeline.calibration.adjustment.problem import Loss, Observations, Problem, observations_of_points
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations, observations_of_points
 from pipeline.calibration.adjustment.structure import Bodies, Points
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
@@ -61,7 +61,7 @@ def solve(seed: int, noise_px: float, free: Free, outliers: int = 0, loss: Loss 
     points_px[:5, 2:] = np.nan
     begin = Points(TRUTH_M + rng.normal(0.0, 0.02, TRUTH_M.shape))
     cameras = disturbed(free, rng)
-    return adjust(Problem(cameras, free, no_prior(4), observations_of_points(points_px), loss), begin)
+    return adjust(AdjustmentProblem(cameras, free, no_prior(4), observations_of_points(points_px), loss), begin)
 
 
 @pytest.mark.parametrize("loss", list(Loss))
@@ -104,7 +104,7 @@ def test_a_prior_holds_what_the_observations_leave_open() -> None:
     prior = no_prior(4)
     prior[:, EXTRINSICS] = 0.01
     rng = np.random.default_rng(5)
-    problem = Problem(CAMERAS, free, prior, observations_of_points(seen_px(rng, SIGMA_PX)))
+    problem = AdjustmentProblem(CAMERAS, free, prior, observations_of_points(seen_px(rng, SIGMA_PX)))
     found = adjust(problem, Points(TRUTH_M))
     # Four cameras share the freedom of the world: a shift is known half as well as each prior says.
     assert found.sigma[:, POSITION].max() < 0.01
@@ -126,7 +126,7 @@ def test_boards_determine_cameras_with_their_lenses() -> None:
     free[:, DISTORTION.start : DISTORTION.start + 5] = True
     cameras = tuple(replace(one, distortion=np.zeros(5)) for one in disturbed(free, rng))
     begin = boards.moved(rng.normal(0.0, 0.01, (40, 6)))
-    problem = Problem(cameras, free, no_prior(4), Observations(camera, block, grid[corner], points_px))
+    problem = AdjustmentProblem(cameras, free, no_prior(4), Observations(camera, block, grid[corner], points_px))
     found = adjust(problem, begin)
     error = offsets(CAMERAS, found.cameras)
     assert np.abs(error[:, FOCAL]).max() < 1e-3
@@ -146,7 +146,7 @@ def test_links_bring_scale_and_still_points_together() -> None:
     free = none_free(4)
     free[1:, EXTRINSICS] = True  # the length of the links brings the scale
     bones = Distances(pairs, np.zeros(75, int), np.full(75, 1e-3))
-    problem = Problem(
+    problem = AdjustmentProblem(
         CAMERAS, free, no_prior(4), observations_of_points(points_px), Loss.CAUCHY, (bones,), np.array([0.5]),
         np.array([1e-6]),
     )  # fmt: skip
@@ -173,7 +173,7 @@ def test_lengths_of_links_are_estimated() -> None:
     pairs = np.array([[0, 1], [1, 2], [2, 3]])
     lengths_m = np.linalg.norm(TRUTH_M[pairs[:, 0]] - TRUTH_M[pairs[:, 1]], axis=-1)
     link = Distances(pairs, np.arange(3), np.full(3, 1e-3))
-    problem = Problem(
+    problem = AdjustmentProblem(
         CAMERAS, none_free(4), no_prior(4), observations_of_points(seen_px(np.random.default_rng(8), 0.0)),
         links=(link,), lengths_m=np.ones(3), length_sigma_m=np.full(3, np.inf),
     )  # fmt: skip

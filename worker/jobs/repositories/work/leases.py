@@ -8,12 +8,23 @@ from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
 from worker.jobs.database.connection import now, upsert
+from worker.jobs.database.rows import making_of
 from worker.jobs.database.tables import artifacts, chunks, jobs, results
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import advance, fail_job, lock_job, move_chunk, move_job, settle_canceling
-from worker.jobs.model import AT_WORK, ChunkState, Claim, JobState, Problem, Result, ResultWarning
+from worker.jobs.model import (
+    AT_WORK,
+    ChunkState,
+    Claim,
+    JobState,
+    MadeCalibration,
+    Problem,
+    Result,
+    ResultWarning,
+)
 from worker.jobs.repositories.attempts import note_failure
+from worker.jobs.repositories.calibrations import complete
 from worker.jobs.repositories.work.turns import has_share, next_job, of_code
 from worker.jobs.spec import JobSpec
 
@@ -92,6 +103,7 @@ class Leases:
             attempt=chunk.attempt,
             job_attempt=job.attempt,
             trace=job.trace,
+            making=making_of(job.making),
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
@@ -122,8 +134,9 @@ class Leases:
         reused: bool = False,
         results: Sequence[Result] = (),
         warnings: Sequence[ResultWarning] = (),
+        calibration: MadeCalibration | None = None,
     ) -> bool:
-        """Record the output of a chunk, and the result files of its job with their warnings if there are any.
+        """Record the output of a chunk, and what it has of its job: result files, their warnings, a calibration.
 
         Returns
         -------
@@ -145,6 +158,8 @@ class Leases:
                 },
             )
             _record_results(connection, job.id, results, warnings)
+            if calibration is not None:
+                complete(connection, job.id, calibration)
             move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
             _count_done(connection, chunk, reused)
             if job.state == JobState.CANCELING:

@@ -1,0 +1,171 @@
+"""Bodies of requests for calibrations, and of their responses, as Pydantic models."""
+
+import json
+from typing import Annotated, Any, Literal, Self
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+
+from api.schemas import CameraManifest, Id, JobError, NextCursor, ResponseModel, UploadedFiles, printable_name
+from pipeline.calibration_choices import CalibrationChoices
+from worker.jobs.model import Calibration, JobState
+
+Method = Literal["file", "board", "people"]
+Format = Literal["multicap", "caliscope", "opencv"]
+MEDIA_TYPES: dict[Format, tuple[str, str]] = {
+    "multicap": ("json", "application/json"),
+    "caliscope": ("toml", "application/toml"),
+    "opencv": ("yml", "application/yaml"),
+}
+"""Ending and media type of each format."""
+
+_STATES = {None: "failed"} | {state: str(state) for state in JobState} | {JobState.EXPIRED: "failed"}
+
+
+class CalibrationSpec(BaseModel):
+    """Choices of a calibration beside its files. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: Method = Field(
+        default="file",
+        description="`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board; "
+        "`people`: made from `videos` of people, or from a session's people.",
+    )
+    name: Annotated[str, AfterValidator(printable_name)] | None = Field(
+        default=None, min_length=1, max_length=200, description="Name for people; by default that of the file."
+    )
+    units: Literal["m", "cm", "mm"] = Field(
+        default="m", description="Unit of length of a file whose format does not state it."
+    )
+    board: str | None = Field(
+        default=None,
+        max_length=100,
+        pattern=r"^(chessboard|charuco):[0-9]{1,3}x[0-9]{1,3}(:[0-9A-Za-z_.]{1,20}){1,3}$",
+        description="Board: `chessboard:COLSxROWS:SQUARE_M`, or `charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY`.",
+        examples=["chessboard:9x6:0.06", "charuco:7x5:0.06:0.045:DICT_4X4_50"],
+    )
+    stature_m: float | None = Field(
+        default=None,
+        strict=True,
+        ge=0.5,
+        le=2.5,
+        allow_inf_nan=False,
+        description="Stature of the tallest person, which determines the scale.",
+    )
+    session_id: UUID | None = Field(
+        default=None, description="Session whose people serve; the intrinsics of its calibration are kept."
+    )
+    cameras: tuple[CameraManifest, ...] = Field(
+        default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
+    )
+
+    def choices(self, has_intrinsics: bool) -> CalibrationChoices | None:
+        """Choices of the job; ``None`` for a file."""
+        if self.method == "file":
+            return None
+        return CalibrationChoices(self.method, self.board, self.stature_m, has_intrinsics)
+
+
+class UploadedCalibration(UploadedFiles, CalibrationSpec):
+    """Calibration of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+
+    calibration: UUID | None = Field(default=None, description="Upload of a calibration file.")
+    intrinsics: UUID | None = Field(
+        default=None, description="Upload of a calibration file whose intrinsics are kept, and poses ignored."
+    )
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        single = (("calibration", self.calibration), ("intrinsics", self.intrinsics))
+        return [*super().uploads(), *((part, one) for part, one in single if one is not None)]
+
+
+class CalibratedCamera(ResponseModel):
+    """Camera of a calibration: x = K (R X + t), with OpenCV's distortion."""
+
+    name: str = Field(description="Name of the camera.")
+    size_px: tuple[int, int] | None = Field(description="Width and height of the picture; null if it is unknown.")
+    matrix: tuple[tuple[float, float, float], ...] = Field(description="Camera matrix K, 3 x 3, in pixels.")
+    distortion: tuple[float, ...] = Field(description="Distortion coefficients in OpenCV's order.")
+    rotation: tuple[tuple[float, float, float], ...] = Field(description="Rotation R from world to camera, 3 x 3.")
+    translation_m: tuple[float, float, float] = Field(description="Translation t in metres.")
+    position_m: tuple[float, float, float] = Field(description="Position of the camera in the world.")
+
+
+class CalibrationLinks(ResponseModel):
+    """Paths of a calibration and of what belongs to it."""
+
+    self: str = Field(description="Path of the calibration.")
+    file: str | None = Field(description="Path of the file; null until the calibration is ready.")
+    job: str | None = Field(description="Path of the job that makes it; null for a file, or once it is deleted.")
+    session: str | None = Field(description="Path of the session from which it is made.")
+
+
+class CalibrationOut(ResponseModel):
+    """Calibration: cameras with their intrinsics and poses."""
+
+    id: Id
+    name: str = Field(description="Name of the calibration for people.")
+    method: Method = Field(description="How it was made.")
+    state: Literal["queued", "running", "canceling", "canceled", "failed", "ready"] = Field(
+        description="`ready`, or the state of the job that makes it."
+    )
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    source: dict[str, Any] = Field(
+        description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices of the job."
+    )
+    warnings: tuple[str, ...] = Field(description="Warnings about the file, or of the report.")
+    cameras: tuple[CalibratedCamera, ...] = Field(description="Cameras; none until the calibration is ready.")
+    report: dict[str, Any] | None = Field(
+        description="Report of a calibration that was made: errors and views by camera, the world, warnings."
+    )
+    error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
+    links: CalibrationLinks
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Build the response from a calibration."""
+        address = f"/v1/calibrations/{calibration.id}"
+        is_ready, has_job = calibration.files is not None, calibration.job_state is not None
+        notes = calibration.source.get("notes", ())
+        found = (calibration.report or {}).get("warnings", ())
+        return cls(
+            id=calibration.id,
+            name=calibration.name,
+            method=calibration.method,  # type: ignore[arg-type]
+            state="ready" if is_ready else _STATES[calibration.job_state],  # type: ignore[arg-type]
+            created_at=calibration.created_at,
+            source={name: value for name, value in calibration.source.items() if name != "notes"},
+            warnings=(*notes, *(warning["message"] for warning in found)),
+            cameras=() if calibration.files is None else _cameras(calibration.files["multicap"]),
+            report=None if calibration.report is None else dict(calibration.report),
+            error=JobError.of(calibration.problem) if calibration.problem else None,
+            links=CalibrationLinks(
+                self=address,
+                file=f"{address}/file" if is_ready else None,
+                job=f"/v1/jobs/{calibration.id}" if has_job else None,
+                session=f"/v1/sessions/{calibration.session_id}" if calibration.session_id and has_job else None,
+            ),
+        )
+
+
+class CalibrationPage(ResponseModel):
+    """Page of calibrations, the newest calibration first."""
+
+    calibrations: tuple[CalibrationOut, ...]
+    next_cursor: NextCursor
+
+
+def _cameras(text: str) -> tuple[CalibratedCamera, ...]:
+    """Cameras of Multicap's own JSON, with their positions."""
+    return tuple(
+        CalibratedCamera(**camera, position_m=_position_m(camera["rotation"], camera["translation_m"]))
+        for camera in json.loads(text)["cameras"]
+    )
+
+
+def _position_m(rotation: list[list[float]], translation_m: list[float]) -> tuple[float, float, float]:
+    """Position -R^T t of a camera, to the micrometre."""
+    x, y, z = (round(-sum(rotation[i][j] * translation_m[i] for i in range(3)), 6) + 0.0 for j in range(3))
+    return x, y, z

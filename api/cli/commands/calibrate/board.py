@@ -1,0 +1,108 @@
+"""`multicap calibrate board`: cameras from videos or photographs of a board."""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import Progress
+
+from api.cli.commands.calibrate.written import require_ending, show_made, write_made
+from api.cli.console import console, reporting, warn
+from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.source import (
+    find_photographs,
+    frames_to_look_at,
+    look_in_photographs,
+    look_in_video,
+)
+from pipeline.calibration.board.spec import FORMS, Board, parse_board
+from pipeline.calibration.board.views import BoardViews
+from pipeline.calibration.registry import read_calibration
+from pipeline.capture.session import CaptureSession, open_session
+from pipeline.data import Camera
+from pipeline.errors import InputError, Problem
+
+
+def command(
+    board: Annotated[
+        str,
+        typer.Option(metavar="BOARD", help=f"{FORMS}. Of a chessboard COLSxROWS are inner corners, else squares."),
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
+    videos: Annotated[Path | None, typer.Option(help="Folder of synchronised videos, one for each camera.")] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="Folder of photographs, with a subfolder for each camera: intrinsics only.")
+    ] = None,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Calibration whose intrinsics are kept; its poses are ignored.")
+    ] = None,
+    floor_time: Annotated[
+        float | None,
+        typer.Option(help="Second at which the board lies on the floor. Default: the longest time it lies still."),
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Folder for the report and the pictures of coverage.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Calibrate cameras from videos or photographs of a chessboard or a ChArUco board."""
+    with reporting(as_json):
+        found = parse_board(board)
+        require_ending(out)
+        if (videos is None) == (images is None):
+            raise InputError(
+                [Problem("sources", "A board is filmed or photographed.", hint="Give --videos or --images.")]
+            )
+        with Progress(console=console, disable=as_json, transient=True) as progress:
+            if videos is not None:
+                session = open_session(videos, intrinsics)
+                for sentence in () if as_json else session.warnings:
+                    warn(sentence)
+                views = list(_in_videos(session, found, progress))
+                named, rate_hz = {camera.name: camera for camera in session.cameras}, session.timebase.frame_rate_hz
+            else:
+                views = list(_in_photographs(images or Path(), found, progress))
+                named, rate_hz = {} if intrinsics is None else _named(intrinsics, views), 0.0
+            task = progress.add_task("Calibrate cameras", total=1.0)
+            made = calibrate_board(
+                views,
+                found,
+                named if intrinsics else None,
+                rate_hz,
+                floor_time,
+                lambda share: progress.update(task, completed=share),
+            )
+        write_made(made, out, report)
+    show_made(made, out, as_json)
+
+
+def _in_videos(session: CaptureSession, board: Board, progress: Progress) -> Iterator[BoardViews]:
+    times_s = [times.time_s for times in session.times.values()]
+    span_s = min(float(one[0]) for one in times_s), max(float(one[-1]) for one in times_s)
+    interval_s = 1.0 / session.timebase.frame_rate_hz
+    for camera, video in zip(session.cameras, session.videos, strict=True):
+        own_s = session.times[camera.name].time_s
+        frames = frames_to_look_at(own_s, span_s, interval_s)
+        task = progress.add_task(f"Find the board: {camera.name}", total=len(frames))
+        yield look_in_video(video, camera.name, own_s, frames, board, partial(progress.advance, task))
+
+
+def _in_photographs(folder: Path, board: Board, progress: Progress) -> Iterator[BoardViews]:
+    for camera, paths in find_photographs(folder).items():
+        task = progress.add_task(f"Find the board: {camera}", total=len(paths))
+        yield look_in_photographs(camera, paths, board, partial(progress.advance, task))
+
+
+def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
+    """Cameras of a calibration file by name, which must be those of the photographs."""
+    cameras = {camera.name: camera for camera in read_calibration(intrinsics)}
+    problems = [
+        Problem(
+            "camera_unknown", "The calibration has no camera of this name.", file=intrinsics.name, camera=one.camera
+        )
+        for one in views
+        if one.camera not in cameras
+    ]
+    if problems:
+        raise InputError(problems)
+    return cameras

@@ -1,0 +1,199 @@
+"""Intake of calibrations, from a form or from uploads: what each method needs, and the check of the files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from fastapi import Request
+from starlette.concurrency import run_in_threadpool
+
+from api.calibration_schemas import CalibrationSpec, Method, UploadedCalibration
+from api.dependencies import Services
+from api.errors import ErrorItem, pointer_to, unprocessable
+from api.requests.form import CALIBRATION, CALIBRATION_FORM, INTRINSICS, VIDEOS, Form, ReceivedFile
+from api.requests.intake import (
+    SPEC,
+    CheckedSession,
+    Sent,
+    adopted,
+    arguments_of,
+    document,
+    located,
+    record_path_in,
+)
+from api.requests.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
+from api.requests.spec_checks import limit_errors, network_errors
+from api.schemas import Manifest
+from worker.jobs.errors import NotFound
+from worker.jobs.model import Session
+from worker.jobs.spec import JobSpec
+from worker.jobs.tenant_records import TenantRecords
+
+_SESSION_ID, _BOARD, _STATURE = "session_id", "board", "stature_m"
+_NEEDED: Mapping[Method, tuple[str, ...]] = {
+    "file": (CALIBRATION,),
+    "board": (VIDEOS, _BOARD),
+    "people": (_STATURE,),
+}
+_ALLOWED: Mapping[Method, frozenset[str]] = {
+    "file": frozenset({CALIBRATION}),
+    "board": frozenset({VIDEOS, INTRINSICS, _BOARD}),
+    "people": frozenset({VIDEOS, INTRINSICS, _STATURE, _SESSION_ID}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFile:
+    """Calibration file, and what it contains."""
+
+    file: ReceivedFile
+    contents: CalibrationContents
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedCalibration:
+    """A calibration without errors.
+
+    Parameters
+    ----------
+    content
+        A file, videos of its own, or a stored session whose people serve.
+    has_intrinsics
+        Whether the intrinsics of the cameras are given.
+    upload_ids
+        Uploads that the files are from.
+    """
+
+    spec: CalibrationSpec
+    name: str
+    content: ReadFile | CheckedSession | Session
+    has_intrinsics: bool = False
+    upload_ids: tuple[str, ...] = ()
+
+
+async def check_calibration(
+    request: Request, services: Services, records: TenantRecords, sent: Sent
+) -> CheckedCalibration:
+    """Check a calibration: its choices and its files.
+
+    Raises
+    ------
+    ApiError
+        With all that is wrong.
+    """
+    owner = request.state.caller.owner
+    if isinstance(sent.content, UploadedCalibration):
+        spec: CalibrationSpec | None = sent.content
+        # Large files are read once, for their digests, in the turn of the checks.
+        form = await services.checks.run(owner, adopted, services, records, sent.folder, sent.content, CALIBRATION_FORM)
+        part, upload_ids, errors = "", sent.content.upload_ids(), [*form.errors]
+    else:
+        form = _form_of(sent)
+        spec, spec_problems = document(form, SPEC, CalibrationSpec)
+        part, upload_ids, errors = SPEC, (), [*form.errors, *spec_problems]
+    if spec is None:
+        raise unprocessable(errors)
+    errors += _method_errors(spec, form, part)
+    session = None if spec.session_id is None else await run_in_threadpool(_session, records, spec, part, errors)
+    if errors:
+        raise unprocessable(errors)
+    if spec.method == "file":
+        (file,) = form.files[CALIBRATION]
+        contents = await _contents(services, owner, sent, form, spec)
+        return CheckedCalibration(spec, spec.name or file.name, ReadFile(file, contents), upload_ids=upload_ids)
+    if session is not None:
+        return CheckedCalibration(spec, spec.name or session.name, session, has_intrinsics=True)
+    videos = await _checked_videos(services, owner, sent, form, spec, upload_ids)
+    name = spec.name or f"{spec.method}, {len(form.videos)} cameras"
+    return CheckedCalibration(spec, name, videos, has_intrinsics=bool(form.files[INTRINSICS]), upload_ids=upload_ids)
+
+
+def _form_of(sent: Sent) -> Form:
+    if not isinstance(sent.content, Form):
+        raise TypeError("a calibration is a form or names uploads")
+    return sent.content
+
+
+def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorItem]:
+    """Report what a method lacks, and what it has no use for; ``part`` leads to the choices in the request."""
+    given = {name for name in (_SESSION_ID, _BOARD, _STATURE) if getattr(spec, name) is not None}
+    given |= {name for name, files in form.files.items() if files}
+
+    def pointer(name: str) -> str:
+        return pointer_to(name) if name in form.files else _pointer(part, name)
+
+    errors = [
+        ErrorItem(code="missing_part", message=f"The method {spec.method} needs {name}.", pointer=pointer(name))
+        for name in _NEEDED[spec.method]
+        if name not in given and not _is_reported(form, name)
+    ]
+    errors += [
+        ErrorItem(
+            code="part_not_allowed", message=f"The method {spec.method} has no use for {name}.", pointer=pointer(name)
+        )
+        for name in sorted(given - _ALLOWED[spec.method])
+    ]
+    if spec.method == "people" and VIDEOS not in given and _SESSION_ID not in given and not _is_reported(form, VIDEOS):
+        message = "The method people needs videos, or the id of a session."
+        errors.append(ErrorItem(code="missing_part", message=message, pointer=pointer(VIDEOS)))
+    if _SESSION_ID in given and (extra := sorted(given & {VIDEOS, INTRINSICS})):
+        message = "With the id of a session, its own videos and intrinsics serve."
+        errors += [ErrorItem(code="part_not_allowed", message=message, pointer=pointer(name)) for name in extra]
+    return errors
+
+
+def _pointer(part: str, field: str) -> str:
+    return pointer_to(part, field) if part else pointer_to(field)
+
+
+def _is_reported(form: Form, part: str) -> bool:
+    """Whether an error already names a part, whose files then are missing."""
+    return any((error.pointer or "").split("/")[1:2] == [part] for error in form.errors)
+
+
+def _session(records: TenantRecords, spec: CalibrationSpec, part: str, errors: list[ErrorItem]) -> Session | None:
+    try:
+        return records.sessions.get(str(spec.session_id))
+    except NotFound:
+        pointer = _pointer(part, _SESSION_ID)
+        errors.append(ErrorItem(code="session_unknown", message="There is no such session.", pointer=pointer))
+        return None
+
+
+async def _contents(
+    services: Services, owner: str, sent: Sent, form: Form, spec: CalibrationSpec
+) -> CalibrationContents:
+    """Read the calibration file in a child process."""
+    (file,) = form.files[CALIBRATION]
+    arguments = ["--calibration", str(file.path), "--units", spec.units]
+    try:
+        return await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
+    except InvalidFilesError as invalid:
+        raise unprocessable([located(item, form, Manifest()) for item in invalid.errors]) from None
+
+
+async def _checked_videos(
+    services: Services, owner: str, sent: Sent, form: Form, spec: CalibrationSpec, upload_ids: tuple[str, ...]
+) -> CheckedSession:
+    """Check the videos of a calibration that is to be made, as a session with guessed or given intrinsics."""
+    manifest = Manifest(name=spec.name or f"Calibration from {spec.method}", cameras=spec.cameras, units=spec.units)
+    record_path = record_path_in(sent.folder)
+    arguments = arguments_of(form, manifest, services.settings.max_session_joints)
+    if spec.board is not None:
+        arguments.append(f"--board={spec.board}")
+    try:
+        preflight = await services.checks.run(
+            owner,
+            services.preflight.check,
+            arguments,
+            record_path,
+            allowance_s(form),
+            further_wait_s=further_wait_s(form),
+        )
+    except InvalidFilesError as invalid:
+        raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
+    errors = limit_errors(services, preflight)
+    if spec.method == "people":
+        errors += await run_in_threadpool(network_errors, JobSpec(), services, None)
+    if errors:
+        raise unprocessable(errors)
+    return CheckedSession(form, manifest, JobSpec(), preflight, record_path, upload_ids)

@@ -1,0 +1,1 @@
+"""Calibration from a board that the cameras film."""

@@ -1,0 +1,188 @@
+"""Bundle adjustment of cameras and of the board at every chosen instant."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.parameters import (
+    DISTORTION,
+    EXTRINSICS,
+    FOCAL,
+    PRINCIPAL,
+    Free,
+    no_prior,
+    none_free,
+)
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations
+from pipeline.calibration.adjustment.structure import Bodies
+from pipeline.calibration.board.poses import Pose
+from pipeline.calibration.board.spec import Board
+from pipeline.data import Camera, read_only
+from pipeline.geometry.camera import project
+from pipeline.geometry.rigid import Rigid3
+
+# A board whose best pose leaves a larger median error than this share of the picture's diagonal was mistaken.
+_MAX_ERROR_SHARE = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Board at an instant.
+
+    Parameters
+    ----------
+    root_from_board
+        Pose in the frame of the cameras.
+    corners_px
+        Corners by number of the camera, numbered alike in all of them.
+    error_px
+        Mean over the cameras of the median distance of the corners from their projections.
+    """
+
+    root_from_board: Rigid3
+    corners_px: Mapping[int, Float[np.ndarray, "corners 2"]]
+    error_px: float
+
+
+def place_board(
+    cameras: Mapping[int, Camera],
+    corners_px: Mapping[int, Float[np.ndarray, "corners 2"]],
+    poses: Mapping[int, Sequence[Pose]],
+    board: Board,
+) -> Placed | None:
+    """Find the pose and the numberings that explain an instant's views best; ``None`` if none explains them.
+
+    Parameters
+    ----------
+    cameras
+        Cameras with known poses, by number.
+    corners_px, poses
+        Corners and possible poses of the board in the cameras that see it.
+    """
+    best: Placed | None = None
+    for number, possible in poses.items():
+        root_from_cam = cameras[number].cam_from_world.inverse()
+        for pose in possible:
+            root_from_board = root_from_cam @ pose.cam_from_board
+            placed = _numbered(cameras, corners_px, root_from_board, board)
+            if best is None or placed.error_px < best.error_px:
+                best = placed
+    if best is None:
+        return None
+    diagonal_px = max(np.hypot(*cameras[number].size_px) for number in corners_px)
+    return best if best.error_px <= _MAX_ERROR_SHARE * diagonal_px else None
+
+
+def _numbered(
+    cameras: Mapping[int, Camera],
+    corners_px: Mapping[int, Float[np.ndarray, "corners 2"]],
+    root_from_board: Rigid3,
+    board: Board,
+) -> Placed:
+    """Number the corners of each view so that they fit a pose of the board."""
+    xyz_m = root_from_board.apply(board.corners_m)
+    chosen, errors_px = {}, []
+    for number, seen_px in corners_px.items():
+        projected = project(cameras[number], xyz_m)
+        numberings = (seen_px, seen_px[::-1]) if board.is_ambiguous else (seen_px,)
+        found = [_median_px(numbered, projected) for numbered in numberings]
+        chosen[number] = numberings[int(np.argmin(found))]
+        errors_px.append(min(found))
+    return Placed(root_from_board, chosen, float(np.mean(errors_px)))
+
+
+def _median_px(seen_px: np.ndarray, projected_px: np.ndarray) -> float:
+    """Median distance of the corners that are seen; infinite if one is behind the camera."""
+    distance = np.linalg.norm(projected_px - seen_px, axis=-1)[np.isfinite(seen_px).all(-1)]
+    return float(np.median(np.nan_to_num(distance, nan=np.inf)))
+
+
+def refine_boards(cameras: Sequence[Camera], placed: Sequence[Placed], board: Board) -> list[Placed]:
+    """Fit the poses of the board to the views of all cameras, which stay."""
+    adjusted, _ = _adjust(cameras, none_free(len(cameras)), placed, board)
+    bodies = cast("Bodies", adjusted.structure)
+    return [
+        replace(one, root_from_board=Rigid3(read_only(rotation), read_only(translation_m)))
+        for one, rotation, translation_m in zip(placed, bodies.rotation, bodies.translation_m, strict=True)
+    ]
+
+
+def alike_numbered(placed: Sequence[Placed], board: Board) -> list[Placed]:
+    """Number an ambiguous board at each instant as at the instant before, as far as it turned less than a quarter."""
+    if not board.is_ambiguous:
+        return list(placed)
+    half_turn = Rigid3(read_only(np.diag([-1.0, -1.0, 1.0])), read_only(board.corners_m[-1]))
+    alike = list(placed[:1])
+    for one in placed[1:]:
+        # The trace of a rotation by more than a quarter about the board's normal is below 1.
+        trace = np.trace(alike[-1].root_from_board.rotation.T @ one.root_from_board.rotation)
+        turned = one.root_from_board @ half_turn
+        trace_turned = np.trace(alike[-1].root_from_board.rotation.T @ turned.rotation)
+        alike.append(replace(one, root_from_board=turned) if trace_turned > trace else one)
+    return alike
+
+
+def adjust_all(
+    cameras: Sequence[Camera],
+    root: int,
+    placed: Sequence[Placed],
+    board: Board,
+    coefficients: Sequence[Sequence[int]] | None,
+) -> tuple[Adjustment, Int[np.ndarray, " observations"]]:
+    """Adjust cameras and boards together.
+
+    Parameters
+    ----------
+    root
+        Number of the camera that stays.
+    coefficients
+        Numbers of each camera's distortion coefficients that may change; ``None``: the intrinsics are given, and stay.
+
+    Returns
+    -------
+        The adjustment, and the number of the camera of each of its residuals.
+    """
+    free = none_free(len(cameras))
+    free[:, EXTRINSICS] = True
+    free[root, EXTRINSICS] = False
+    if coefficients is not None:
+        free[:, FOCAL] = free[:, PRINCIPAL] = True
+        for number, chosen in enumerate(coefficients):
+            free[number, [DISTORTION.start + k for k in chosen]] = True
+    return _adjust(cameras, free, placed, board)
+
+
+def _adjust(
+    cameras: Sequence[Camera], free: Free, placed: Sequence[Placed], board: Board
+) -> tuple[Adjustment, Int[np.ndarray, " observations"]]:
+    bodies = Bodies(
+        read_only(np.array([one.root_from_board.rotation for one in placed])),
+        read_only(np.array([one.root_from_board.translation_m for one in placed])),
+    )
+    observations = _observations(placed, board)
+    problem = AdjustmentProblem(tuple(cameras), free, no_prior(len(cameras)), observations, Loss.CAUCHY)
+    return adjust(problem, bodies), observations.camera
+
+
+def _observations(placed: Sequence[Placed], board: Board) -> Observations:
+    camera: list[Int[np.ndarray, " n"]] = []
+    block, model_m, points_px = [], [], []
+    for number, one in enumerate(placed):
+        for of_camera, corners_px in one.corners_px.items():
+            seen = np.isfinite(corners_px).all(-1)
+            camera.append(np.full(seen.sum(), of_camera))
+            block.append(np.full(seen.sum(), number))
+            model_m.append(board.corners_m[seen])
+            points_px.append(corners_px[seen])
+    return Observations(
+        np.concatenate(camera), np.concatenate(block), np.concatenate(model_m), np.concatenate(points_px)
+    )
+
+
+def with_pose(camera: Camera, cam_from_world: Rigid3) -> Camera:
+    """Camera at another pose."""
+    return replace(camera, cam_from_world=cam_from_world)

@@ -1,0 +1,223 @@
+"""Calibration from views of a board: the whole way."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int
+
+from pipeline.calibration.adjustment.adjust import Adjustment
+from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
+from pipeline.calibration.board.bundle import Placed, adjust_all, alike_numbered, place_board, refine_boards, with_pose
+from pipeline.calibration.board.checks import (
+    linked_or_refused,
+    require_views,
+    view_warnings,
+    world_warnings,
+)
+from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
+from pipeline.calibration.board.pictures import coverage_svg
+from pipeline.calibration.board.poses import possible_poses
+from pipeline.calibration.board.rig import Pair, Rig, all_pairs, match_times, relate, spanning_tree
+from pipeline.calibration.board.spec import Board
+from pipeline.calibration.board.views import BoardViews, choose_views
+from pipeline.calibration.board.world import find_world
+from pipeline.calibration.report import CameraReport, MadeCalibration
+from pipeline.data import Camera
+from pipeline.geometry.camera import center_in_world
+from pipeline.geometry.rigid import Rigid3
+
+# Instants to which the whole rig is fitted.
+_INSTANTS = 160
+# Instants among which the floor is looked for.
+_FLOOR_INSTANTS = 600
+_INTRINSICS_ONLY = "None: the photographs have no times, or there is one camera. Every pose is the identity."
+
+OnShare = Callable[[float], None]
+
+
+def _ignore(share: float) -> None:
+    del share
+
+
+def calibrate_board(
+    views: Sequence[BoardViews],
+    board: Board,
+    given: Mapping[str, Camera] | None = None,
+    frame_rate_hz: float = 0.0,
+    floor_time_s: float | None = None,
+    on_share: OnShare = _ignore,
+) -> MadeCalibration:
+    """Calibrate cameras from views of a board.
+
+    Intrinsics are calibrated camera by camera. Poses of pairs of cameras, found from the instants at which both see the
+    board, link the cameras by a spanning tree; then all is adjusted together.
+
+    Parameters
+    ----------
+    views
+        Views of each camera.
+    given
+        Cameras whose intrinsics are known, by name: they stay. ``None``: intrinsics are calibrated.
+    frame_rate_hz
+        Rate of the videos: views within half a frame are of one instant. 0 for photographs.
+    floor_time_s
+        See ``find_world``.
+    on_share
+        Called with the share of the work that is done.
+
+    Raises
+    ------
+    InputError
+        If a camera has too few views, if cameras share too few, or if they disagree.
+    """
+    require_views(views, board, needs_intrinsics=given is None)
+    found = [None if given is not None else calibrate_intrinsics(one, board) for one in views]
+    on_share(0.3)
+    cameras = tuple(
+        one.camera if one is not None else _unposed(given, of.camera) for one, of in zip(found, views, strict=True)
+    )
+    has_times = all(np.isfinite(one.time_s).all() for one in views)
+    if len(views) == 1 or not has_times:
+        return _intrinsics_only(views, found, cameras)
+    rig = Rig(
+        tuple(views),
+        cameras,
+        tuple(
+            tuple(possible_poses(camera, corners, board) for corners in one.corners_px)
+            for camera, one in zip(cameras, views, strict=True)
+        ),
+        match_times([one.time_s for one in views], 0.5 / frame_rate_hz if frame_rate_hz else 0.0),
+    )
+    on_share(0.5)
+    pairs = [pair for k, m in all_pairs(len(views)) if (pair := relate(k, m, rig.shared(k, m))) is not None]
+    usable = linked_or_refused(rig, pairs, frame_rate_hz)
+    root_poses = spanning_tree(len(views), usable)
+    root = next(number for number, pose in root_poses.items() if not pose.translation_m.any())
+    posed = {number: with_pose(cameras[number], pose) for number, pose in root_poses.items()}
+    on_share(0.6)
+    placed = _place_all(rig, posed, board, _chosen_instants(rig, board))
+    coefficients = None if given is not None else [one.model.free for one in found if one is not None]
+    adjusted, owner = adjust_all(
+        [posed[k] for k in range(len(views))], root, [one for _, one in placed], board, coefficients
+    )
+    on_share(0.9)
+    return _finish(rig, adjusted, owner, board, usable, floor_time_s)
+
+
+def _unposed(given: Mapping[str, Camera] | None, name: str) -> Camera:
+    """Given camera at the identity."""
+    if given is None:
+        raise ValueError("there are no given intrinsics")
+    return with_pose(given[name], Rigid3(np.eye(3), np.zeros(3)))
+
+
+def _intrinsics_only(
+    views: Sequence[BoardViews], found: Sequence[Intrinsics | None], cameras: tuple[Camera, ...]
+) -> MadeCalibration:
+    reports = tuple(
+        CameraReport(
+            camera.name,
+            np.nan if one is None else one.error_px,
+            float(camera.matrix.diagonal()[:2].mean()),
+            len(of),
+            np.nan if one is None else 100 * one.focal_sigma,
+            np.nan,
+            np.nan,
+        )
+        for camera, one, of in zip(cameras, found, views, strict=True)
+    )
+    return MadeCalibration(
+        cameras,
+        has_extrinsics=False,
+        by_camera=reports,
+        reprojection_error_px=float(np.median([one.reprojection_error_px for one in reports])),
+        warnings=tuple(view_warnings(views)),
+        world=_INTRINSICS_ONLY,
+        pictures=_pictures(views),
+    )
+
+
+def _chosen_instants(rig: Rig, board: Board) -> list[int]:
+    """Instants for the adjustment: for each camera, views that cover its picture, those with more cameras first."""
+    num_seeing = (rig.instants >= 0).sum(1)
+    chosen: set[int] = set()
+    share = max(8, _INSTANTS // len(rig.views))
+    for number, views in enumerate(rig.views):
+        for has_others in (True, False):
+            rows = np.flatnonzero((rig.instants[:, number] >= 0) & ((num_seeing > 1) == has_others))
+            most = share if has_others else share // 4
+            chosen |= {int(rows[k]) for k in choose_views(views.select(rig.instants[rows, number]), most)}
+    return sorted(chosen)
+
+
+def _place_all(
+    rig: Rig, posed: Mapping[int, Camera], board: Board, instants: Sequence[int]
+) -> list[tuple[int, Placed]]:
+    """Board at some instants, where it can be placed."""
+    found = []
+    for instant in instants:
+        seeing = {number: int(view) for number, view in enumerate(rig.instants[instant]) if view >= 0}
+        corners = {number: rig.views[number].corners_px[view] for number, view in seeing.items()}
+        poses = {number: rig.poses[number][view] for number, view in seeing.items()}
+        if (placed := place_board(posed, corners, poses, board)) is not None:
+            found.append((instant, placed))
+    return found
+
+
+def _finish(
+    rig: Rig,
+    adjusted: Adjustment,
+    owner: Int[np.ndarray, " observations"],
+    board: Board,
+    pairs: Sequence[Pair],
+    floor_time_s: float | None,
+) -> MadeCalibration:
+    """Put the adjusted cameras into the world, and report; ``owner`` has the camera of each residual."""
+    times_s = np.array([min(rig.views[k].time_s[v] for k, v in enumerate(row) if v >= 0) for row in rig.instants])
+    looked_at = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), _FLOOR_INSTANTS)).round().astype(int))
+    placed = _place_all(rig, dict(enumerate(adjusted.cameras)), board, looked_at.tolist())
+    centers_m = np.array([center_in_world(camera) for camera in adjusted.cameras])
+    boards = alike_numbered(refine_boards(adjusted.cameras, [one for _, one in placed], board), board)
+    world = find_world(times_s[[k for k, _ in placed]], boards, centers_m, floor_time_s)
+    root_from_world = world.world_from_root.inverse()
+    cameras = tuple(
+        replace(camera, cam_from_world=camera.cam_from_world @ root_from_world) for camera in adjusted.cameras
+    )
+    reports, median_px = _reports(rig, adjusted, owner, cameras)
+    corner = "the first or the last corner" if board.is_ambiguous else "the first corner"
+    return MadeCalibration(
+        cameras,
+        has_extrinsics=True,
+        by_camera=reports,
+        reprojection_error_px=median_px,
+        warnings=(*view_warnings(rig.views), *world_warnings(world, rig.views, pairs)),
+        world=f"Z up, origin at {corner} of the board, x along its rows, as the board lies at {world.time_s:.2f} s.",
+        pictures=_pictures(rig.views),
+    )
+
+
+def _reports(
+    rig: Rig, adjusted: Adjustment, owner: Int[np.ndarray, " observations"], cameras: Sequence[Camera]
+) -> tuple[tuple[CameraReport, ...], float]:
+    distance_px = np.linalg.norm(adjusted.residuals_px, axis=-1)
+    reports = []
+    for number, camera in enumerate(cameras):
+        sigma = adjusted.sigma[number]
+        own = distance_px[owner == number]
+        reports.append(
+            CameraReport(
+                camera.name,
+                float(np.nanmedian(own)) if len(own) else np.nan,
+                float(camera.matrix.diagonal()[:2].mean()),
+                len(rig.views[number]),
+                float(100 * sigma[FOCAL][0]) or np.nan,
+                float(1000 * np.linalg.norm(sigma[POSITION])),
+                float(np.degrees(np.linalg.norm(sigma[ROTATION]))),
+            )
+        )
+    return tuple(reports), float(np.nanmedian(distance_px))
+
+
+def _pictures(views: Sequence[BoardViews]) -> dict[str, str]:
+    return {f"coverage_{one.camera}.svg": coverage_svg(one) for one in views}

@@ -1,0 +1,137 @@
+"""Checks of the views of a board: what refuses a calibration, and what to film again."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from pipeline.calibration.board.intrinsics import MIN_VIEWS
+from pipeline.calibration.board.pictures import covered_share
+from pipeline.calibration.board.rig import Pair, Rig, match_times, relate, spanning_tree
+from pipeline.calibration.board.spec import Board
+from pipeline.calibration.board.views import BoardViews
+from pipeline.calibration.board.world import World
+from pipeline.errors import InputError, Problem
+
+# Two cameras are linked by at least this many instants that agree, and this share of the instants that they share.
+_MIN_AGREEING, _MIN_AGREEING_SHARE = 3, 0.4
+# Fewer views, covered cells, or shared instants give a warning.
+_FEW_VIEWS, _POOR_COVERAGE, _FEW_SHARED = 10, 0.4, 10
+# Offsets that are tried for cameras that disagree.
+_MAX_OFFSET_S = 2.0
+_MIN_SHARED_FOR_OFFSET = 12
+_CERTAIN_SHARE = 0.7
+
+
+def require_views(views: Sequence[BoardViews], board: Board, needs_intrinsics: bool) -> None:
+    """Raise ``InputError`` with all cameras in which the board was found too rarely."""
+    least = MIN_VIEWS if needs_intrinsics else 1
+    problems = [_too_few(one, board, least) for one in views if len(one) < least]
+    if problems:
+        raise InputError(problems)
+
+
+def _too_few(views: BoardViews, board: Board, least: int) -> Problem:
+    message = f"The board was found in {len(views)} of {views.num_pictures} pictures; at least {least} are required."
+    hint = f"Check the board ({board}); film it sharp, well lit and whole."
+    if views.num_mirrored:
+        hint = f"In {views.num_mirrored} pictures the board is mirrored: turn off the mirroring of the camera."
+    elif board.kind == "chessboard":
+        others = f"{board.rows}x{board.cols}, {board.cols - 1}x{board.rows - 1} or {board.cols + 1}x{board.rows + 1}"
+        hint = f"{hint} COLSxROWS counts inner corners: {others} may be right."
+    return Problem("board_not_found", message, camera=views.camera, hint=hint)
+
+
+def linked_or_refused(rig: Rig, pairs: Sequence[Pair], frame_rate_hz: float) -> list[Pair]:
+    """Pairs that link all cameras.
+
+    Raises
+    ------
+    InputError
+        If a camera is not linked: the reason is its views, or its clock.
+    """
+    usable = [pair for pair in pairs if _is_usable(pair)]
+    linked = spanning_tree(len(rig.views), usable)
+    problems = [
+        _unlinked(rig, number, pairs, frame_rate_hz) for number in range(len(rig.views)) if number not in linked
+    ]
+    if problems:
+        raise InputError(problems)
+    return usable
+
+
+def _is_usable(pair: Pair) -> bool:
+    return pair.num_agreeing >= _MIN_AGREEING and pair.num_agreeing >= _MIN_AGREEING_SHARE * pair.num_shared
+
+
+def _unlinked(rig: Rig, number: int, pairs: Sequence[Pair], frame_rate_hz: float) -> Problem:
+    name = rig.views[number].camera
+    own = [pair for pair in pairs if number in (pair.first, pair.second)]
+    best = max(own, key=lambda pair: pair.num_shared, default=None)
+    if best is None or best.num_shared < _MIN_SHARED_FOR_OFFSET:
+        shared = 0 if best is None else best.num_shared
+        message = f"The camera shares {shared} views of the board with another camera; too few to link it."
+        hint = "Film the board where this camera and a neighbour both see it, and hold it still there."
+        return Problem("board_unlinked", message, camera=name, hint=hint)
+    other = rig.views[best.second if best.first == number else best.first].camera
+    message = (
+        f"The camera and {other} disagree: of {best.num_shared} views at the same time, {best.num_agreeing} give the "
+        "same relative pose."
+    )
+    offset_s = _offset_s(rig, number, best.second if best.first == number else best.first, frame_rate_hz)
+    hint = "Check that the videos are synchronised and that no camera moved."
+    if offset_s is not None:
+        hint = f"The clocks seem to differ: with an offset of {offset_s:+.3f} s for {name} the views agree."
+    return Problem("board_unsynchronised", message, camera=name, hint=hint)
+
+
+def _offset_s(rig: Rig, number: int, other: int, frame_rate_hz: float) -> float | None:
+    """Offset of a camera with which its views agree with those of another one; ``None`` if none is found."""
+    if frame_rate_hz <= 0:
+        return None
+    most, best_s = 0.0, None
+    for frames in range(-int(_MAX_OFFSET_S * frame_rate_hz), int(_MAX_OFFSET_S * frame_rate_hz) + 1):
+        offset_s = frames / frame_rate_hz
+        times = [rig.views[number].time_s + offset_s, rig.views[other].time_s]
+        both = match_times(times, 0.5 / frame_rate_hz)
+        both = both[(both >= 0).all(1)]
+        if len(both) < _MIN_SHARED_FOR_OFFSET:
+            continue
+        chosen = both[np.unique(np.linspace(0, len(both) - 1, 40).astype(int))]
+        pair = relate(0, 1, [(rig.poses[number][a], rig.poses[other][b]) for a, b in chosen])
+        share = 0.0 if pair is None else pair.num_agreeing / pair.num_shared
+        if share > _CERTAIN_SHARE and share * len(both) > most:
+            most, best_s = share * len(both), offset_s
+    return best_s
+
+
+def view_warnings(views: Sequence[BoardViews]) -> Iterator[Problem]:
+    """Cameras whose views are few, cover little of the picture, or are partly mirrored."""
+    for one in views:
+        if len(one) < _FEW_VIEWS:
+            message = f"The board was found in {len(one)} of {one.num_pictures} pictures."
+            hint = "Film it longer, at several distances and tilts."
+            yield Problem("board_few_views", message, camera=one.camera, hint=hint)
+        if (share := covered_share(one)) < _POOR_COVERAGE:
+            message = f"The board covers {share:.0%} of the picture."
+            hint = "Film it near the edges and the corners of the picture too, as the coverage picture shows."
+            yield Problem("board_poor_coverage", message, camera=one.camera, hint=hint)
+        if one.num_mirrored:
+            message = f"The board is mirrored in {one.num_mirrored} pictures."
+            hint = "Turn off the mirroring of the camera: its videos would be mirrored too."
+            yield Problem("board_mirrored", message, camera=one.camera, hint=hint)
+
+
+def world_warnings(world: World, views: Sequence[BoardViews], pairs: Sequence[Pair]) -> Iterator[Problem]:
+    """Doubts about the links between cameras and about the floor."""
+    for number, one in enumerate(views):
+        most = max((pair.num_agreeing for pair in pairs if number in (pair.first, pair.second)), default=0)
+        if most < _FEW_SHARED:
+            message = f"The camera is linked by {most} views of the board that another camera shares."
+            hint = "Film the board where this camera and a neighbour both see it."
+            yield Problem("board_few_shared", message, camera=one.camera, hint=hint)
+    if not world.is_certain:
+        message = (
+            f"The board never lies still on the floor; the floor is taken as the board is at {world.time_s:.2f} s."
+        )
+        hint = "Lay the board flat on the floor for a second, or state the time at which it lies there."
+        yield Problem("board_floor_uncertain", message, hint=hint)

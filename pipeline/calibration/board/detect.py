@@ -1,0 +1,133 @@
+"""Corners of a board in a picture, by OpenCV."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from pipeline.calibration.board.spec import Board
+
+# Larger pictures are shrunk for the search of chessboards; corners are then refined in the full picture.
+_SEARCHED_PX = 1280
+_MIN_CHARUCO_CORNERS = 6
+_SUBPIX = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 0.005)
+# Half of the window of the refinement as a share of a square's side in the picture, and its limits.
+_WINDOW_SHARE, _WINDOW_PX = 0.3, (2, 11)
+
+
+class Found(NamedTuple):
+    """Board in a picture.
+
+    Parameters
+    ----------
+    corners_px
+        Pixels by number of the corner; NaN where a corner was not found.
+    sharpness_px
+        Mean width of the edges between squares.
+    is_mirrored
+        Whether the board was only found in the mirrored picture; the corners then are of no use.
+    """
+
+    corners_px: Float[np.ndarray, "corners 2"]
+    sharpness_px: float
+    is_mirrored: bool = False
+
+
+def find_board(image: UInt8[np.ndarray, "height width 3"], board: Board) -> Found | None:
+    """Find a board in an RGB picture; ``None`` if it is not there.
+
+    Chessboards must be seen whole (sector-based detector, Duda and Frese 2018), ChArUco boards in part.
+    """
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    if board.kind == "chessboard":
+        return _find_chessboard(gray, board)
+    return _find_charuco(gray, board)
+
+
+def _find_chessboard(gray: np.ndarray, board: Board) -> Found | None:
+    factor = min(1.0, _SEARCHED_PX / max(gray.shape))
+    small = gray if factor == 1.0 else cv2.resize(gray, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    pattern = (board.cols, board.rows)
+    is_found, corners = cv2.findChessboardCornersSB(small, pattern, flags=cv2.CALIB_CB_EXHAUSTIVE)
+    if not is_found:
+        is_found, corners = cv2.findChessboardCorners(
+            small, pattern, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_FAST_CHECK
+        )
+    if not is_found:
+        return None
+    corners_px = (corners.reshape(-1, 2).astype(float) + 0.5) / factor - 0.5
+    corners_px = _refined(gray, corners_px, board)
+    return Found(_numbered(gray, corners_px, board), _blur_px(gray, corners_px))
+
+
+def _refined(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> np.ndarray:
+    """Refine corners to where the gradients around them cross, in windows within the squares."""
+    grid = corners_px.reshape(board.rows, board.cols, 2)
+    side_px = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
+    half = int(np.clip(round(_WINDOW_SHARE * side_px), *_WINDOW_PX))
+    refined = cv2.cornerSubPix(gray, corners_px.astype(np.float32).reshape(-1, 1, 2), (half, half), (-1, -1), _SUBPIX)
+    found: np.ndarray = refined.reshape(-1, 2).astype(float)
+    return found
+
+
+def _numbered(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> np.ndarray:
+    """Number corners so that x runs to the right of y as seen from in front, and the first square is black.
+
+    Detectors may begin at any outer corner. Of an ambiguous board, two numberings remain.
+    """
+    grid = corners_px.reshape(board.rows, board.cols, 2)
+    across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if across[0] * down[1] - across[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    numbered = grid.reshape(-1, 2)
+    if not board.is_ambiguous and _first_cell_is_white(gray, grid):
+        numbered = numbered[::-1]
+    return numbered
+
+
+def _first_cell_is_white(gray: np.ndarray, grid: np.ndarray) -> bool:
+    """Compare the square behind the first corner with its neighbours, at their centres, all over the board."""
+    centres_px = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+    x_px, y_px = np.moveaxis(centres_px.astype(np.float32), -1, 0)
+    shades = cv2.remap(gray, x_px, y_px, cv2.INTER_LINEAR).astype(float)
+    is_like_first = np.indices(shades.shape).sum(0) % 2 == 0
+    return bool(shades[is_like_first].mean() > shades[~is_like_first].mean())
+
+
+def _find_charuco(gray: np.ndarray, board: Board) -> Found | None:
+    found = _charuco_corners(gray, board)
+    if found is None:
+        mirrored = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
+        return None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
+    seen = found[np.isfinite(found).all(-1)]
+    return Found(found, _blur_px(gray, seen))
+
+
+def _charuco_corners(gray: np.ndarray, board: Board) -> np.ndarray | None:
+    detector = cv2.aruco.CharucoDetector(board.charuco)
+    corners, ids, _, _ = detector.detectBoard(gray)
+    if ids is None or len(ids) < _MIN_CHARUCO_CORNERS:
+        return None
+    corners_px = np.full((board.num_corners, 2), np.nan)
+    corners_px[ids.ravel()] = corners.reshape(-1, 2)
+    return corners_px if _spread(corners_px) else None
+
+
+def _spread(corners_px: np.ndarray) -> bool:
+    """Return whether corners are more than a line: a line determines no pose."""
+    seen = corners_px[np.isfinite(corners_px).all(-1)]
+    widths = np.linalg.svd(seen - seen.mean(0), compute_uv=False)
+    return bool(widths[1] > 0.05 * widths[0])
+
+
+def _blur_px(gray: np.ndarray, corners_px: np.ndarray, half: int = 6) -> float:
+    """Width of edges around corners: contrast over the steepest slope."""
+    height, width = gray.shape
+    widths = []
+    for x, y in np.round(corners_px).astype(int):
+        patch = gray[max(0, y - half) : min(height, y + half + 1), max(0, x - half) : min(width, x + half + 1)]
+        patch = patch.astype(float)
+        slope = max(np.abs(np.diff(patch, axis=axis)).max(initial=0.0) for axis in (0, 1))
+        widths.append(np.ptp(patch) / max(slope, 1.0))
+    return float(np.median(widths))

@@ -1,0 +1,66 @@
+"""Poses of a board in a camera: both solutions of a plane, and both numberings of an ambiguous chessboard."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.board.spec import Board
+from pipeline.data import Camera, read_only
+from pipeline.geometry.rigid import Rigid3
+
+# The second solution counts while its error is below this multiple of the first one's, and below this one in pixels.
+_AMBIGUOUS_RATIO, _AMBIGUOUS_PX = 4.0, 1.0
+
+
+class Pose(NamedTuple):
+    """Possible pose of a board in a camera.
+
+    Parameters
+    ----------
+    cam_from_board
+        Transform from the board, as it is numbered.
+    is_turned
+        Whether the corners are numbered from the other end: those of an ambiguous chessboard.
+    """
+
+    cam_from_board: Rigid3
+    is_turned: bool
+
+
+def possible_poses(camera: Camera, corners_px: Float[np.ndarray, "corners 2"], board: Board) -> list[Pose]:
+    """Poses that explain a view, the best first (infinitesimal plane-based pose estimation, Collins and Bartoli 2014).
+
+    A plane that is seen from far away has two poses of nearly equal error.
+    """
+    found = []
+    for is_turned in (False, True) if board.is_ambiguous else (False,):
+        numbered = corners_px[::-1] if is_turned else corners_px
+        found += [(error_px, Pose(pose, is_turned)) for error_px, pose in _solutions(camera, numbered, board)]
+    found.sort(key=lambda one: one[0])
+    best_px = found[0][0] if found else 0.0
+    limit_px = max(_AMBIGUOUS_RATIO * best_px, _AMBIGUOUS_PX)
+    return [pose for error_px, pose in found if error_px <= limit_px]
+
+
+def _solutions(camera: Camera, corners_px: np.ndarray, board: Board) -> list[tuple[float, Rigid3]]:
+    seen = np.isfinite(corners_px).all(-1)
+    points_m, points_px = board.corners_m[seen], corners_px[seen]
+    distortion = camera.distortion if len(camera.distortion) else np.zeros(4)
+    # IPPE takes the middle of the points for the plane's origin; other origins are numerically worse.
+    middle_m = points_m.mean(0)
+    _, turns, shifts, errors = cv2.solvePnPGeneric(
+        points_m - middle_m, points_px, camera.matrix, distortion, flags=cv2.SOLVEPNP_IPPE
+    )
+    poses = []
+    for turn, shift_m, _ in zip(turns, shifts, np.ravel(errors), strict=True):
+        refined = cv2.solvePnPRefineLM(points_m - middle_m, points_px, camera.matrix, distortion, turn, shift_m)
+        rotation = cv2.Rodrigues(refined[0])[0].astype(float)
+        translation_m = refined[1].ravel() - rotation @ middle_m
+        if translation_m[2] + (rotation @ middle_m)[2] <= 0:
+            continue
+        projected, _ = cv2.projectPoints(points_m - middle_m, *refined, camera.matrix, distortion)
+        error_px = float(np.sqrt(((projected.reshape(-1, 2) - points_px) ** 2).sum(-1).mean()))
+        poses.append((error_px, Rigid3(read_only(rotation), read_only(translation_m))))
+    return poses

@@ -1,0 +1,127 @@
+"""Boards: chessboards and ChArUco boards, parsed from a specification."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import read_only
+from pipeline.errors import InputError, Problem
+
+FORMS = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
+_SPEC = re.compile(
+    r"(?P<kind>chessboard|charuco):(?P<cols>\d{1,3})x(?P<rows>\d{1,3}):(?P<square>[0-9.eE-]+)"
+    r"(:(?P<marker>[0-9.eE-]+):(?P<dictionary>[A-Za-z0-9_]+))?"
+)
+_SIDE_RANGE = range(2, 100)
+_SQUARE_RANGE_M = (0.002, 2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A flat board. Its corners are numbered along the rows; x along a row, y down the columns, z into the board.
+
+    Parameters
+    ----------
+    kind
+        ``chessboard``: numbers of inner corners, as OpenCV counts them; ``charuco``: numbers of squares.
+    cols, rows
+        Numbers along the width and the height.
+    square_m, marker_m
+        Sides of a square and of a marker.
+    dictionary
+        Name of the dictionary of the markers, such as ``DICT_4X4_50``.
+    """
+
+    kind: Literal["chessboard", "charuco"]
+    cols: int
+    rows: int
+    square_m: float
+    marker_m: float = 0.0
+    dictionary: str = ""
+
+    @property
+    def corner_counts(self) -> tuple[int, int]:
+        """Numbers of inner corners along the width and the height."""
+        return (self.cols, self.rows) if self.kind == "chessboard" else (self.cols - 1, self.rows - 1)
+
+    @property
+    def num_corners(self) -> int:
+        """Number of inner corners."""
+        return self.corner_counts[0] * self.corner_counts[1]
+
+    @property
+    def corners_m(self) -> Float[np.ndarray, "corners 3"]:
+        """Inner corners in the board's frame, by number."""
+        across, down = self.corner_counts
+        grid = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1).reshape(-1, 2)
+        first = 0 if self.kind == "chessboard" else 1
+        return read_only(np.column_stack([(grid + first) * self.square_m, np.zeros(len(grid))]))
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether the board looks the same after half a turn: a chessboard with both counts odd or both even."""
+        return self.kind == "chessboard" and (self.cols - self.rows) % 2 == 0
+
+    @property
+    def charuco(self) -> cv2.aruco.CharucoBoard:
+        """Board as OpenCV detects it."""
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        return cv2.aruco.CharucoBoard((self.cols, self.rows), self.square_m, self.marker_m, dictionary)
+
+    def __str__(self) -> str:
+        marker = f":{self.marker_m:g}:{self.dictionary}" if self.kind == "charuco" else ""
+        return f"{self.kind}:{self.cols}x{self.rows}:{self.square_m:g}{marker}"
+
+
+def parse_board(text: str) -> Board:
+    """Parse the specification of a board.
+
+    Raises
+    ------
+    InputError
+        With all problems of the specification.
+
+    >>> parse_board("chessboard:9x6:0.06").num_corners
+    54
+    """
+    match = _SPEC.fullmatch(text)
+    if match is None:
+        raise InputError([_problem(f"{text!r} is not a board.", f"Write {FORMS}.")])
+    kind: Literal["chessboard", "charuco"] = "charuco" if match["kind"] == "charuco" else "chessboard"
+    problems = []
+    if (kind == "charuco") != (match["marker"] is not None):
+        needed = "needs the side of a marker and a dictionary" if kind == "charuco" else "has no markers"
+        raise InputError([_problem(f"A {kind} board {needed}.", f"Write {FORMS}.")])
+    cols, rows = int(match["cols"]), int(match["rows"])
+    if min(cols, rows) not in _SIDE_RANGE or (kind == "charuco" and min(cols, rows) < _SIDE_RANGE.start + 1):
+        counted = "squares, at least 3" if kind == "charuco" else "inner corners, at least 2"
+        problems.append(_problem(f"The board has {cols} x {rows}; these are {counted} a side, fewer than 100."))
+    square_m, marker_m = _length_m(match["square"]), _length_m(match["marker"] or "0")
+    low, high = _SQUARE_RANGE_M
+    if not low <= square_m <= high:
+        hint = f"State metres: {square_m / 1000:g}." if square_m > high else "State metres."
+        problems.append(_problem(f"A square of {square_m:g} m is not from {low:g} to {high:g} m.", hint))
+    if kind == "charuco" and not 0 < marker_m < square_m:
+        problems.append(_problem("A marker must be smaller than a square."))
+    dictionary = match["dictionary"] or ""
+    if kind == "charuco" and not hasattr(cv2.aruco, dictionary):
+        names = ", ".join(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
+        problems.append(_problem(f"There is no dictionary {dictionary}.", f"Use one of {names}."))
+    if problems:
+        raise InputError(problems)
+    return Board(kind, cols, rows, square_m, marker_m, dictionary)
+
+
+def _length_m(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def _problem(message: str, hint: str | None = None) -> Problem:
+    return Problem("board_invalid", message, field="board", hint=hint)

@@ -1,0 +1,118 @@
+"""Views of a board: its corners in the pictures of a camera, as arrays, and the choice among them."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.data import read_only
+from pipeline.runtime.npz import decode_arrays, encode_arrays
+
+# Views with edges wider than this multiple of the median are blurred by motion or out of focus.
+_MAX_BLUR = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardViews:
+    """Corners of a board in pictures of one camera.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    size_px
+        Width and height of the pictures.
+    time_s
+        Time of each picture on the session's clock; NaN for photographs, which have none.
+    corners_px
+        Pixels of each corner by number; NaN where a corner was not found.
+    sharpness_px
+        Width of the edges of the board: smaller is sharper.
+    num_pictures
+        Number of pictures that were looked at, with and without the board.
+    num_mirrored
+        Number of pictures in which the board is mirrored.
+    """
+
+    camera: str
+    size_px: tuple[int, int]
+    time_s: Float[np.ndarray, " views"]
+    corners_px: Float[np.ndarray, "views corners 2"]
+    sharpness_px: Float[np.ndarray, " views"]
+    num_pictures: int
+    num_mirrored: int = 0
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.time_s)
+
+    def select(self, chosen: Sequence[int] | np.ndarray) -> "BoardViews":
+        """Views with the given numbers."""
+        index = np.asarray(chosen, int)
+        return BoardViews(
+            self.camera,
+            self.size_px,
+            read_only(self.time_s[index]),
+            read_only(self.corners_px[index]),
+            read_only(self.sharpness_px[index]),
+            self.num_pictures,
+            self.num_mirrored,
+        )
+
+
+def encode_views(views: BoardViews) -> bytes:
+    """Encode views as a NumPy archive without pickles; equal views give equal bytes."""
+    head = {
+        "camera": views.camera,
+        "size_px": views.size_px,
+        "num_pictures": views.num_pictures,
+        "num_mirrored": views.num_mirrored,
+    }
+    arrays = {"time_s": views.time_s, "corners_px": views.corners_px, "sharpness_px": views.sharpness_px}
+    return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
+
+
+def decode_views(content: bytes) -> BoardViews:
+    """Decode views."""
+    arrays = decode_arrays(content)
+    head = json.loads(str(arrays["head"]))
+    return BoardViews(
+        head["camera"],
+        tuple(head["size_px"]),
+        read_only(arrays["time_s"]),
+        read_only(arrays["corners_px"]),
+        read_only(arrays["sharpness_px"]),
+        head["num_pictures"],
+        head["num_mirrored"],
+    )
+
+
+def choose_views(views: BoardViews, most: int) -> Int[np.ndarray, " chosen"]:
+    """Numbers of at most ``most`` views, ascending: farthest-point sampling of the sharp ones.
+
+    Two views are far apart if the board is at another place of the picture, larger, or otherwise tilted.
+    """
+    if not len(views):
+        return np.empty(0, int)
+    blur = np.where(np.isfinite(views.sharpness_px), views.sharpness_px, 0.0)
+    sharp = np.flatnonzero(blur <= _MAX_BLUR * np.median(blur))
+    if len(sharp) <= most:
+        return sharp
+    shape = _shapes(views)[sharp]
+    chosen = [int(np.argmax(shape[:, 2:4].sum(1)))]  # the nearest board
+    distance = np.linalg.norm(shape - shape[chosen[0]], axis=1)
+    while len(chosen) < most:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(shape - shape[chosen[-1]], axis=1))
+    return np.sort(sharp[chosen])
+
+
+def _shapes(views: BoardViews) -> Float[np.ndarray, "views 5"]:
+    """Place, extent and tilt of the corners in the picture, without units: means, deviations, correlation."""
+    corners = views.corners_px / np.array(views.size_px)
+    mean, deviation = np.nanmean(corners, axis=1), np.nanstd(corners, axis=1)
+    centred = corners - mean[:, None]
+    correlation = np.nanmean(centred[..., 0] * centred[..., 1], axis=1) / np.maximum(deviation.prod(-1), 1e-9)
+    return np.column_stack([mean, 2 * deviation, 0.25 * correlation])

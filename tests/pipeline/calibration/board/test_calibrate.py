@@ -1,0 +1,179 @@
+"""Calibration from a board: recovery, ambiguities, cameras that can't be linked, the floor."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.detect import find_board
+from pipeline.calibration.board.spec import Board, parse_board
+from pipeline.calibration.board.views import BoardViews, choose_views, decode_views, encode_views
+from pipeline.data import Camera, read_only
+from pipeline.errors import InputError
+from pipeline.geometry.camera import center_in_world
+from pipeline.simulation.boards import BoardPainter, board_poses
+from tests.pipeline.calibration.board.conftest import ring, views_of
+
+CHARUCO = parse_board("charuco:7x5:0.1:0.075:DICT_4X4_50")
+AMBIGUOUS = parse_board("chessboard:7x5:0.1")
+
+
+def simulated(board: Board, num_cameras: int = 4, num_poses: int = 60, seed: int = 5) -> list[BoardViews]:
+    rng = np.random.default_rng(seed)
+    cameras = ring(num_cameras)
+    return views_of(cameras, board, *board_poses(cameras, board, num_poses, rng), rng)
+
+
+def distance_mm(found: tuple[Camera, ...], truth: tuple[Camera, ...], board: Board = CHARUCO) -> np.ndarray:
+    """Distances of the cameras from the truth; an ambiguous board may lie there the other way round."""
+    found_m, truth_m = (np.array([center_in_world(camera) for camera in some]) for some in (found, truth))
+    turned_m = truth_m * [-1.0, -1.0, 1.0] + board.corners_m[-1] * [1.0, -1.0, 0.0]
+    ways_m = (truth_m, turned_m) if board.is_ambiguous else (truth_m,)
+    return min((1000 * np.linalg.norm(found_m - way_m, axis=1) for way_m in ways_m), key=np.max)
+
+
+def rig_distance_mm(found: tuple[Camera, ...], truth: tuple[Camera, ...]) -> np.ndarray:
+    """Distances of the cameras from the truth after a rigid alignment."""
+    found_m, truth_m = (np.array([center_in_world(camera) for camera in some]) for some in (found, truth))
+    centred_m, goal_m = found_m - found_m.mean(0), truth_m - truth_m.mean(0)
+    rotation, _ = Rotation.align_vectors(goal_m, centred_m)
+    return np.asarray(1000 * np.linalg.norm(rotation.apply(centred_m) - goal_m, axis=1))
+
+
+@pytest.mark.parametrize("board", [CHARUCO, AMBIGUOUS], ids=str)
+def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
+    made = calibrate_board(simulated(board), board, None, 25.0)
+    truth = ring(4)
+    assert made.has_extrinsics
+    assert distance_mm(made.cameras, truth, board).max() < 12.0
+    for found, given in zip(made.cameras, truth, strict=True):
+        assert abs(found.matrix[0, 0] / given.matrix[0, 0] - 1) < 0.003
+    assert made.reprojection_error_px < 0.3
+    assert [report.name for report in made.by_camera] == [camera.name for camera in truth]
+    assert not [warning for warning in made.warnings if warning.code == "board_floor_uncertain"]
+    # One camera is the origin of the adjustment; the standard deviations of the others are millimetres.
+    sigma_mm = sorted(report.position_sigma_mm for report in made.by_camera)
+    assert sigma_mm[0] == 0.0
+    assert 0.5 < sigma_mm[1] <= sigma_mm[-1] < 8.0
+    assert set(made.pictures) == {f"coverage_{camera.name}.svg" for camera in truth}
+
+
+def test_given_intrinsics_stay() -> None:
+    given = {camera.name: camera for camera in ring(4)}
+    made = calibrate_board(simulated(CHARUCO, num_poses=24), CHARUCO, given, 25.0)
+    for camera in made.cameras:
+        np.testing.assert_array_equal(camera.matrix, given[camera.name].matrix)
+    assert distance_mm(made.cameras, ring(4)).max() < 10.0
+    assert all(np.isnan(report.focal_sigma_percent) for report in made.by_camera)
+
+
+def test_cameras_of_another_clock_are_refused_with_the_offset() -> None:
+    views = simulated(CHARUCO)
+    late = replace(views[1], time_s=read_only(views[1].time_s + 0.4))
+    with pytest.raises(InputError) as raised:
+        calibrate_board([views[0], late, *views[2:]], CHARUCO, None, 25.0)
+    (problem,) = raised.value.problems
+    assert (problem.code, problem.camera) == ("board_unsynchronised", late.camera)
+    assert "-0.400 s" in (problem.hint or "")
+
+
+def test_a_camera_that_shares_no_view_is_named() -> None:
+    views = simulated(CHARUCO, num_poses=24)
+    alone = replace(views[2], time_s=read_only(views[2].time_s + 1000.0))
+    with pytest.raises(InputError) as raised:
+        calibrate_board([*views[:2], alone, views[3]], CHARUCO, None, 25.0)
+    assert [(one.code, one.camera) for one in raised.value.problems] == [("board_unlinked", alone.camera)]
+
+
+def test_photographs_give_intrinsics_only() -> None:
+    views = [
+        replace(one.select(range(len(one) - 24, len(one), 2)), time_s=read_only(np.full(12, np.nan)))
+        for one in simulated(CHARUCO, num_poses=24)
+    ]
+    made = calibrate_board(views, CHARUCO)
+    assert not made.has_extrinsics
+    assert {warning.code for warning in made.warnings} <= {"board_poor_coverage", "board_few_views"}
+    for camera, truth in zip(made.cameras, ring(4), strict=True):
+        np.testing.assert_array_equal(camera.cam_from_world.rotation, np.eye(3))
+        assert abs(camera.matrix[0, 0] / truth.matrix[0, 0] - 1) < 0.03
+
+
+def test_a_board_that_was_not_found_is_named_with_its_numbers() -> None:
+    views = [one.select(range(2)) for one in simulated(AMBIGUOUS, num_poses=8)]
+    with pytest.raises(InputError) as raised:
+        calibrate_board(views, AMBIGUOUS, None, 25.0)
+    assert [one.camera for one in raised.value.problems] == [one.camera for one in views]
+    assert "5x7" in str(raised.value)
+
+
+def test_views_come_back_from_their_archive() -> None:
+    (views, *_) = simulated(CHARUCO, num_poses=4)
+    decoded = decode_views(encode_views(views))
+    assert (decoded.camera, decoded.size_px, decoded.num_pictures) == (views.camera, views.size_px, views.num_pictures)
+    np.testing.assert_array_equal(decoded.corners_px, views.corners_px)
+    assert encode_views(decoded) == encode_views(views)
+
+
+def test_blurred_views_are_left_out_and_the_others_cover_the_picture() -> None:
+    (views, *_) = simulated(CHARUCO)
+    sharpness = np.ones(len(views))
+    sharpness[::3] = 5.0
+    chosen = choose_views(replace(views, sharpness_px=read_only(sharpness)), 10)
+    assert len(chosen) == 10
+    assert not set(chosen) & set(range(0, len(views), 3))
+    spread = np.nanmean(views.corners_px, axis=1)
+    assert np.ptp(spread[chosen], axis=0).min() > 0.6 * np.ptp(spread, axis=0).min()
+
+
+def test_a_board_is_found_in_a_picture_and_a_mirrored_one_is_named() -> None:
+    camera = ring(4)[0]
+    rng = np.random.default_rng(3)
+    _, poses = board_poses([camera], CHARUCO, 1, rng)
+    image = BoardPainter(camera, CHARUCO).paint(poses[-1], rng)
+    found = find_board(image, CHARUCO)
+    assert found is not None
+    seen = np.isfinite(found.corners_px).all(-1)
+    (truth,) = views_of([camera], CHARUCO, np.zeros(1), poses[-1:], rng, noise_px=0.0)
+    distance_px = np.linalg.norm(found.corners_px - truth.corners_px[0], axis=-1)[seen]
+    assert np.median(distance_px) < 0.2
+    assert distance_px.max() < 1.0
+    mirrored = find_board(np.ascontiguousarray(image[:, ::-1]), CHARUCO)
+    assert mirrored is not None
+    assert mirrored.is_mirrored
+    assert find_board(np.full_like(image, 128), CHARUCO) is None
+
+
+def rendered(cameras: tuple[Camera, ...], board: Board, num_poses: int) -> Iterator[BoardViews]:
+    rng = np.random.default_rng(7)
+    times_s, poses = board_poses(cameras, board, num_poses, rng)
+    for camera in cameras:
+        painter = BoardPainter(camera, board)
+        seen_s, corners, blur = [], [], []
+        for time_s, pose in zip(times_s, poses, strict=True):
+            if -pose.rotation[:, 2] @ (center_in_world(camera) - pose.translation_m) < 0.1:
+                continue
+            if (found := find_board(painter.paint(pose, rng), board)) is not None and not found.is_mirrored:
+                seen_s.append(time_s)
+                corners.append(found.corners_px)
+                blur.append(found.sharpness_px)
+        time_s, corners_px, sharpness_px = (read_only(np.array(values)) for values in (seen_s, corners, blur))
+        yield BoardViews(camera.name, camera.size_px, time_s, corners_px, sharpness_px, len(times_s))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spec", "num_cameras", "num_poses"),
+    [("charuco:7x5:0.12:0.09:DICT_4X4_50", 4, 40), ("chessboard:8x6:0.1", 8, 48)],
+)
+def test_painted_boards_calibrate_to_millimetres(spec: str, num_cameras: int, num_poses: int) -> None:
+    board, cameras = parse_board(spec), ring(num_cameras)
+    made = calibrate_board(list(rendered(cameras, board, num_poses)), board, None, 25.0)
+    assert made.reprojection_error_px <= 0.3
+    for found, truth in zip(made.cameras, cameras, strict=True):
+        assert abs(found.matrix[0, 0] / truth.matrix[0, 0] - 1) <= 0.003
+    # At about 3 m. The world is that of one pose of the board, on the floor; the rig is that of all of them.
+    assert distance_mm(made.cameras, cameras, board).max() <= 6.0
+    assert rig_distance_mm(made.cameras, cameras).max() <= 3.0
