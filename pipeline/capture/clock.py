@@ -57,13 +57,14 @@ def clock_problems(
 
 
 def _overlap_problems(times: Mapping[str, FrameTimes], source: TimeSource) -> Iterator[Problem]:
-    """Report cameras that recorded at no time together with another camera."""
+    """Report cameras that recorded at no time together with another camera, if there is another one."""
     spans_s = {
         name: (float(camera_times.time_s[0]), float(camera_times.time_s[-1])) for name, camera_times in times.items()
     }
     for name, (begin_s, end_s) in spans_s.items():
-        others_s = (span_s for other, span_s in spans_s.items() if other != name)
-        if not any(begin_s <= other_end_s and other_begin_s <= end_s for other_begin_s, other_end_s in others_s):
+        others_s = [span_s for other, span_s in spans_s.items() if other != name]
+        overlaps = any(begin_s <= other_end_s and other_begin_s <= end_s for other_begin_s, other_end_s in others_s)
+        if others_s and not overlaps:
             message = f"The camera recorded from {begin_s:.3f} to {end_s:.3f} s; no other camera recorded at that time."
             yield _camera_problem("no_overlap", message, name, source, "start")
 

@@ -45,6 +45,19 @@ def write_video(
     return path
 
 
+def write_pictures(path: Path, pictures: Sequence[np.ndarray], options: dict[str, str] | None = None) -> Path:
+    """Encode given pictures at 25 Hz."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options=options or {})
+        assert isinstance(stream, av.VideoStream)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for image in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
 def write_sizes(
     path: Path, sizes_px: Sequence[tuple[int, int]], frames_each: int, codec: str, options: dict[str, str] | None = None
 ) -> Path:

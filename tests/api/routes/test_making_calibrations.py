@@ -1,0 +1,134 @@
+"""Calibrations that jobs make: from the request to a session that uses the result."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from api.settings import Settings
+from pipeline.calibration.board.spec import parse_board
+from pipeline.simulation.boards import BoardPainter, board_poses
+from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from tests.api.conftest import Live, problem_of, running
+from tests.pipeline.media import write_pictures
+from worker.execution import run_chunk
+from worker.runner import Runner
+
+SPEC = "charuco:5x4:0.16:0.12:DICT_4X4_50"
+NUM_CAMERAS = 3
+
+
+@pytest.fixture(scope="module")
+def making(make_settings: Callable[..., Settings]) -> Iterator[Live]:
+    """Running service with the real check of files, for larger files."""
+    limits = {"max_file_bytes": 20_000_000, "max_session_bytes": 60_000_000}
+    with running(make_settings(preflight_command=Settings().preflight_command, **limits)) as live:
+        yield live
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Videos of a board that lies on the floor and is then held towards one camera after the other."""
+    folder, rng, board = tmp_path_factory.mktemp("videos"), np.random.default_rng(11), parse_board(SPEC)
+    cameras = build_cameras(Rig(Layout.RING, NUM_CAMERAS, (2.0, 1.8), 2.0), np.random.default_rng(0))
+    _, poses = board_poses(cameras, board, 16, rng)
+    paths = []
+    for camera in cameras:
+        painter = BoardPainter(camera, board)
+        pictures = [painter.paint(pose, rng) for pose in poses]
+        paths.append(write_pictures(folder / f"{camera.name}.mp4", pictures, {"crf": "12"}))
+    return paths
+
+
+def work(live: Live) -> None:
+    """Do the work that waits, as a worker does."""
+    store, artifacts = live.services.store, live.services.artifacts
+    runner = Runner(store, artifacts, lambda: None, run_chunk, 60.0, 5.0, lambda: False, lambda: None, lambda: True)
+    runner.work(claim_for_s=300.0)
+
+
+def send(live: Live, paths: list[Path], **spec: Any) -> Any:
+    parts = [("videos", (path.name, path.read_bytes())) for path in paths]
+    return live.client.post("/v1/calibrations", files=[*parts, ("spec", (None, json.dumps(spec).encode()))])
+
+
+def test_a_job_makes_a_calibration_from_a_board(making: Live, videos: list[Path]) -> None:
+    answer = send(making, videos, method="board", board=SPEC, name="Studio B")
+    assert answer.status_code == 202, answer.text
+    job = answer.json()
+    assert answer.headers["location"] == job["links"]["self"]
+    assert (job["kind"], job["calibration_id"]) == ("calibration", job["id"])
+    assert [stage["name"] for stage in job["stages"]] == ["find_board", "make_calibration"]
+    address = f"/v1/calibrations/{job['id']}"
+    assert making.client.get(address).json()["state"] == "queued"
+    problem_of(making.client.get(f"{address}/file"), 409, "not_finished")
+    problem_of(making.client.delete(address), 409, "conflict")
+    # Its videos are no capture: they can't be reconstructed, and are not listed.
+    problem_of(making.client.post(f"{job['links']['session']}/jobs", json={}), 409, "conflict")
+    assert making.client.get("/v1/sessions").json()["sessions"] == []
+
+    work(making)
+    calibration = making.client.get(address).json()
+    assert calibration["state"] == "ready", making.client.get(job["links"]["self"]).json()["error"]
+    assert (calibration["name"], calibration["method"], calibration["error"]) == ("Studio B", "board", None)
+    assert [camera["name"] for camera in calibration["cameras"]] == [path.stem for path in videos]
+    assert all(1.5 < camera["position_m"][2] < 2.5 for camera in calibration["cameras"])
+    assert calibration["report"]["reprojection_error_px"] < 0.5
+    names = {one["name"] for one in making.client.get(job["links"]["results"]).json()["results"]}
+    assert names == {"calibration.json", "report.json", *(f"coverage_{path.stem}.svg" for path in videos)}
+
+    # The same videos as a session with the calibration's id; a second one after the calibration's job is deleted.
+    parts: list[tuple[str, Any]] = [("videos", (path.name, path.read_bytes())) for path in videos]
+    parts.append(("calibration_id", (None, job["id"].encode())))
+    assert making.client.post("/v1/sessions", files=parts).status_code == 201
+    assert making.client.delete(job["links"]["self"]).status_code == 204
+    assert making.client.post("/v1/sessions", files=parts).status_code == 201
+    assert making.client.get(address).json()["state"] == "ready"
+    assert making.client.delete(address).status_code == 204
+    problem_of(making.client.get(job["links"]["session"]), 404, "not_found")
+
+
+def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, videos: list[Path]) -> None:
+    job = send(making, videos, method="board", board="charuco:9x7:0.1:0.08:DICT_6X6_50").json()
+    work(making)
+    calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
+    assert calibration["state"] == "failed"
+    assert calibration["error"]["code"] == "input_error"
+    assert all(f"camera {path.stem}: The board was found in 0 of" in calibration["error"]["detail"] for path in videos)
+    assert not calibration["error"]["retryable"]
+    parts: list[tuple[str, Any]] = [("videos", (path.name, b"")) for path in videos]
+    parts.append(("calibration_id", (None, job["id"].encode())))
+    problem = problem_of(making.client.post("/v1/sessions", files=parts), 422, "invalid_request")
+    assert "calibration_unmade" in {one["code"] for one in problem["errors"]}
+
+
+def test_a_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path]) -> None:
+    answer = send(making, videos[:1], method="board", board=SPEC)
+    assert answer.status_code == 202, answer.text
+    job = answer.json()
+    assert making.client.post(job["links"]["cancel"]).status_code == 202
+    assert making.client.get(f"/v1/calibrations/{job['id']}").json()["state"] == "canceled"
+    retried = making.client.post(f"{job['links']['self']}/retry").json()
+    assert (retried["kind"], retried["attempt"]) == ("calibration", 2)
+    work(making)
+    calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
+    # One camera alone has intrinsics and no pose, so no session can use it.
+    assert (calibration["state"], calibration["report"]["has_extrinsics"]) == ("ready", False)
+    parts = [("videos", (videos[0].name, b"")), ("calibration_id", (None, job["id"].encode()))]
+    problem = problem_of(making.client.post("/v1/sessions", files=parts), 422, "invalid_request")
+    assert [one["code"] for one in problem["errors"]] == ["calibration_unposed"]
+
+
+def test_a_deleted_job_takes_the_calibration_that_it_did_not_make(making: Live, videos: list[Path]) -> None:
+    job = send(making, videos[:1], method="board", board=SPEC).json()
+    making.client.post(job["links"]["cancel"])
+    assert making.client.delete(job["links"]["self"]).status_code == 204
+    problem_of(making.client.get(f"/v1/calibrations/{job['id']}"), 404, "not_found")
+
+
+def test_a_wrong_board_is_refused_at_once(making: Live, videos: list[Path]) -> None:
+    problem = problem_of(send(making, videos, method="board", board="chessboard:9x6:60"), 422, "invalid_request")
+    assert [(one["code"], one["hint"]) for one in problem["errors"]] == [("board_invalid", "State metres: 0.06.")]
