@@ -10,7 +10,7 @@ from api.schemas import CameraManifest, Id, JobError, NextCursor, ResponseModel,
 from pipeline.calibration_choices import CalibrationChoices
 from worker.jobs.model import Calibration, JobState
 
-Method = Literal["file", "board", "people"]
+Method = Literal["file", "board"]
 Format = Literal["multicap", "caliscope", "opencv"]
 MEDIA_TYPES: dict[Format, tuple[str, str]] = {
     "multicap": ("json", "application/json"),
@@ -29,8 +29,7 @@ class CalibrationSpec(BaseModel):
 
     method: Method = Field(
         default="file",
-        description="`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board; "
-        "`people`: made from `videos` of people, or from a session's people.",
+        description="`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board.",
     )
     name: Annotated[str, AfterValidator(printable_name)] | None = Field(
         default=None, min_length=1, max_length=200, description="Name for people; by default that of the file."
@@ -45,26 +44,13 @@ class CalibrationSpec(BaseModel):
         description="Board: `chessboard:COLSxROWS:SQUARE_M`, or `charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY`.",
         examples=["chessboard:9x6:0.06", "charuco:7x5:0.06:0.045:DICT_4X4_50"],
     )
-    stature_m: float | None = Field(
-        default=None,
-        strict=True,
-        ge=0.5,
-        le=2.5,
-        allow_inf_nan=False,
-        description="Stature of the tallest person, which determines the scale.",
-    )
-    session_id: UUID | None = Field(
-        default=None, description="Session whose people serve; the intrinsics of its calibration are kept."
-    )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
     )
 
     def choices(self, has_intrinsics: bool) -> CalibrationChoices | None:
         """Choices of the job; ``None`` for a file."""
-        if self.method == "file":
-            return None
-        return CalibrationChoices(self.method, self.board, self.stature_m, has_intrinsics)
+        return None if self.board is None else CalibrationChoices(self.board, has_intrinsics)
 
 
 class UploadedCalibration(UploadedFiles, CalibrationSpec):

@@ -36,7 +36,7 @@ _CONVENTIONS = """
 - Errors are `application/problem+json` with a stable `code`; `errors` lists all problems of the request."""
 _TAGS = {
     "uploads": "Large files in pieces, by tus 1.0. After an interrupted connection a client continues at the offset.",
-    "calibrations": "Calibrations of cameras: sent as files, or made from a board or from people.",
+    "calibrations": "Calibrations of cameras: sent as files, or made from a board.",
     "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
     "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
     "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
@@ -156,7 +156,7 @@ def calibration_body() -> dict[str, Any]:
     file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
     properties = {
         CALIBRATION: file | {"description": "Calibration file, for the method `file`."},
-        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board or of people."},
+        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board."},
         INTRINSICS: file | {"description": "Calibration file whose intrinsics are kept, and poses ignored."},
         "spec": {"$ref": _SCHEMA_REF.format(model=CalibrationSpec.__name__)},
     }

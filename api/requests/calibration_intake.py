@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fastapi import Request
-from starlette.concurrency import run_in_threadpool
 
 from api.calibration_schemas import CalibrationSpec, Method, UploadedCalibration
 from api.dependencies import Services
@@ -21,23 +20,16 @@ from api.requests.intake import (
     record_path_in,
 )
 from api.requests.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
-from api.requests.spec_checks import limit_errors, network_errors
+from api.requests.spec_checks import limit_errors
 from api.schemas import Manifest
-from worker.jobs.errors import NotFound
-from worker.jobs.model import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
-_SESSION_ID, _BOARD, _STATURE = "session_id", "board", "stature_m"
-_NEEDED: Mapping[Method, tuple[str, ...]] = {
-    "file": (CALIBRATION,),
-    "board": (VIDEOS, _BOARD),
-    "people": (_STATURE,),
-}
+_BOARD = "board"
+_NEEDED: Mapping[Method, tuple[str, ...]] = {"file": (CALIBRATION,), "board": (VIDEOS, _BOARD)}
 _ALLOWED: Mapping[Method, frozenset[str]] = {
     "file": frozenset({CALIBRATION}),
     "board": frozenset({VIDEOS, INTRINSICS, _BOARD}),
-    "people": frozenset({VIDEOS, INTRINSICS, _STATURE, _SESSION_ID}),
 }
 
 
@@ -56,7 +48,7 @@ class CheckedCalibration:
     Parameters
     ----------
     content
-        A file, videos of its own, or a stored session whose people serve.
+        A file, or videos.
     has_intrinsics
         Whether the intrinsics of the cameras are given.
     upload_ids
@@ -65,7 +57,7 @@ class CheckedCalibration:
 
     spec: CalibrationSpec
     name: str
-    content: ReadFile | CheckedSession | Session
+    content: ReadFile | CheckedSession
     has_intrinsics: bool = False
     upload_ids: tuple[str, ...] = ()
 
@@ -93,15 +85,12 @@ async def check_calibration(
     if spec is None:
         raise unprocessable(errors)
     errors += _method_errors(spec, form, part)
-    session = None if spec.session_id is None else await run_in_threadpool(_session, records, spec, part, errors)
     if errors:
         raise unprocessable(errors)
     if spec.method == "file":
         (file,) = form.files[CALIBRATION]
         contents = await _contents(services, owner, sent, form, spec)
         return CheckedCalibration(spec, spec.name or file.name, ReadFile(file, contents), upload_ids=upload_ids)
-    if session is not None:
-        return CheckedCalibration(spec, spec.name or session.name, session, has_intrinsics=True)
     videos = await _checked_videos(services, owner, sent, form, spec, upload_ids)
     name = spec.name or f"{spec.method}, {len(form.videos)} cameras"
     return CheckedCalibration(spec, name, videos, has_intrinsics=bool(form.files[INTRINSICS]), upload_ids=upload_ids)
@@ -115,7 +104,7 @@ def _form_of(sent: Sent) -> Form:
 
 def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorItem]:
     """Report what a method lacks, and what it has no use for; ``part`` leads to the choices in the request."""
-    given = {name for name in (_SESSION_ID, _BOARD, _STATURE) if getattr(spec, name) is not None}
+    given = set() if spec.board is None else {_BOARD}
     given |= {name for name, files in form.files.items() if files}
 
     def pointer(name: str) -> str:
@@ -132,12 +121,6 @@ def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorIt
         )
         for name in sorted(given - _ALLOWED[spec.method])
     ]
-    if spec.method == "people" and VIDEOS not in given and _SESSION_ID not in given and not _is_reported(form, VIDEOS):
-        message = "The method people needs videos, or the id of a session."
-        errors.append(ErrorItem(code="missing_part", message=message, pointer=pointer(VIDEOS)))
-    if _SESSION_ID in given and (extra := sorted(given & {VIDEOS, INTRINSICS})):
-        message = "With the id of a session, its own videos and intrinsics serve."
-        errors += [ErrorItem(code="part_not_allowed", message=message, pointer=pointer(name)) for name in extra]
     return errors
 
 
@@ -148,15 +131,6 @@ def _pointer(part: str, field: str) -> str:
 def _is_reported(form: Form, part: str) -> bool:
     """Whether an error already names a part, whose files then are missing."""
     return any((error.pointer or "").split("/")[1:2] == [part] for error in form.errors)
-
-
-def _session(records: TenantRecords, spec: CalibrationSpec, part: str, errors: list[ErrorItem]) -> Session | None:
-    try:
-        return records.sessions.get(str(spec.session_id))
-    except NotFound:
-        pointer = _pointer(part, _SESSION_ID)
-        errors.append(ErrorItem(code="session_unknown", message="There is no such session.", pointer=pointer))
-        return None
 
 
 async def _contents(
@@ -192,8 +166,6 @@ async def _checked_videos(
     except InvalidFilesError as invalid:
         raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
     errors = limit_errors(services, preflight)
-    if spec.method == "people":
-        errors += await run_in_threadpool(network_errors, JobSpec(), services, None)
     if errors:
         raise unprocessable(errors)
     return CheckedSession(form, manifest, JobSpec(), preflight, record_path, upload_ids)

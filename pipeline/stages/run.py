@@ -233,20 +233,20 @@ def find_board(task: Task, context: Context) -> Output:
     span = min(float(one[0]) for one in times_s), max(float(one[-1]) for one in times_s)
     own_s = session.times[task.camera].time_s
     frames = frames_to_look_at(own_s, span, 1.0 / session.timebase.frame_rate_hz)
-    board = parse_board(making.board or "")
+    board = parse_board(making.board)
     with context.video(task.camera):
         views = look_in_video(session.videos[number], task.camera, own_s, frames, board, context.on_unit)
     return Output(encode_views(views))
 
 
 def calibrate(task: Task, context: Context) -> Output:
-    """Make a calibration from the views of a board, or from the people of a session."""
+    """Make a calibration from the views of a board."""
     session, making, on_share = context.outline(), context.config.making, _on_share(task, context)
     if making is None:
         raise PipelineError("The job makes no calibration.")
     given = {camera.name: camera for camera in session.cameras} if making.has_intrinsics else None
     views = [decode_views(content) for content in context.outputs(FIND_BOARD)]
-    board, rate_hz = parse_board(making.board or ""), session.timebase.frame_rate_hz
+    board, rate_hz = parse_board(making.board), session.timebase.frame_rate_hz
     made = calibrate_board(views, board, given, rate_hz, on_share=on_share)
     return _calibrated(made, context)
 

@@ -248,7 +248,7 @@ class Calibration:
     Parameters
     ----------
     method
-        ``file``, ``board`` or ``people``.
+        ``file`` or ``board``.
     source
         Of a file its name, format, units, axes and notes; else the choices with which it is made.
     files

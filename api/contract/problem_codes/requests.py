@@ -339,7 +339,6 @@ PARTS = CodeGroup(
             "The calibration has the intrinsics of its cameras, and no poses.",
             "Make one from videos in which the cameras see the board at the same time.",
         ),
-        ProblemCode("session_unknown", _FIELD, "There is no session with this id.", "List the sessions."),
         ProblemCode(
             "upload_unknown", _FIELD, "There is no such upload, or it was used or has expired.", "Send the file again."
         ),

@@ -85,9 +85,7 @@ def test_all_problems_of_a_file_are_named(strict: Live) -> None:
     ("spec", "pointers"),
     [
         ({"method": "board"}, {"/videos", "/spec/board", "/calibration"}),
-        ({"method": "people"}, {"/videos", "/spec/stature_m", "/calibration"}),
         ({"method": "file", "board": "chessboard:9x6:0.06"}, {"/spec/board"}),
-        ({"method": "people", "stature_m": 1.8, "session_id": str(uuid4())}, {"/spec/session_id", "/calibration"}),
         ({"method": "guess"}, {"/spec/method"}),
         ({"board": "paper"}, {"/spec/board"}),
     ],
