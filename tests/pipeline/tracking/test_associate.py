@@ -53,6 +53,31 @@ def assert_same_people(tracks: tuple[Track3D, ...], people_m: np.ndarray, atol_m
     assert errors_m.min(1).max() < atol_m
 
 
+FISHEYE = np.array([0.035, -0.011, 0.002, -0.0005])
+
+
+def test_two_people_pass_each_other_before_fisheyes(ring: tuple[Camera, ...]) -> None:
+    """Exact observations of a wide fisheye give exact people; another lens model would be off by centimetres."""
+    people_m = two_walkers()
+    wide = np.diag([0.5, 0.5, 1.0])
+    fisheyes = tuple(replace(c, matrix=wide @ c.matrix, distortion=FISHEYE, lens="fisheye") for c in ring)
+    assert_same_people(run(fisheyes, {c.name: detections_of(c, people_m) for c in fisheyes}), people_m, 1e-6)
+
+
+def test_joints_beyond_the_angle_of_a_fisheye_count_as_not_seen(ring: tuple[Camera, ...]) -> None:
+    fisheyes = tuple(replace(c, distortion=FISHEYE, lens="fisheye") for c in ring)
+    detections = {c.name: detections_of(c, two_walkers()) for c in fisheyes}
+    outside = detections[ring[0].name]
+    keypoints_px = outside.keypoints_px.copy()
+    keypoints_px[3, 5] = 1e5
+    bodies = gather(
+        fisheyes, same_times(ring), detections | {ring[0].name: replace(outside, keypoints_px=keypoints_px)}
+    )
+    assert np.isnan(bodies.seen_px[3, 5]).all()
+    assert bodies.score[3, 5] == 0
+    assert np.isnan(bodies.seen_px).sum() == 2
+
+
 def test_two_people_pass_each_other(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()
     # Each camera lists the people in an order of its own.
