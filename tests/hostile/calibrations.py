@@ -1,8 +1,10 @@
 """Calibrations in every supported format, valid and damaged."""
 
 import json
+import pickle
 import random
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +16,7 @@ from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
 
 def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
     """The same cameras in all formats, by file name."""
+    fisheyes = [replace(camera, distortion=np.array([0.03, -0.01, 0.0, 0.0]), lens="fisheye") for camera in cameras]
     short = {"convention": "x = K (R X + t)", "cameras": [_short(camera) for camera in cameras]}
     return {
         "cameras.json": encode(cameras),
@@ -25,6 +28,31 @@ def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
         "colmap.txt": _colmap(cameras).encode(),
         "cameras.qca.txt": _qca(cameras).encode(),
         "cameras.xml": _qca(cameras).encode(),
+        "cameras.mcal": f"<calibrationProfile>{_mcal(cameras)}</calibrationProfile>".encode(),
+        "fisheye.json": encode(fisheyes),
+        "fisheye.toml": encode_toml(fisheyes),
+        "fisheye.yml": encode_opencv(fisheyes),
+    }
+
+
+def pickles(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
+    """Pickles of OpenCap (one camera) and of MVPose (all cameras, without sizes), by file name."""
+    one = cameras[0]
+    opencap = {
+        "intrinsicMat": one.matrix,
+        "distortion": np.zeros((1, 5)),
+        "imageSize": np.array(one.size_px[::-1], dtype=float).reshape(2, 1),
+        "rotation": one.cam_from_world.rotation,
+        "translation": one.cam_from_world.translation_m.reshape(3, 1),
+    }
+    mvpose = {
+        "K": np.stack([camera.matrix for camera in cameras]),
+        "RT": np.stack([camera.cam_from_world.matrix for camera in cameras]),
+    }
+    return {
+        f"{name}{protocol}.pickle": pickle.dumps(document, protocol)
+        for name, document in (("opencap", opencap), ("camera_parameter", mvpose))
+        for protocol in (3, 4, 5)
     }
 
 
@@ -32,7 +60,7 @@ def spoilt_calibrations(cameras: Sequence[Camera], seed: int, count: int) -> Ite
     """Name and content of damaged calibrations: random damage, and special cases."""
     yield from _special(cameras)
     rng = random.Random(seed)  # noqa: S311 - the same each time
-    good = in_every_format(cameras)
+    good = {**in_every_format(cameras), **pickles(cameras)}
     for _ in range(count):
         name = rng.choice(sorted(good))
         yield name, spoil(good[name], rng, OF_TEXT if rng.random() < 0.7 else OF_BYTES)
@@ -55,6 +83,10 @@ def _special(cameras: Sequence[Camera]) -> Iterator[tuple[str, bytes]]:
     yield "cameras.yml", b"a: &a [1]\nb: &b [*a, *a]\nc: [*b, *b]\n"
     yield "cameras.xml", b"<opencv_storage>" + b"<a>" * 300_000
     yield "cameras.xcp", b"<Cameras>" + b"<Camera><KeyFrames><KeyFrame/></KeyFrames></Camera>" * 50_000 + b"</Cameras>"
+    yield "cameras.mcal", b"<calibrationProfile><Calibration><Cameras>" + b"<Camera/>" * 50_000
+    yield "evil.pickle", b"\x80\x04\x8c\x05posix\x8c\x06system\x93\x8c\x0etouch /tmp/evil\x85R."
+    yield "huge.pickle", b"\x80\x04\x8e\xff\xff\xff\xff\xff\xff\xff\x0f"
+    yield "long.pickle", b"\x80\x04" + b"]" * 1_000_000 + b"."
     yield "colmap.txt", good["colmap.txt"] + b"1 1 0 0 0 0 0 0 1 a.png\n\n" * 100_000
 
 
@@ -139,3 +171,20 @@ def _qca_camera(camera: Camera) -> str:
    <intrinsic focalLengthU="{float(matrix[0, 0])!r}" focalLengthV="{float(matrix[1, 1])!r}"
     centerPointU="{float(matrix[0, 2])!r}" centerPointV="{float(matrix[1, 2])!r}" skew="0" {lens}/>
   </camera>"""
+
+
+def _mcal(cameras: Sequence[Camera]) -> str:
+    return f"<Calibration><Cameras>{''.join(map(_mcal_camera, cameras))}</Cameras></Calibration>"
+
+
+def _mcal_camera(camera: Camera) -> str:
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    turned = (camera.cam_from_world.rotation.T @ np.diag([1.0, -1.0, -1.0])).ravel().tolist()
+    orientation = " ".join(f'OrientMatrix{k}="{value}"' for k, value in enumerate(turned))
+    return (
+        f'<Camera Serial="{camera.name}"><Properties ImagerIndex="30"/>\n'
+        f'<Attributes ImagerPixelWidth="{camera.size_px[0]}" ImagerPixelHeight="{camera.size_px[1]}"/>\n'
+        f'<IntrinsicStandardCameraModel LensCenterX="{cx}" LensCenterY="{cy}" HorizontalFocalLength="{fx}"\n'
+        f' VerticalFocalLength="{fy}" k1="0" k2="0" k3="0" TangentialX="0" TangentialY="0"/>\n'
+        f'<Extrinsic X="1" Y="2" Z="3" {orientation}/></Camera>\n'
+    )

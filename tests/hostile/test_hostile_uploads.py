@@ -4,6 +4,7 @@ import itertools
 import json
 import random
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,17 @@ def test_calibrations_keypoints_and_timestamps(live: Live) -> None:
         spoilt.append({other: one for other, one in good.items() if other != "calibration.json"} | {name: content})
     for files in random.Random(SEED).sample(spoilt, 8):  # noqa: S311 - the same each time
         post(live, parts_of(files))
+
+
+@pytest.mark.hostile
+def test_300_calibrations(live: Live) -> None:
+    """Calibrations in all formats, damaged, with good keypoints: each is taken or refused within the limit of time."""
+    simulation = simulate()
+    good = {name: content for name, content in keypoint_files(simulation).items() if name != "calibration.json"}
+    spoilt = itertools.islice(spoilt_calibrations(simulation.cameras, SEED, 300), 300)
+    codes = Counter(post(live, parts_of(good | {name: content})).status_code for name, content in spoilt)
+    assert codes.total() == 300
+    assert codes[422] > 150
 
 
 def test_videos(live: Live, tmp_path: Path) -> None:

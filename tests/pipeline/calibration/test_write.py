@@ -5,9 +5,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS
+from pipeline.data import Camera
+from pipeline.geometry.rigid import Rigid3
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
 
 
@@ -17,6 +22,44 @@ def test_what_is_written_is_read(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"rig{ending}"
     path.write_bytes(ENCODERS[ending](rig))
     assert_rig(read_contents(path), rig, num_digits=9)
+
+
+@given(
+    matrix=st.tuples(st.floats(1, 1e6), st.floats(-1e3, 1e3), st.floats(1, 1e6), st.floats(-1e5, 1e5)),
+    turn=st.tuples(*[st.floats(-3.1, 3.1)] * 3),
+    translation_m=st.tuples(*[st.floats(-1e4, 1e4)] * 3),
+    distortion=st.sampled_from((0, 4, 5, 8, 12)).flatmap(
+        lambda n: st.lists(st.floats(-1e3, 1e3), min_size=n, max_size=n)
+    ),
+    is_fisheye=st.booleans(),
+    ending=st.sampled_from(sorted(ENCODERS)),
+)
+def test_every_camera_survives(
+    tmp_path_factory: pytest.TempPathFactory,
+    matrix: tuple[float, ...],
+    turn: tuple[float, ...],
+    translation_m: tuple[float, ...],
+    distortion: list[float],
+    is_fisheye: bool,
+    ending: str,
+) -> None:
+    fx, skew, fy, cx = matrix
+    written = Camera(
+        "camera",
+        (1920, 1080),
+        np.array([[fx, skew, cx], [0.0, fy, -cx], [0.0, 0.0, 1.0]]),
+        np.array(distortion),
+        Rigid3(Rotation.from_rotvec(turn).as_matrix(), np.array(translation_m)),
+        lens="fisheye" if is_fisheye and len(distortion) == 4 else "standard",
+    )
+    path = tmp_path_factory.mktemp("rig") / f"rig{ending}"
+    path.write_bytes(ENCODERS[ending]([written]))
+    (read,) = read_contents(path).cameras
+    assert (read.name, read.size_px, read.lens) == (written.name, written.size_px, written.lens)
+    np.testing.assert_array_equal(read.matrix, written.matrix)
+    np.testing.assert_array_equal(read.distortion, written.distortion)
+    np.testing.assert_array_equal(read.cam_from_world.translation_m, written.cam_from_world.translation_m)
+    np.testing.assert_allclose(read.cam_from_world.rotation, written.cam_from_world.rotation, atol=1e-12)
 
 
 def test_opencv_reads_its_yaml(tmp_path: Path) -> None:

@@ -1,0 +1,53 @@
+"""All demos of the sample package run from their own files, by the command line."""
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from pipeline.runtime.packages import samples
+from pipeline.runtime.packages.storage import home
+
+PACKAGE = "pose2sim-0.10.49-py3-none-any.whl"
+# Videos, calibration, and cameras whose calibration has other sizes than the video: 8 columns of the codec's padding.
+DEMOS = {
+    "Demo_SinglePerson": ("Demo_SinglePerson/videos", {"cam01", "cam02"}),
+    "Demo_MultiPerson": ("Demo_MultiPerson/videos", set()),
+    "Demo_Batch, trial 1": ("Demo_Batch/Trial_1/videos", {"cam01", "cam02"}),
+    "Demo_Batch, trial 2": ("Demo_Batch/Trial_2/videos", set()),
+}
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the package's demos."""
+    samples.install()
+    package = home() / "downloads" / PACKAGE
+    if not package.is_file():
+        pytest.skip(f"{PACKAGE} is not among the downloads")
+    folder = tmp_path_factory.mktemp("package")
+    with zipfile.ZipFile(package) as archive:
+        wanted = [name for name in archive.namelist() if name.startswith("Pose2Sim/Demo_")]
+        archive.extractall(folder, [name for name in wanted if name.endswith((".mp4", "Calib.qca.txt"))])
+    return folder / "Pose2Sim"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("demo", DEMOS)
+def test_demo(demos: Path, tmp_path: Path, demo: str) -> None:
+    videos, padded = DEMOS[demo]
+    calibration = demos / videos.split("/")[0] / "calibration" / "Calib.qca.txt"
+    words = ["--videos", str(demos / videos), "--calibration", str(calibration), "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-P", "-m", "multicap", "reconstruct", *words, "--profile", "fast", "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    result = json.loads(ended.stdout)
+    assert {warning.partition(":")[0] for warning in result["warnings"]} == padded
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["num_frames"] == 100
+    # 8.8 and 10.9 px were measured; a calibration of another size or a mirrored world gives over 50 px.
+    assert metrics["reprojection_error_px"]["median"] < 15
+    assert metrics["coverage"] > 0.9
