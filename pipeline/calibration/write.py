@@ -43,8 +43,22 @@ def _document(cameras: Sequence[Camera]) -> dict[str, Any]:
 
 
 def encode_toml(cameras: Sequence[Camera]) -> bytes:
-    """Encode cameras as Caliscope and anipose write them, in metres; the sections are ``cam_0``, ``cam_1``, ..."""
-    return "\n".join(_section(number, camera) for number, camera in enumerate(cameras)).encode()
+    """Encode cameras as anipose writes them, in metres; the sections are ``cam_0``, ``cam_1``, ..."""
+    return "\n".join(_section(f"cam_{number}", _fields(camera)) for number, camera in enumerate(cameras)).encode()
+
+
+def encode_caliscope(cameras: Sequence[Camera]) -> bytes:
+    """Encode cameras as Caliscope's ``camera_array.toml``, in metres; the sections are ``cameras.0``, ...
+
+    Caliscope itself ignores the names. Its windows show five coefficients of the standard model, so zeros fill them up.
+    """
+    sections = []
+    for number, camera in enumerate(cameras):
+        coefficients = camera.distortion.tolist()
+        padding = [0.0] * (5 - len(coefficients)) if camera.lens == "standard" else []
+        fields = {"cam_id": number, **_fields(camera), "distortions": coefficients + padding, "rotation_count": 0}
+        sections.append(_section(f"cameras.{number}", fields))
+    return "\n".join(sections).encode()
 
 
 def encode_opencv(cameras: Sequence[Camera]) -> bytes:
@@ -54,12 +68,18 @@ def encode_opencv(cameras: Sequence[Camera]) -> bytes:
 
 FORMATS: Mapping[str, tuple[str, Callable[[Sequence[Camera]], bytes]]] = {
     "multicap": (".json", encode),
-    "caliscope": (".toml", encode_toml),
+    "anipose": (".toml", encode_toml),
+    "caliscope": (".toml", encode_caliscope),
     "opencv": (".yml", encode_opencv),
 }
 """Ending and encoder of each format."""
 
-ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = dict(FORMATS.values()) | {".yaml": encode_opencv}
+ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = {
+    ".json": encode,
+    ".toml": encode_toml,
+    ".yml": encode_opencv,
+    ".yaml": encode_opencv,
+}
 """Encoder by the ending of the file."""
 
 
@@ -72,8 +92,8 @@ def _rotation_vector(camera: Camera) -> list[float]:
     return vector
 
 
-def _section(number: int, camera: Camera) -> str:
-    fields: dict[str, Any] = {
+def _fields(camera: Camera) -> dict[str, Any]:
+    return {
         "name": camera.name,
         "size": list(camera.size_px),
         "matrix": camera.matrix.tolist(),
@@ -82,8 +102,11 @@ def _section(number: int, camera: Camera) -> str:
         "translation": camera.cam_from_world.translation_m.tolist(),
         "fisheye": camera.lens == "fisheye",
     }
+
+
+def _section(title: str, fields: Mapping[str, Any]) -> str:
     # JSON's texts, numbers and lists are TOML's, too.
-    return "\n".join([f"[cam_{number}]", *(f"{name} = {json.dumps(value)}" for name, value in fields.items()), ""])
+    return "\n".join([f"[{title}]", *(f"{name} = {json.dumps(value)}" for name, value in fields.items()), ""])
 
 
 def _mapping(camera: Camera) -> str:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.write import encode, encode_opencv, encode_toml
+from pipeline.calibration.write import encode, encode_caliscope, encode_opencv, encode_toml
 from pipeline.data import Camera
 from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
 
@@ -22,6 +22,7 @@ def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
         "cameras.json": encode(cameras),
         "short.json": json.dumps(short, indent=1).encode(),
         "cameras.toml": encode_toml(cameras),
+        "camera_array.toml": encode_caliscope(cameras),
         "cameras.yml": encode_opencv(cameras),
         "panoptic.json": json.dumps({"cameras": [_panoptic(camera) for camera in cameras]}, indent=1).encode(),
         "cameras.xcp": f"<Cameras>{''.join(map(_xcp, cameras))}</Cameras>".encode(),

@@ -22,7 +22,7 @@ def rodrigues_matrix(rodrigues: Any) -> np.ndarray | None:
 
 
 def rotation_matrix(value: Any) -> np.ndarray | None:
-    """Matrix of a Rodrigues vector in a row or a column, or the matrix itself; ``None`` if it is missing.
+    """Matrix of a Rodrigues vector in a list, a row or a column, or the matrix itself; ``None`` if it is missing.
 
     Raises ``UnreadableError`` for other values. Whether a matrix is a rotation is left to the checks.
     """
@@ -31,7 +31,9 @@ def rotation_matrix(value: Any) -> np.ndarray | None:
     array = read_numbers(value)
     if array.shape == (3, 3):
         return array
-    return rodrigues_matrix(array.ravel().tolist() if array.size == array.shape[0] * array.shape[-1] else None)
+    if array.size != max(array.shape, default=0):
+        raise UnreadableError
+    return rodrigues_matrix(array.ravel().tolist())
 
 
 def quaternion_matrix(xyzw: np.ndarray) -> np.ndarray:

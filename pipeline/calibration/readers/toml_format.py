@@ -1,11 +1,13 @@
 """Calibration of Caliscope, anipose, Pose2Sim and FreeMoCap (TOML): one section a camera, Rodrigues rotation.
 
-``x = K (R X + t)``. FreeMoCap's lengths are millimetres; the unit of the others is that of the board.
+``x = K (R X + t)``. FreeMoCap's lengths are millimetres; the unit of the others is that of the board. Caliscope's own
+``camera_array.toml`` has a section ``cameras.N`` a camera, the other programs a section at the top.
 """
 
 import math
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -24,6 +26,8 @@ _FREEMOCAP_FIELDS = frozenset({"world_position", "world_orientation"})
 _FREEMOCAP_METADATA = frozenset({"charuco_square_size", "groundplane_calibration", "path_to_recorded_videos"})
 # FreeMoCap's older default is a board of squares of length 1: lengths are then in squares.
 _MIN_SQUARE_MM = 2.0
+# Fields of Caliscope's camera_array.toml that are not the calibration.
+_CALISCOPE_FIELDS = frozenset({"cam_id", "port", "rotation_count", "error", "exposure", "grid_count", "ignore"})
 # Sections that are not cameras.
 _IGNORED = frozenset({"metadata"})
 
@@ -36,11 +40,36 @@ def read(content: bytes, file: str) -> Contents:
         message = "The file is not valid TOML, or a number in it is too long."
         raise InputError([Problem("calibration_unreadable", message, file=file, hint="Export it again.")]) from error
     problems: list[Problem] = []
+    arrayed = sections.get("cameras")
+    if isinstance(arrayed, dict) and all(isinstance(section, dict) for section in arrayed.values()):
+        return _read_caliscope(arrayed, file, problems)
     cameras = ((name, section) for name, section in sections.items() if name not in _IGNORED)
     # One camera above the limit suffices to report that there are too many.
     raw = [_raw(name, section, file, problems) for name, section in islice(cameras, MAX_CAMERAS + 1)]
     built = build_cameras(raw, file, problems)
     return in_metres("FreeMoCap TOML", built, "mm") if _is_freemocap(sections) else Contents("TOML", built, None)
+
+
+def _read_caliscope(sections: Mapping[str, dict[str, Any]], file: str, problems: list[Problem]) -> Contents:
+    """Read Caliscope's cameras, which it knows by their numbers; cameras without a pose are left out."""
+    # Older versions write a missing value as the text "null".
+    filled = {
+        number: {key: value for key, value in section.items() if key not in _CALISCOPE_FIELDS and value != "null"}
+        for number, section in islice(sections.items(), MAX_CAMERAS + 1)
+    }
+    posed = {
+        number: section
+        for number, section in filled.items()
+        if {"rotation", "translation"} <= section.keys() and sections[number].get("ignore", False) is not True
+    }
+    left_out = filled.keys() - posed.keys()
+    notes = (f"{len(left_out)} cameras of {file} are left out: they are ignored or have no pose.",) if left_out else ()
+    # Videos are called cam_0, of older versions port_0.
+    raw = [
+        replace(_raw(f"cam_{number}", section, file, problems), section=f"port_{number}")
+        for number, section in posed.items()
+    ]
+    return Contents("Caliscope", build_cameras(raw, file, problems), None, notes=notes)
 
 
 def _is_freemocap(sections: Mapping[str, Any]) -> bool:

@@ -1,5 +1,6 @@
 """Files that are written are read as the same cameras, also by the programs whose formats they are."""
 
+import tomllib
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.write import ENCODERS
+from pipeline.calibration.write import ENCODERS, FORMATS
 from pipeline.data import Camera
 from pipeline.geometry.rigid import Rigid3
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
@@ -60,6 +61,27 @@ def test_every_camera_survives(
     np.testing.assert_array_equal(read.distortion, written.distortion)
     np.testing.assert_array_equal(read.cam_from_world.translation_m, written.cam_from_world.translation_m)
     np.testing.assert_allclose(read.cam_from_world.rotation, written.cam_from_world.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_read(tmp_path: Path, name: str) -> None:
+    ending, encode = FORMATS[name]
+    rig = (*RIG, fisheye("f", 2.0))
+    path = tmp_path / f"rig{ending}"
+    path.write_bytes(encode(rig))
+    assert_rig(read_contents(path), rig, num_digits=9)
+
+
+def test_caliscope_finds_what_its_reader_looks_for(tmp_path: Path) -> None:
+    """Caliscope looks under ``cameras`` for sections named by numbers, and shows five coefficients or four."""
+    cameras = tomllib.loads(FORMATS["caliscope"][1]((camera("plain", 0.1, ()), fisheye("f", 2.0))).decode())["cameras"]
+    assert list(cameras) == ["0", "1"]
+    assert [one["cam_id"] for one in cameras.values()] == [0, 1]
+    assert [len(one["distortions"]) for one in cameras.values()] == [5, 4]
+    assert [one["fisheye"] for one in cameras.values()] == [False, True]
+    assert all(
+        len(one["rotation"]) == len(one["translation"]) == 3 and len(one["size"]) == 2 for one in cameras.values()
+    )
 
 
 def test_opencv_reads_its_yaml(tmp_path: Path) -> None:

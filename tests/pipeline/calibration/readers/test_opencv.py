@@ -108,6 +108,26 @@ def test_fisheye(tmp_path: Path, model: dict[str, Any]) -> None:
     assert_rig(read_contents(write_storage(tmp_path / "rig.yml", fields)), rig)
 
 
+@pytest.mark.parametrize("vector", ["[1.2, 0.1, -0.3]", "[[1.2, 0.1, -0.3]]", "[[1.2], [0.1], [-0.3]]"])
+def test_a_vector_is_a_list_a_row_or_a_column(tmp_path: Path, vector: str) -> None:
+    path = tmp_path / "rig.yml"
+    path.write_text(
+        f"%YAML:1.0\n---\nleft:\n   K: [[1450., 0., 959.5], [0., 1450., 539.5], [0., 0., 1.]]\n   rvec: {vector}\n"
+        f"   tvec: {vector}\n"
+    )
+    (camera,) = read_contents(path).cameras
+    np.testing.assert_allclose(Rotation.from_matrix(camera.cam_from_world.rotation).as_rotvec(), [1.2, 0.1, -0.3])
+    np.testing.assert_array_equal(camera.cam_from_world.translation_m, [1.2, 0.1, -0.3])
+
+
+@pytest.mark.parametrize("vector", ["[1.2, 0.1]", "[[1, 2, 3], [4, 5, 6]]", "[]", "1.2", "[[]]"])
+def test_other_rotations_are_refused(tmp_path: Path, vector: str) -> None:
+    path = tmp_path / "rig.yml"
+    matrix = "[[5, 0, 3], [0, 5, 2], [0, 0, 1]]"
+    path.write_text(f"%YAML:1.0\n---\nleft:\n   K: {matrix}\n   rvec: {vector}\n   tvec: [0, 0, 1]\n")
+    assert problems_of(path) == [("invalid_rotation", "left")]
+
+
 def test_omnidirectional_models_are_refused(tmp_path: Path) -> None:
     fields = {"left": fields_of(RIG[0]), "right": fields_of(RIG[1]) | {"camera_model": "omnidir"}}
     assert problems_of(write_storage(tmp_path / "rig.yml", fields)) == [("unsupported_lens", "right")]

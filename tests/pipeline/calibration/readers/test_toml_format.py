@@ -52,6 +52,33 @@ def test_fisheye(tmp_path: Path) -> None:
     assert_rig(read_contents(path), rig)
 
 
+def caliscope(number: int, one: Camera, more: str = "") -> str:
+    """Section of ``camera_array.toml``; missing values are left out, or the text "null"."""
+    return section(f"cameras.{number}", one, 1.0, more).replace(
+        f'name = "{one.name}"',
+        f'cam_id = {number}\nrotation_count = 0\nerror = 0.31\ngrid_count = 25\nexposure = "null"',
+    )
+
+
+def test_caliscope_knows_cameras_by_their_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "camera_array.toml"
+    unposed = '\n[cameras.7]\ncam_id = 7\nsize = [1920, 1080]\nrotation = "null"\ntranslation = "null"\n'
+    ignored = caliscope(8, RIG[0], "ignore = true")
+    path.write_text(caliscope(0, RIG[0]) + caliscope(2, fisheye("right", -0.8), "fisheye = true") + unposed + ignored)
+    contents = read_contents(path)
+    assert (contents.format, contents.unit) == ("Caliscope", None)
+    assert contents.notes == ("2 cameras of camera_array.toml are left out: they are ignored or have no pose.",)
+    assert_rig(contents, (replace(RIG[0], name="cam_0"), fisheye("cam_2", -0.8)))
+    assert [one.section for one in contents.cameras] == ["port_0", "port_2"]
+
+
+@pytest.mark.parametrize("content", ["[cameras]\n", "[cameras.0]\nsize=[6,4]\n", "cameras = 5\n"])
+def test_files_without_a_posed_camera_are_refused(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "camera_array.toml"
+    path.write_text(content)
+    assert problems_of(path)
+
+
 FREEMOCAP = """adjusted = false
 error = 0.0
 charuco_square_size = 39
