@@ -1,5 +1,7 @@
-// Page of the service: its jobs with their progress, and a form to send a capture. Texts are set by textContent, because
-// names come from clients.
+// Page of the service: its jobs with their progress, and a form to send a capture.
+
+import { chosenCalibration, refreshCalibrations } from "./calibrations.js";
+import { at, call, clone, element, jsonPart, Problem, send, showProblem, sized } from "./common.js";
 
 const POLL_MS = 1000;
 const IDLE_POLL_MS = 5000;
@@ -13,64 +15,11 @@ const STATES = {
 };
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 
-const at = (id) => document.getElementById(id);
 const cards = new Map(); // id of a job -> its element, and the version that it shows
 let limit = PAGE;
 let timer = 0;
 let choices = []; // choices of a job that the service lists
 let optionsAt = -Infinity; // time of the last request of the options
-
-class Problem extends Error {
-  constructor(body, status = 0) {
-    super(body?.detail ?? "The service does not answer.");
-    this.items = body?.errors ?? [];
-    this.hint = body?.hint;
-    this.status = status;
-  }
-}
-
-async function call(path, method = "GET", sent = undefined) {
-  let response;
-  const headers = { Accept: "application/json", ...(sent && { "Content-Type": "application/json" }) };
-  try {
-    response = await fetch(path, { method, headers, body: sent && JSON.stringify(sent) });
-  } catch {
-    throw new Problem(null);
-  }
-  const body = response.status === 204 ? null : await response.json().catch(() => null);
-  if (!response.ok) throw new Problem(body, response.status);
-  return body;
-}
-
-function clone(id) {
-  return at(id).content.firstElementChild.cloneNode(true);
-}
-
-function element(tag, text) {
-  const made = document.createElement(tag);
-  made.textContent = text;
-  return made;
-}
-
-function showProblem(place, problem) {
-  place.replaceChildren();
-  place.hidden = problem === null;
-  if (problem === null) return;
-  place.append(element("p", [problem.message, problem.hint].filter(Boolean).join(" ")));
-  if (problem.items.length === 0) return;
-  const list = document.createElement("ul");
-  for (const item of problem.items) {
-    const where = [item.file, item.camera, item.field].filter(Boolean).join(", ") || item.pointer;
-    list.append(element("li", [where && `${where}:`, item.message, item.hint].filter(Boolean).join(" ")));
-  }
-  place.append(list);
-}
-
-function sized(numBytes) {
-  const units = ["B", "kB", "MB", "GB", "TB"];
-  const power = Math.min(units.length - 1, Math.floor(Math.log10(Math.max(1, numBytes)) / 3));
-  return `${(numBytes / 1000 ** power).toFixed(power > 1 ? 1 : 0)} ${units[power]}`;
-}
 
 function lasting(seconds) {
   if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
@@ -165,7 +114,8 @@ function makeCard(job) {
   on("delete", () => {
     if (window.confirm("Delete this job and its results?")) act(card, entry.links.self, "DELETE");
   });
-  card.querySelector(".name").textContent = job.session_name;
+  const kind = job.kind === "calibration" ? "Calibration: " : "";
+  card.querySelector(".name").textContent = kind + job.session_name;
   return entry;
 }
 
@@ -336,6 +286,7 @@ async function poll() {
   try {
     busy = await refresh();
     await refreshOptions();
+    await refreshCalibrations();
     at("connection").textContent = "";
   } catch (problem) {
     if (problem.status === 401) return showEntrance();
@@ -345,33 +296,16 @@ async function poll() {
   if (!document.hidden) timer = setTimeout(poll, busy ? POLL_MS : IDLE_POLL_MS);
 }
 
-// fetch does not report the progress of an upload; XMLHttpRequest does.
-function send(form, onProgress, stopped) {
-  return new Promise((resolve, reject) => {
-    const request = new XMLHttpRequest();
-    request.upload.addEventListener("progress", (event) => onProgress(event.loaded, event.total));
-    request.addEventListener("load", () => {
-      let body = null;
-      try { body = JSON.parse(request.responseText); } catch { /* not from the service */ }
-      if (request.status === 202) resolve(body); else reject(new Problem(body, request.status));
-    });
-    request.addEventListener("error", () => reject(new Problem(null)));
-    request.addEventListener("abort", () => resolve(null));
-    stopped.addEventListener("abort", () => request.abort());
-    request.open("POST", "/v1/jobs");
-    request.send(form);
-  });
-}
-
 function formOf(sent) {
   const fields = sent.elements;
   const form = new FormData();
   const name = fields.name.value.trim();
-  if (name) form.append("manifest", new Blob([JSON.stringify({ name })], { type: "application/json" }));
-  form.append("calibration", fields.calibration.files[0]);
+  if (name) form.append("manifest", jsonPart({ name }));
+  if (chosenCalibration()) form.append("calibration_id", chosenCalibration());
+  else form.append("calibration", fields.calibration.files[0]);
   for (const video of fields.videos.files) form.append("videos", video);
   const spec = Object.fromEntries(choices.map((choice) => [choice.name, VALUES[choice.kind](fieldsOf(sent, choice))]));
-  form.append("spec", new Blob([JSON.stringify(spec)], { type: "application/json" }));
+  form.append("spec", jsonPart(spec));
   return form;
 }
 
@@ -386,7 +320,7 @@ at("send").addEventListener("submit", async (event) => {
   submit.disabled = true;
   at("abort").hidden = at("upload").hidden = false;
   try {
-    const job = await send(formOf(form), (loaded, total) => {
+    const job = await send("/v1/jobs", formOf(form), (loaded, total) => {
       at("upload-bar").value = total ? loaded / total : 0;
       at("upload-text").textContent =
         loaded < total ? `${sized(loaded)} of ${sized(total)} sent` : "Sent. Checking the files …";
@@ -410,6 +344,9 @@ at("send").addEventListener("change", () => {
   const total = [...videos.files].reduce((sum, file) => sum + file.size, 0);
   at("chosen").textContent = videos.files.length ? `${videos.files.length} videos, ${sized(total)}` : "";
 });
+
+// Another part of the page has begun or deleted something.
+document.addEventListener("changed", () => { poll(); });
 
 at("more").addEventListener("click", () => {
   limit = Math.min(MOST, limit + PAGE);

@@ -72,6 +72,32 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
     assert found == packed == digests(results)
 
 
+def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Served, sample: Sample) -> None:
+    page.get_by_text("Calibrations", exact=True).click()
+    page.get_by_label("Name of the calibration").fill("<i>Studio</i> B")
+    page.get_by_label("Calibration file").set_input_files(sample.calibration)
+    page.get_by_role("button", name="Add").click()
+    stored = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<i>Studio</i> B"))
+    expect(stored.get_by_text("ready")).to_be_visible(timeout=30_000)
+    stored.get_by_text("Cameras").click()
+    expect(stored.get_by_role("row")).to_have_count(1 + len(sample.videos))
+    with page.expect_download() as download:
+        stored.get_by_role("link", name="as Caliscope TOML").click()
+    assert len(read_calibration(download.value.path().rename(download.value.path().with_suffix(".toml")))) == 4
+    page.get_by_label("Calibration", exact=True).select_option("<i>Studio</i> B")
+    expect(page.get_by_label("Calibration of all cameras")).to_be_hidden()
+    page.get_by_label("Videos, one a camera").first.set_input_files(list(sample.videos.values()))
+    with page.expect_request("**/v1/jobs") as sent:
+        page.get_by_role("button", name="Send and reconstruct").click()
+    job_id = sent.value.response().json()["id"]  # type: ignore[union-attr]
+    files = served.client.get(served.job(job_id)["links"]["session"]).json()["files"]
+    assert [one["name"][:12] for one in files if one["kind"] == "calibration"] == ["calibration-"]
+    served.client.post(f"/v1/jobs/{job_id}/cancel")
+    page.once("dialog", lambda dialog: dialog.accept())
+    stored.get_by_role("button", name="Delete").click()
+    expect(stored).to_have_count(0, timeout=30_000)
+
+
 def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served) -> None:
     properties = served.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
     page.get_by_text("Options", exact=True).click()
