@@ -100,22 +100,22 @@ function changed() {
 
 // Fields of the method that is chosen; the others are neither shown nor sent.
 function showMethod() {
-  const { method } = at("add-calibration").elements;
+  const { source } = at("add-calibration").elements;
   for (const part of at("add-calibration").querySelectorAll("[data-method]")) {
-    part.hidden = part.dataset.method !== method.value;
+    part.hidden = part.dataset.method !== source.value;
     for (const field of part.querySelectorAll("input")) field.disabled = part.hidden;
   }
 }
 
 function formOf(sent) {
-  const { method, name, board, calibration, videos } = sent.elements;
+  const { source, title, board, file, footage } = sent.elements;
   const form = new FormData();
-  const spec = { method: method.value };
-  if (name.value.trim()) spec.name = name.value.trim();
-  if (method.value === "board") spec.board = board.value.trim();
+  const spec = { method: source.value };
+  if (title.value.trim()) spec.name = title.value.trim();
+  if (source.value === "board") spec.board = board.value.trim();
   form.append("spec", jsonPart(spec));
-  if (method.value === "file") form.append("calibration", calibration.files[0]);
-  else for (const video of videos.files) form.append("videos", video);
+  if (source.value === "file") form.append("calibration", file.files[0]);
+  else for (const video of footage.files) form.append("videos", video);
   return form;
 }
 
@@ -142,7 +142,7 @@ at("add-calibration").addEventListener("submit", async (event) => {
   }
 });
 
-at("add-calibration").elements.method.addEventListener("change", showMethod);
+at("add-calibration").elements.source.addEventListener("change", showMethod);
 at("send").elements.calibration_id.addEventListener("change", showFile);
 at("send").addEventListener("reset", () => setTimeout(showFile));
 showMethod();

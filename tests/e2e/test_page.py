@@ -74,19 +74,19 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
 
 def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Served, sample: Sample) -> None:
     page.get_by_text("Calibrations", exact=True).click()
-    page.get_by_label("Name of the calibration").fill("<i>Studio</i> B")
-    page.get_by_label("Calibration file").set_input_files(sample.calibration)
+    page.get_by_label("Title").fill("<i>Studio</i> B")
+    page.get_by_label("File", exact=True).set_input_files(sample.calibration)
     page.get_by_role("button", name="Add").click()
     stored = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<i>Studio</i> B"))
     expect(stored.get_by_text("ready")).to_be_visible(timeout=30_000)
-    stored.get_by_text("Cameras").click()
+    stored.get_by_text("Cameras", exact=True).click()
     expect(stored.get_by_role("row")).to_have_count(1 + len(sample.videos))
     with page.expect_download() as download:
         stored.get_by_role("link", name="as Caliscope TOML").click()
     assert len(read_calibration(download.value.path().rename(download.value.path().with_suffix(".toml")))) == 4
-    page.get_by_label("Calibration", exact=True).select_option("<i>Studio</i> B")
+    page.get_by_label("Stored calibration").select_option("<i>Studio</i> B")
     expect(page.get_by_label("Calibration of all cameras")).to_be_hidden()
-    page.get_by_label("Videos, one a camera").first.set_input_files(list(sample.videos.values()))
+    page.get_by_label("Videos, one a camera").set_input_files(list(sample.videos.values()))
     with page.expect_request("**/v1/jobs") as sent:
         page.get_by_role("button", name="Send and reconstruct").click()
     job_id = sent.value.response().json()["id"]  # type: ignore[union-attr]
