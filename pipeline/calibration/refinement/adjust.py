@@ -6,21 +6,20 @@ synthesis", section 6.1). Weights are those of the Cauchy loss.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.adjustment import parameters, projection
 from pipeline.calibration.refinement.sightings import Sightings
-from pipeline.data import Camera, read_only
-from pipeline.geometry.camera import bend, center_in_world, image_from_world, project
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data import Camera
+from pipeline.geometry.camera import center_in_world, image_from_world, project
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_px
 
-ROTATION, POSITION, FOCAL = slice(0, 3), slice(3, 6), slice(6, 7)
-"""Parameters of a camera."""
+ROTATION, POSITION, FOCAL = parameters.ROTATION, parameters.POSITION, parameters.FOCAL
+"""Parameters of a camera: the first seven of ``adjustment.parameters``."""
 NUM_PARAMETERS = 7
 
 PRIOR_SIGMA = np.array([np.radians(5.0)] * 3 + [0.3] * 3 + [0.1])
@@ -31,7 +30,6 @@ _CAUCHY, _MIN_SIGMA_PX = 2.385, 0.3
 _MAX_STEPS, _NUM_SCALES = 15, 3
 # A step that changes no parameter by more than this share of its prior's standard deviation ends the search.
 _SMALL_STEP = 2e-4
-_STEP_OF_DERIVATIVE = 1e-5
 # Least information of the sightings on a parameter, in units of the prior's.
 _MIN_INFORMATION = 100.0
 
@@ -154,17 +152,7 @@ def _cost(problem: _Problem, state: _State) -> float:
 
 def camera_offsets(given: Sequence[Camera], cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras 7"]:
     """Parameters of cameras relative to the given ones: the steps by which ``move_camera`` gets to them."""
-    rows = [
-        np.concatenate(
-            [
-                Rotation.from_matrix(now.cam_from_world.rotation @ then.cam_from_world.rotation.T).as_rotvec(),
-                center_in_world(now) - center_in_world(then),
-                [np.log(now.matrix[0, 0] / then.matrix[0, 0])],
-            ]
-        )
-        for then, now in zip(given, cameras, strict=True)
-    ]
-    return np.array(rows)
+    return parameters.offsets(given, cameras)[:, :NUM_PARAMETERS]
 
 
 class _Normal:
@@ -234,40 +222,15 @@ def _moved(state: _State, step: Float[np.ndarray, "cameras 7"], points_step_m: F
 
 def move_camera(camera: Camera, step: Float[np.ndarray, " 7"]) -> Camera:
     """Turn a camera in its own axes (radians), shift its centre (metres), and scale its focal length (logarithm)."""
-    if not step.any():
-        return camera
-    rotation = Rotation.from_rotvec(step[ROTATION]).as_matrix() @ camera.cam_from_world.rotation
-    center_m = center_in_world(camera) + step[POSITION]
-    matrix = camera.matrix.copy()
-    matrix[:2, :2] *= np.exp(step[FOCAL])
-    pose = Rigid3(read_only(rotation), read_only(-rotation @ center_m))
-    return replace(camera, matrix=read_only(matrix), cam_from_world=pose)
+    return parameters.move_camera(camera, np.pad(step, (0, parameters.NUM_PARAMETERS - NUM_PARAMETERS)))
 
 
 def linearise(
     camera: Camera, xyz_m: Float[np.ndarray, "points 3"]
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 7"], Float[np.ndarray, "points 2 3"]]:
     """Distorted projections and their derivatives by the camera's parameters and by the points."""
-    rotation = camera.cam_from_world.rotation
-    in_cam = camera.cam_from_world.apply(xyz_m)
-    depth_m = np.where(in_cam[:, 2:] > 1e-6, in_cam[:, 2:], np.nan)
-    ideal = in_cam[:, :2] / depth_m
-    bent = bend(camera, ideal)
-    scale = camera.matrix[:2, :2]
-    from_axis = (np.eye(2) * _STEP_OF_DERIVATIVE)[:, None]
-    ahead, behind = bend(camera, ideal + from_axis), bend(camera, ideal - from_axis)
-    bent_by_ideal = np.moveaxis((ahead - behind) / (2 * _STEP_OF_DERIVATIVE), 0, -1)
-    by_ideal = scale @ bent_by_ideal
-    ideal_by_cam = np.zeros((len(xyz_m), 2, 3))
-    ideal_by_cam[:, 0, 0] = ideal_by_cam[:, 1, 1] = 1.0 / depth_m[:, 0]
-    ideal_by_cam[:, :, 2] = -ideal / depth_m
-    by_cam = by_ideal @ ideal_by_cam
-    by_point = by_cam @ rotation
-    from_principal = bent @ scale.T
-    # d(exp(w) x)/dw = -[x]_x, so each row of the derivative is x cross the row.
-    by_rotation = np.cross(in_cam[:, None, :], by_cam)
-    by_camera = np.concatenate([by_rotation, -by_point, from_principal[:, :, None]], axis=-1)
-    return from_principal + camera.matrix[:2, 2], by_camera, by_point
+    points_px, by_camera, by_point = projection.linearise(camera, xyz_m)
+    return points_px, by_camera[..., :NUM_PARAMETERS], by_point
 
 
 def _sigma(
