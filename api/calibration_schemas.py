@@ -11,9 +11,11 @@ from pipeline.calibration_choices import CalibrationChoices
 from worker.jobs.model import Calibration, JobState
 
 Method = Literal["file", "board"]
-Format = Literal["multicap", "caliscope", "opencv"]
+Format = Literal["multicap", "anipose", "caliscope", "opencv"]
+LensModel = Literal["standard", "fisheye"]
 MEDIA_TYPES: dict[Format, tuple[str, str]] = {
     "multicap": ("json", "application/json"),
+    "anipose": ("toml", "application/toml"),
     "caliscope": ("toml", "application/toml"),
     "opencv": ("yml", "application/yaml"),
 }
@@ -73,6 +75,7 @@ class CalibratedCamera(ResponseModel):
     name: str = Field(description="Name of the camera.")
     size_px: tuple[int, int] | None = Field(description="Width and height of the picture; null if it is unknown.")
     matrix: tuple[tuple[float, float, float], ...] = Field(description="Camera matrix K, 3 x 3, in pixels.")
+    lens: LensModel = Field(default="standard", description="Distortion model: OpenCV's standard or fisheye model.")
     distortion: tuple[float, ...] = Field(description="Distortion coefficients in OpenCV's order.")
     rotation: tuple[tuple[float, float, float], ...] = Field(description="Rotation R from world to camera, 3 x 3.")
     translation_m: tuple[float, float, float] = Field(description="Translation t in metres.")

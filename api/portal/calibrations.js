@@ -4,7 +4,7 @@ import { at, call, clone, element, jsonPart, send, showProblem, sized } from "./
 
 const REFRESH_MS = 30000;
 const MOST = 100;
-const FORMATS = [["multicap", "JSON"], ["caliscope", "Caliscope TOML"], ["opencv", "OpenCV YAML"]];
+const FORMATS = [["multicap", "JSON"], ["anipose", "anipose TOML"], ["caliscope", "Caliscope TOML"], ["opencv", "OpenCV YAML"]];
 const STATES = {
   queued: "waiting", running: "being made", canceling: "canceling", canceled: "canceled", failed: "failed", ready: "ready",
 };

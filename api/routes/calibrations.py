@@ -120,7 +120,7 @@ def get_calibration_file(
     records: RecordsDep,
     file_format: Annotated[Format, Query(alias="format", description="Format of the file.")] = "multicap",
 ) -> Response:
-    """Download a calibration, in metres: Multicap's JSON, Caliscope's TOML or OpenCV's YAML."""
+    """Download a calibration, in metres: Multicap's JSON, anipose's or Caliscope's TOML, or OpenCV's YAML."""
     calibration = records.calibrations.get(calibration_id)
     if calibration.files is None:
         raise ApiError("not_finished", "The calibration is not made yet.", hint="Wait for its job.")

@@ -9,9 +9,13 @@ from jaxtyping import Float
 from pipeline.calibration.board.spec import Board
 from pipeline.data import Camera, read_only
 from pipeline.geometry.rigid import Rigid3
+from pipeline.geometry.undistortion import undistort_px
 
 # The second solution counts while its error is below this multiple of the first one's, and below this one in pixels.
 _AMBIGUOUS_RATIO, _AMBIGUOUS_PX = 4.0, 1.0
+
+# A plane with fewer corners has no pose.
+_MIN_CORNERS = 4
 
 
 class Pose(NamedTuple):
@@ -48,6 +52,12 @@ def _solutions(camera: Camera, corners_px: np.ndarray, board: Board) -> list[tup
     seen = np.isfinite(corners_px).all(-1)
     points_m, points_px = board.corners_m[seen], corners_px[seen]
     distortion = camera.distortion if len(camera.distortion) else np.zeros(4)
+    if camera.lens == "fisheye":  # OpenCV's functions know the standard model alone
+        points_px, distortion = undistort_px(camera, points_px), np.zeros(4)
+        is_in_view = np.isfinite(points_px).all(-1)
+        points_m, points_px = points_m[is_in_view], points_px[is_in_view]
+        if len(points_m) < _MIN_CORNERS:
+            return []
     # IPPE takes the middle of the points for the plane's origin; other origins are numerically worse.
     middle_m = points_m.mean(0)
     _, turns, shifts, errors = cv2.solvePnPGeneric(

@@ -19,6 +19,7 @@ CAMERA = {
     "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
     "translation_m": [0.25, 1.5, 4.0],
 }
+ENDINGS = {"multicap": "json", "anipose": "toml", "caliscope": "toml", "opencv": "yml"}
 CALIBRATION = json.dumps({"schema_version": 1, "cameras": [CAMERA, CAMERA | {"name": "cam_1"}]}).encode()
 
 
@@ -41,7 +42,7 @@ def test_a_file_is_read_and_kept(strict: Live) -> None:
     assert answer.headers["location"] == calibration["links"]["self"]
     assert (calibration["name"], calibration["method"], calibration["state"]) == ("studio.json", "file", "ready")
     assert calibration["source"]["format"] == "Multicap JSON"
-    assert calibration["cameras"][0] == CAMERA | {"position_m": [-0.25, -4.0, 1.5]}
+    assert calibration["cameras"][0] == CAMERA | {"lens": "standard", "position_m": [-0.25, -4.0, 1.5]}
     assert strict.client.get(calibration["links"]["self"]).json() == calibration
     assert strict.client.get("/v1/calibrations").json()["calibrations"][0] == calibration
 
@@ -53,9 +54,23 @@ def test_it_is_downloaded_in_other_formats(strict: Live) -> None:
     assert own.headers["content-disposition"] == "attachment; filename*=utf-8''studio%20%C3%A9.json.json"
     toml = strict.client.get(links["file"], params={"format": "caliscope"})
     assert toml.headers["content-type"].startswith("application/toml")
-    assert tomllib.loads(toml.text)["cam_0"]["matrix"] == CAMERA["matrix"]
+    assert tomllib.loads(toml.text)["cameras"]["0"]["matrix"] == CAMERA["matrix"]
+    anipose = strict.client.get(links["file"], params={"format": "anipose"})
+    assert tomllib.loads(anipose.text)["cam_0"]["matrix"] == CAMERA["matrix"]
     assert strict.client.get(links["file"], params={"format": "opencv"}).text.startswith("%YAML:1.0")
     problem_of(strict.client.get(links["file"], params={"format": "pickle"}), 422, "invalid_request")
+
+
+def test_a_fisheye_stays_one(strict: Live) -> None:
+    fisheye = CAMERA | {"lens": "fisheye"}
+    calibration = send(strict, json.dumps({"schema_version": 1, "cameras": [fisheye]}).encode()).json()
+    assert calibration["cameras"][0]["lens"] == "fisheye"
+    for file_format, ending in ENDINGS.items():
+        answer = strict.client.get(calibration["links"]["file"], params={"format": file_format})
+        again = send(strict, answer.content, f"rig.{ending}")
+        (camera,) = again.json()["cameras"]
+        assert (camera["lens"], camera["distortion"]) == ("fisheye", CAMERA["distortion"])
+        assert camera["position_m"] == pytest.approx(calibration["cameras"][0]["position_m"])
 
 
 def test_units_count_where_the_format_does_not_state_them(strict: Live) -> None:
