@@ -6,9 +6,10 @@ READERS := tests/e2e/readers
 LINTER := tests/api/linter
 BLENDER := .venv-blender
 LITERT := .venv-litert
+PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers linter test-data test test-slow verify-exports verify-converters soak hostile check benchmark format lock clean
+.PHONY: help setup demo serve browser readers linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -85,6 +86,15 @@ verify-converters: setup $(LITERT)/.installed  ## Compare converted networks wit
 	$(BIN)/multicap samples install
 	$(BIN)/python -P -m pytest tests/pipeline/detect/conversion/test_litert.py
 
+$(PEERS)/.installed: tests/pipeline/calibration/board/peers/peers.lock
+	$(PYTHON) -m venv --clear $(PEERS)
+	$(PEERS)/bin/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+		--only-binary :all: -r $<
+	touch $@
+
+verify-calibration: setup $(PEERS)/.installed  ## Compare calibration from a board with aniposelib and Caliscope
+	$(BIN)/python -P -m pytest -s tests/pipeline/calibration/board/test_peers.py
+
 test-data: setup
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
@@ -137,4 +147,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -64,10 +64,11 @@ class BoardPainter:
         self._rays = rays.reshape(height * fine, width * fine, 3)
 
     def paint(self, world_from_board: Rigid3, rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:
-        """Paint the board at a pose, in front of a grey wall."""
+        """Paint the board at a pose, in front of a grey wall; from behind it is not painted."""
         width, height = self._camera.size_px
         image = np.full((height, width), _BACKGROUND, np.float32)
-        if (window := self._window(world_from_board)) is not None:
+        towards = center_in_world(self._camera) - world_from_board.translation_m
+        if -world_from_board.rotation[:, 2] @ towards > 0 and (window := self._window(world_from_board)) is not None:
             image[window] = self._shades(world_from_board, window)
         blurred = cv2.GaussianBlur(image, (0, 0), self._blur_px)
         noisy = blurred + rng.normal(0.0, self._noise, image.shape)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.calibration.registry import read_calibration
 from pipeline.runtime.packages import samples
 from pipeline.runtime.packages.storage import home
 
@@ -31,7 +32,7 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("package")
     with zipfile.ZipFile(package) as archive:
         wanted = [name for name in archive.namelist() if name.startswith("Pose2Sim/Demo_")]
-        archive.extractall(folder, [name for name in wanted if name.endswith((".mp4", "Calib.qca.txt"))])
+        archive.extractall(folder, [name for name in wanted if name.endswith((".mp4", "_int.jpg", "Calib.qca.txt"))])
     return folder / "Pose2Sim"
 
 
@@ -51,3 +52,20 @@ def test_demo(demos: Path, tmp_path: Path, demo: str) -> None:
     # 8.8 and 10.9 px were measured; a calibration of another size or a mirrored world gives over 50 px.
     assert metrics["reprojection_error_px"]["median"] < 15
     assert metrics["coverage"] > 0.9
+
+
+@pytest.mark.slow
+def test_photographs_of_a_chessboard_give_the_focal_lengths(demos: Path, tmp_path: Path) -> None:
+    folder = demos / "Demo_SinglePerson" / "calibration"
+    words = ["--images", str(folder / "intrinsics"), "--board", "chessboard:4x7:0.06"]
+    words += ["--out", str(tmp_path / "made.json")]
+    command = [sys.executable, "-P", "-m", "multicap", "calibrate", "board", *words, "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    given = {camera.name: camera for camera in read_calibration(folder / "Calib.qca.txt")}
+    made = json.loads(ended.stdout)
+    assert not made["has_extrinsics"]
+    assert {camera["name"] for camera in made["cameras"]} == given.keys()
+    for camera in made["cameras"]:
+        assert camera["focal_px"] == pytest.approx(given[camera["name"]].matrix[0, 0], rel=0.015)
+        assert camera["reprojection_error_px"] < 0.4
