@@ -38,10 +38,10 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
         yield found
 
 
-def post(live: Live, files: list[tuple[str, tuple[str, bytes]]]) -> httpx2.Response:
+def post(live: Live, files: list[tuple[str, tuple[str, bytes]]], address: str = "/v1/sessions") -> httpx2.Response:
     """Send a session; check that the response comes in time, with a session or with its problems."""
     started_s = time.monotonic()
-    answer = live.client.post("/v1/sessions", files=files)
+    answer = live.client.post(address, files=files)
     assert time.monotonic() - started_s < MAX_S
     assert answer.status_code in {201, 413, 422}, answer.text
     if answer.status_code == 422:
@@ -74,6 +74,25 @@ def test_300_calibrations(live: Live) -> None:
     good = {name: content for name, content in keypoint_files(simulation).items() if name != "calibration.json"}
     spoilt = itertools.islice(spoilt_calibrations(simulation.cameras, SEED, 300), 300)
     codes = Counter(post(live, parts_of(good | {name: content})).status_code for name, content in spoilt)
+    assert codes.total() == 300
+    assert codes[422] > 150
+
+
+@pytest.mark.hostile
+def test_300_calibrations_of_their_own(live: Live) -> None:
+    """The same files as resources of their own; files that are read again after they were taken stay readable."""
+    spoilt = itertools.islice(spoilt_calibrations(simulate().cameras, SEED + 1, 300), 300)
+    codes: Counter[int] = Counter()
+    for name, content in spoilt:
+        answer = post(live, [("calibration", (name, content))], "/v1/calibrations")
+        codes[answer.status_code] += 1
+        if answer.status_code == 201:
+            links = answer.json()["links"]
+            assert live.client.get(links["self"]).status_code == 200
+            for file_format in ("multicap", "anipose", "caliscope", "opencv"):
+                # A format may be unable to hold a calibration: 404.
+                download = live.client.get(links["file"], params={"format": file_format})
+                assert download.status_code in {200, 404}
     assert codes.total() == 300
     assert codes[422] > 150
 
