@@ -24,7 +24,7 @@ _FIXED_RADIAL = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
 
 
 @dataclass(frozen=True, slots=True)
-class LensModel:
+class DistortionModel:
     """Distortion model of a camera.
 
     Parameters
@@ -46,12 +46,12 @@ class LensModel:
 
 
 MODELS = (
-    LensModel("none", _FIXED_RADIAL | cv2.CALIB_ZERO_TANGENT_DIST, (), 0),
-    LensModel("k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0,), 4),
-    LensModel("k1, k2", cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0, 1), 4),
-    LensModel("k1, k2, p1, p2", cv2.CALIB_FIX_K3, (0, 1, 2, 3), 4),
-    LensModel("k1, k2, p1, p2, k3", 0, (0, 1, 2, 3, 4), 5),
-    LensModel("rational, 8 coefficients", cv2.CALIB_RATIONAL_MODEL, (0, 1, 2, 3, 4, 5, 6, 7), 8),
+    DistortionModel("none", _FIXED_RADIAL | cv2.CALIB_ZERO_TANGENT_DIST, (), 0),
+    DistortionModel("k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0,), 4),
+    DistortionModel("k1, k2", cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0, 1), 4),
+    DistortionModel("k1, k2, p1, p2", cv2.CALIB_FIX_K3, (0, 1, 2, 3), 4),
+    DistortionModel("k1, k2, p1, p2, k3", 0, (0, 1, 2, 3, 4), 5),
+    DistortionModel("rational, 8 coefficients", cv2.CALIB_RATIONAL_MODEL, (0, 1, 2, 3, 4, 5, 6, 7), 8),
 )
 """Models, the simplest first."""
 
@@ -75,7 +75,7 @@ class Intrinsics:
     """
 
     camera: Camera
-    model: LensModel
+    model: DistortionModel
     error_px: float
     held_out_error_px: float
     focal_sigma: float
@@ -108,7 +108,7 @@ def _points(views: BoardViews, board: Board) -> tuple[list[np.ndarray], list[np.
 
 
 def _held_out_error_px(
-    points_m: Sequence[np.ndarray], points_px: Sequence[np.ndarray], size_px: tuple[int, int], model: LensModel
+    points_m: Sequence[np.ndarray], points_px: Sequence[np.ndarray], size_px: tuple[int, int], model: DistortionModel
 ) -> float:
     """Cross-validated error of a model: a view's pose is fitted to it, its intrinsics are those of other views."""
     num_folds = min(_NUM_FOLDS, len(points_m))
@@ -136,7 +136,7 @@ def _pose_error2_px2(
 
 
 def _fit(
-    points_m: Sequence[np.ndarray], points_px: Sequence[np.ndarray], size_px: tuple[int, int], model: LensModel
+    points_m: Sequence[np.ndarray], points_px: Sequence[np.ndarray], size_px: tuple[int, int], model: DistortionModel
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Error, camera matrix, distortion coefficients and standard deviations of the intrinsics."""
     flags = model.flags | cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO

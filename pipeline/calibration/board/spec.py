@@ -94,8 +94,8 @@ def parse_board(text: str) -> Board:
     kind: Literal["chessboard", "charuco"] = "charuco" if match["kind"] == "charuco" else "chessboard"
     problems = []
     if (kind == "charuco") != (match["marker"] is not None):
-        needed = "needs the side of a marker and a dictionary" if kind == "charuco" else "has no markers"
-        raise InputError([_problem(f"A {kind} board {needed}.", f"Write {FORMS}.")])
+        fault = "needs the side of a marker and a dictionary" if kind == "charuco" else "has no markers"
+        raise InputError([_problem(f"A {kind} board {fault}.", f"Write {FORMS}.")])
     cols, rows = int(match["cols"]), int(match["rows"])
     if min(cols, rows) not in _SIDE_RANGE or (kind == "charuco" and min(cols, rows) < _SIDE_RANGE.start + 1):
         counted = "squares, at least 3" if kind == "charuco" else "inner corners, at least 2"
@@ -111,9 +111,17 @@ def parse_board(text: str) -> Board:
     if kind == "charuco" and not hasattr(cv2.aruco, dictionary):
         names = ", ".join(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
         problems.append(_problem(f"There is no dictionary {dictionary}.", f"Use one of {names}."))
+    elif kind == "charuco" and (needed := cols * rows // 2) > (size := _num_markers(dictionary)):
+        message = f"The board has {needed} markers, the dictionary {dictionary} has {size}."
+        problems.append(_problem(message, "Check the numbers of squares and the dictionary."))
     if problems:
         raise InputError(problems)
     return Board(kind, cols, rows, square_m, marker_m, dictionary)
+
+
+def _num_markers(dictionary: str) -> int:
+    """Number of markers of a dictionary."""
+    return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)).bytesList)
 
 
 def _length_m(text: str) -> float:

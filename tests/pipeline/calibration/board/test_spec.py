@@ -36,6 +36,7 @@ def test_boards_that_look_alike_after_half_a_turn(spec: str, is_ambiguous: bool)
         ("charuco:7x5:0.06", "needs the side of a marker"),
         ("charuco:7x5:0.06:0.06:DICT_4X4_50", "smaller than a square"),
         ("charuco:7x5:0.06:0.04:DICT_9X9", "There is no dictionary DICT_9X9."),
+        ("charuco:20x20:0.06:0.04:DICT_4X4_50", "The board has 200 markers, the dictionary DICT_4X4_50 has 50."),
         ("charuco:7x5:e:0.04:DICT_4X4_50", "not from"),
     ],
 )
