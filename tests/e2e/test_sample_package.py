@@ -49,7 +49,7 @@ def test_demo(demos: Path, tmp_path: Path, demo: str) -> None:
     assert {warning.partition(":")[0] for warning in result["warnings"]} == padded
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["num_frames"] == 100
-    # 8.8 and 10.9 px were measured; a calibration of another size or a mirrored world gives over 50 px.
+    # 8.8 and 10.9 px were measured.
     assert metrics["reprojection_error_px"]["median"] < 15
     assert metrics["coverage"] > 0.9
 
