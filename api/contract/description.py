@@ -111,7 +111,7 @@ def session_body(*documents: str) -> dict[str, Any]:
             "description": "Keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as the "
             "camera.",
         },
-        CALIBRATION: file | {"description": "Calibration of all cameras."},
+        CALIBRATION: file | {"description": "Calibration of all cameras; or `calibration_id`."},
         CALIBRATION_ID: {
             "type": "string",
             "format": "uuid",
@@ -128,7 +128,6 @@ def session_body(*documents: str) -> dict[str, Any]:
                     "schema": {
                         "type": "object",
                         "properties": properties,
-                        "anyOf": [{"required": [CALIBRATION]}, {"required": [CALIBRATION_ID]}],
                         "additionalProperties": False,
                     },
                     "encoding": {part: {"contentType": "application/json"} for part in documents},
