@@ -1,6 +1,6 @@
 """Calibration from views of a board: the whole way."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,18 +26,13 @@ from pipeline.calibration.report import CameraReport, MadeCalibration
 from pipeline.data import Camera
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
+from pipeline.progress import OnShare, ignore
 
 # Instants to which the whole rig is fitted.
 _INSTANTS = 160
 # Instants among which the floor is looked for.
 _FLOOR_INSTANTS = 600
 _INTRINSICS_ONLY = "None: the photographs have no times, or there is one camera. Every pose is the identity."
-
-OnShare = Callable[[float], None]
-
-
-def _ignore(share: float) -> None:
-    del share
 
 
 def calibrate_board(
@@ -46,7 +41,7 @@ def calibrate_board(
     given: Mapping[str, Camera] | None = None,
     frame_rate_hz: float = 0.0,
     floor_time_s: float | None = None,
-    on_share: OnShare = _ignore,
+    on_share: OnShare = ignore,
 ) -> MadeCalibration:
     """Calibrate cameras from views of a board.
 

@@ -75,10 +75,10 @@ def relate(first: int, second: int, poses: Sequence[tuple[Sequence[Pose], Sequen
     if not poses:
         return None
     tried = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _NUM_TRIED)).round().astype(int))
-    candidates = [relative for k in tried for relative in _relatives(*poses[k])]
     rotations, shifts_m, owner, depth_m = _stacked(poses)
     best: tuple[float, Rigid3, int] | None = None
-    for candidate in candidates:
+    for number in np.flatnonzero(np.isin(owner, tried)):
+        candidate = Rigid3(rotations[number], shifts_m[number])
         agreeing, cost = _agreement(candidate, rotations, shifts_m, owner, depth_m, len(poses))
         if best is None or cost < best[0]:
             best = cost, _mean(candidate, rotations, shifts_m, agreeing), int(np.count_nonzero(agreeing >= 0))
@@ -87,15 +87,13 @@ def relate(first: int, second: int, poses: Sequence[tuple[Sequence[Pose], Sequen
     return Pair(first, second, best[1], best[2], len(poses))
 
 
-def _relatives(in_first: Sequence[Pose], in_second: Sequence[Pose]) -> list[Rigid3]:
-    """Relative poses of the combinations of poses; equal half turns in both give equal ones."""
-    return [two.cam_from_board @ one.cam_from_board.inverse() for one in in_first for two in in_second]
-
-
 def _stacked(
     poses: Sequence[tuple[Sequence[Pose], Sequence[Pose]]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations, shifts, instants and distances to the board of all combinations."""
+    """Rotations, shifts, instants and distances to the board of all combinations of poses in both cameras.
+
+    Equal half turns in both cameras give equal relative poses.
+    """
     found = [
         (two.cam_from_board @ one.cam_from_board.inverse(), number, two.cam_from_board.translation_m)
         for number, (in_first, in_second) in enumerate(poses)
