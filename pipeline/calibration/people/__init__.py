@@ -1,0 +1,1 @@
+"""Calibration from people who walk about: cameras of known or guessed intrinsics, no board."""

@@ -1,0 +1,94 @@
+"""Bodies: what all cameras see of one person at one instant, put together from matched tracklets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pipeline.calibration.people.pairs import Relative
+from pipeline.calibration.people.tracklets import JOINTS, Tracklet
+from pipeline.data import Camera, read_only
+from pipeline.geometry.camera import image_from_world
+from pipeline.geometry.triangulation import triangulate_robust
+from pipeline.geometry.undistortion import undistort_px
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bodies:
+    """Bodies of groups of tracklets, sorted by group and instant.
+
+    Parameters
+    ----------
+    group
+        Number of the group: one person, who may have several groups.
+    instant
+        Instant of each body.
+    points_px
+        Distorted pixels of ``JOINTS``, NaN where a camera does not see the joint.
+    """
+
+    group: Int[np.ndarray, " n"]
+    instant: Int[np.ndarray, " n"]
+    points_px: Float[np.ndarray, "n cameras joints 2"]
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+    def subset(self, chosen: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "Bodies":
+        """Select bodies."""
+        return Bodies(self.group[chosen], self.instant[chosen], self.points_px[chosen])
+
+    def without(self, hidden: Bool[np.ndarray, "n cameras joints"]) -> "Bodies":
+        """Leave out some views of joints."""
+        return Bodies(self.group, self.instant, read_only(np.where(hidden[..., None], np.nan, self.points_px)))
+
+    def seen(self) -> Bool[np.ndarray, "n cameras joints"]:
+        """Joints that each camera sees."""
+        return np.isfinite(self.points_px).all(-1)
+
+    def of_cameras(self, numbers: Sequence[int]) -> "Bodies":
+        """Bodies as some cameras see them."""
+        return Bodies(self.group, self.instant, self.points_px[:, list(numbers)])
+
+    def triangulated(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "n joints 3"]:
+        """World coordinates of the joints; NaN where fewer than two cameras see one."""
+        ideal_px = np.stack([undistort_px(camera, self.points_px[:, c]) for c, camera in enumerate(cameras)], axis=1)
+        matrices = np.array([image_from_world(camera) for camera in cameras])
+        return triangulate_robust(matrices, ideal_px, np.isfinite(ideal_px).all(-1).astype(float))
+
+
+def gather_bodies(tracklets: Sequence[Tracklet], relatives: Sequence[Relative], num_cameras: int) -> Bodies:
+    """Put matched tracklets together, the best matches first; one camera sees a person once at an instant."""
+    group = np.arange(len(tracklets))
+    matches = sorted((match for one in relatives for match in one.matches), key=lambda match: -match.support)
+    members: dict[int, list[int]] = {number: [number] for number in range(len(tracklets))}
+    for match in matches:
+        one, other = int(group[match.first]), int(group[match.second])
+        if one != other and not _overlap(members[one], members[other], tracklets):
+            group[members[other]] = one
+            members[one] += members.pop(other)
+    parts = [_bodies_of(number, [tracklets[k] for k in own], num_cameras) for number, own in members.items()
+             if len({tracklets[k].camera for k in own}) > 1]  # fmt: skip
+    if not parts:
+        return Bodies(np.empty(0, int), np.empty(0, int), np.empty((0, num_cameras, len(JOINTS), 2)))
+    return Bodies(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("group", "instant", "points_px")))
+
+
+def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[Tracklet]) -> bool:
+    """Whether a camera would see the person twice at an instant."""
+    return any(
+        tracklets[k].camera == tracklets[m].camera and len(tracklets[k].shared(tracklets[m])) > 0
+        for k in some
+        for m in others
+    )
+
+
+def _bodies_of(number: int, own: Sequence[Tracklet], num_cameras: int) -> Bodies:
+    first, stop = min(one.first for one in own), max(one.instants.stop for one in own)
+    points_px = np.full((stop - first, num_cameras, len(JOINTS), 2), np.nan)
+    for one in own:
+        points_px[one.first - first : one.instants.stop - first, one.camera] = one.points_px
+    is_shared = (np.isfinite(points_px).all(-1).any(-1)).sum(-1) >= 2
+    instant = np.arange(first, stop)[is_shared]
+    return Bodies(np.full(len(instant), number), instant, points_px[is_shared])

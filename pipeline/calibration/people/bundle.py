@@ -1,0 +1,161 @@
+"""Bundle adjustment of cameras and joints: bones of constant length, plausible speeds."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.links import Distances, Link, Shifts
+from pipeline.calibration.adjustment.parameters import EXTRINSICS, FOCAL, POSITION, Parameters, no_prior, none_free
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations
+from pipeline.calibration.adjustment.structure import Points
+from pipeline.calibration.people.bodies import Bodies
+from pipeline.calibration.people.tracklets import JOINTS
+from pipeline.data import Camera, read_only
+from pipeline.geometry.camera import center_in_world, project
+
+_BONES = tuple(
+    (JOINTS.index(one), JOINTS.index(other))
+    for side in ("left", "right")
+    for one, other in (
+        (f"{side}_shoulder", f"{side}_elbow"),
+        (f"{side}_elbow", f"{side}_wrist"),
+        (f"{side}_hip", f"{side}_knee"),
+        (f"{side}_knee", f"{side}_ankle"),
+    )
+) + tuple((JOINTS.index(f"left_{kind}"), JOINTS.index(f"right_{kind}")) for kind in ("shoulder", "hip"))
+# Standard deviations: of a bone's length, for detectors mark joints differently from side to side; of a joint's speed.
+_BONE_SIGMA_M, _SPEED_SIGMA_M_S = 0.02, 2.0
+# Bodies that an adjustment takes, of a first search and of the last one, and groups whose bones are measured.
+_FEW_BODIES, _MANY_BODIES, _MAX_GROUPS = 120, 500, 24
+_MIN_GROUP = 10
+# Observations farther from the projection than this share of the focal length are of somebody else.
+_MAX_ERROR = 0.03
+_FOCAL_SIGMA = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """Adjusted cameras.
+
+    Parameters
+    ----------
+    cameras
+        Cameras; the world is the one they came with.
+    sigma
+        Standard deviations of their parameters.
+    error_px
+        Median distance of each camera's projections from the observations.
+    """
+
+    cameras: tuple[Camera, ...]
+    sigma: Parameters
+    error_px: Float[np.ndarray, " cameras"]
+
+
+def adjust_poses(posed: Mapping[int, Camera], bodies: Bodies, has_free_focals: bool) -> dict[int, Camera]:
+    """Adjust the cameras that are posed so far to some bodies."""
+    numbers = sorted(posed)
+    chosen = _spread(bodies.of_cameras(numbers), _FEW_BODIES)
+    adjusted = _adjust([posed[k] for k in numbers], chosen, (), has_free_focals and len(numbers) > 2)
+    return dict(zip(numbers, adjusted.cameras, strict=True))
+
+
+def adjust_all(
+    cameras: Sequence[Camera], bodies: Bodies, instants_s: Float[np.ndarray, " instants"], has_free_focals: bool
+) -> Adjusted:
+    """Adjust all cameras to bodies all over the take, with bones and speeds.
+
+    Parameters
+    ----------
+    has_free_focals
+        Whether the focal lengths are adjusted too.
+    """
+    chosen = _spread(bodies, _MANY_BODIES)
+    found = _adjust(cameras, chosen, instants_s, has_free_focals)
+    camera = found.observations.camera
+    distance_px = np.linalg.norm(found.adjustment.residuals_px, axis=-1)
+    error_px = [float(np.nanmedian(distance_px[camera == k])) if (camera == k).any() else np.nan for k in range(len(cameras))]
+    return Adjusted(found.adjustment.cameras, found.adjustment.sigma, read_only(np.array(error_px)))
+
+
+def _spread(bodies: Bodies, most: int) -> Bodies:
+    """Bodies at pairs of neighbouring instants all over the take."""
+    step = max(1, -(-len(bodies) // most))
+    return bodies.subset(np.flatnonzero((bodies.instant // 2) % step == 0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    adjustment: Adjustment
+    observations: Observations
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        return self.adjustment.cameras
+
+
+def _adjust(
+    cameras: Sequence[Camera], bodies: Bodies, instants_s: Sequence[float] | np.ndarray, has_free_focals: bool
+) -> _Found:
+    xyz_m = bodies.triangulated(cameras)
+    projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)
+    focal_px = np.array([camera.matrix[0, 0] for camera in cameras])[:, None]
+    error = np.linalg.norm(projected_px - bodies.points_px, axis=-1) / focal_px
+    fits = error < _MAX_ERROR
+    is_known = np.isfinite(xyz_m).all(-1) & (fits.sum(1) >= 2)
+    number = np.full(is_known.shape, -1)
+    number[is_known] = np.arange(is_known.sum())
+    body, camera, joint = np.nonzero(fits & is_known[:, None])
+    observations = Observations(
+        camera, number[body, joint], np.zeros((len(camera), 3)), bodies.points_px[body, camera, joint]
+    )
+    links, lengths_m = _links(bodies, number, xyz_m, instants_s) if len(instants_s) else ((), np.empty(0))
+    free, sigma = none_free(len(cameras)), no_prior(len(cameras))
+    free[1:, EXTRINSICS] = True
+    centers_m = np.array([center_in_world(camera) for camera in cameras])
+    # The scale is fixed by one coordinate of the camera that is farthest from the first one.
+    farthest = int(np.argmax(np.linalg.norm(centers_m - centers_m[0], axis=-1)))
+    along = int(np.argmax(np.abs(centers_m[farthest] - centers_m[0])))
+    free[farthest, POSITION.start + along] = False
+    if has_free_focals:
+        free[:, FOCAL] = True
+        sigma[:, FOCAL] = _FOCAL_SIGMA
+    problem = AdjustmentProblem(
+        tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
+        read_only(np.full(len(lengths_m), np.inf)),
+    )  # fmt: skip
+    return _Found(adjust(problem, Points(read_only(xyz_m[is_known])), max_steps=30), observations)
+
+
+def _links(
+    bodies: Bodies,
+    number: Int[np.ndarray, "n joints"],
+    xyz_m: Float[np.ndarray, "n joints 3"],
+    instants_s: Float[np.ndarray, " instants"],
+) -> tuple[tuple[Link, ...], Float[np.ndarray, " lengths"]]:
+    """Bones of the groups that are seen most, and shifts between neighbouring instants."""
+    groups, counts = np.unique(bodies.group, return_counts=True)
+    order = np.argsort(-counts)[:_MAX_GROUPS]
+    pairs, owners, lengths_m = [], [], []
+    for group in groups[order][counts[order] >= _MIN_GROUP]:
+        own = bodies.group == group
+        for one, other in _BONES:
+            rows = own & (number[:, [one, other]] >= 0).all(-1)
+            if rows.sum() < _MIN_GROUP:
+                continue
+            pairs.append(number[rows][:, [one, other]])
+            owners.append(np.full(rows.sum(), len(lengths_m)))
+            lengths_m.append(float(np.median(np.linalg.norm(xyz_m[rows, one] - xyz_m[rows, other], axis=-1))))
+    follows = (bodies.group[1:] == bodies.group[:-1]) & (bodies.instant[1:] == bodies.instant[:-1] + 1)
+    before, after = number[:-1][follows], number[1:][follows]
+    both = (before >= 0) & (after >= 0)
+    step_s = float(instants_s[1] - instants_s[0])
+    shifts = Shifts(np.column_stack([before[both], after[both]]), np.full(both.sum(), _SPEED_SIGMA_M_S * step_s))
+    if not pairs:
+        return (shifts,), np.empty(0)
+    bones = np.concatenate(pairs)
+    distances = Distances(bones, np.concatenate(owners), np.full(len(bones), _BONE_SIGMA_M))
+    return (distances, shifts), np.array(lengths_m)

@@ -1,0 +1,143 @@
+"""Calibration from people: the whole way."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
+from pipeline.calibration.people.bodies import Bodies, gather_bodies
+from pipeline.calibration.people.bundle import Adjusted, adjust_all
+from pipeline.calibration.people.checks import (
+    linked_or_refused,
+    people_warnings,
+    require_people,
+    world_or_refused,
+)
+from pipeline.calibration.people.pairs import Relative, relate
+from pipeline.calibration.people.rig import pose_cameras
+from pipeline.calibration.people.tracklets import Tracklet, find_tracklets, instants_of, with_camera
+from pipeline.calibration.people.world import PeopleWorld, find_world
+from pipeline.calibration.report import CameraReport, MadeCalibration
+from pipeline.data import Camera, Detections, FrameTimes, read_only
+from pipeline.joints import JointSet
+from pipeline.progress import OnShare, ignore
+
+# Focal lengths that are tried where they are not known, over the guessed one: fields of view from 80 to 28 degrees.
+_FOCAL_FACTORS = (0.6, 0.75, 1.0, 1.4, 2.0)
+# Pairs of cameras with which they are tried.
+_PAIRS_TRIED = 6
+
+
+def calibrate_people(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    joints: JointSet,
+    stature_m: Sequence[float],
+    has_intrinsics: bool,
+    on_share: OnShare = ignore,
+) -> MadeCalibration:
+    """Calibrate cameras from people who walk about.
+
+    Tracklets of each camera are matched without geometry, by the essential matrix to which most of them fit. The pairs
+    link the cameras, perspective-n-point and bundle adjustment place them. Stature gives the scale, upright standing
+    the vertical, feet the floor.
+
+    Parameters
+    ----------
+    cameras
+        Cameras with known or guessed intrinsics; their poses are ignored.
+    times, detections
+        Frame times and detected bodies by camera.
+    joints
+        Joints of the detections.
+    stature_m
+        Statures of the people, in any order; one for all is enough.
+    has_intrinsics
+        Whether the intrinsics are known, and stay; else one focal length a camera is estimated.
+    on_share
+        Called with the share of the work that is done.
+
+    Raises
+    ------
+    InputError
+        If too few people are seen, if cameras can't be linked, or if they disagree.
+    """
+    instants_s = instants_of([times[camera.name] for camera in cameras])
+    tracklets = find_tracklets(cameras, times, detections, joints, instants_s)
+    require_people(cameras, tracklets)
+    on_share(0.1)
+    if not has_intrinsics:
+        cameras = _with_likely_focals(cameras, tracklets)
+        tracklets = [with_camera(one, cameras[one.camera]) for one in tracklets]
+    on_share(0.3)
+    relatives = _relate_all(list(combinations(range(len(cameras)), 2)), cameras, tracklets)
+    on_share(0.6)
+    bodies = gather_bodies(tracklets, relatives, len(cameras))
+    posed = pose_cameras(cameras, relatives, bodies, not has_intrinsics)
+    linked = linked_or_refused(cameras, posed, relatives)
+    on_share(0.8)
+    adjusted = adjust_all(linked, bodies, instants_s, has_free_focals=not has_intrinsics)
+    rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
+    world = world_or_refused(find_world(adjusted.cameras, bodies, stature_m, rate_hz))
+    on_share(1.0)
+    return _made(adjusted, world, bodies, stature_m, has_intrinsics)
+
+
+def _relate_all(
+    pairs: Sequence[tuple[int, int]], cameras: Sequence[Camera], tracklets: Sequence[Tracklet]
+) -> list[Relative]:
+    focal_px = np.array([camera.matrix[0, 0] for camera in cameras])
+    return [one for pair in pairs if (one := relate(pair, tracklets, focal_px)) is not None]
+
+
+def _with_likely_focals(cameras: Sequence[Camera], tracklets: Sequence[Tracklet]) -> tuple[Camera, ...]:
+    """Cameras with the focal length, the same over the guessed one for all, with which most people fit."""
+    seen = np.zeros(len(cameras))
+    for one in tracklets:
+        seen[one.camera] += len(one.points_px)
+    pairs = sorted(combinations(range(len(cameras)), 2), key=lambda pair: -min(seen[list(pair)]))[:_PAIRS_TRIED]
+
+    def support(tried: Sequence[Camera]) -> float:
+        with_focals = [with_camera(one, tried[one.camera]) for one in tracklets]
+        return sum(one.support for one in _relate_all(pairs, tried, with_focals))
+
+    return max((tuple(_with_focal(camera, factor) for camera in cameras) for factor in _FOCAL_FACTORS), key=support)
+
+
+def _with_focal(camera: Camera, factor: float) -> Camera:
+    matrix = camera.matrix.copy()
+    matrix[:2, :2] *= factor
+    return replace(camera, matrix=read_only(matrix))
+
+
+def _made(
+    adjusted: Adjusted, world: PeopleWorld, bodies: Bodies, stature_m: Sequence[float], has_intrinsics: bool
+) -> MadeCalibration:
+    num_views = bodies.seen().any(-1).sum(0)
+    reports = tuple(
+        CameraReport(
+            camera.name,
+            float(adjusted.error_px[number]),
+            float(camera.matrix.diagonal()[:2].mean()),
+            int(num_views[number]),
+            np.nan if has_intrinsics else float(100 * adjusted.sigma[number][FOCAL][0]),
+            float(1000 * world.scale * np.linalg.norm(adjusted.sigma[number][POSITION])),
+            float(np.degrees(np.linalg.norm(adjusted.sigma[number][ROTATION]))),
+        )
+        for number, camera in enumerate(world.cameras)
+    )
+    statures = " and ".join(f"{one:.2f} m" for one in stature_m)
+    return MadeCalibration(
+        world.cameras,
+        has_extrinsics=True,
+        by_camera=reports,
+        reprojection_error_px=float(np.nanmedian(adjusted.error_px)),
+        warnings=tuple(people_warnings(reports, world)),
+        world=(
+            f"Z up, floor under the feet, origin under the middle of the people, y away from {world.cameras[0].name}; "
+            f"scale from a stature of {statures}."
+        ),
+    )

@@ -1,0 +1,140 @@
+"""World of cameras that people calibrated: scale from stature, gravity from upright standing, floor from feet."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.calibration.people.bodies import Bodies
+from pipeline.calibration.people.stature import scale_from, statures
+from pipeline.calibration.people.tracklets import JOINTS
+from pipeline.data import Camera, Floor, read_only
+from pipeline.geometry.camera import center_in_world
+from pipeline.geometry.rigid import Rigid3
+from pipeline.skeleton.feet.floor import estimate_floor
+
+# Distance from ankles to shoulders, as a share of its largest values, at which somebody stands upright.
+_UPRIGHT, _LARGEST = 0.97, 95
+_ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
+# Feet that reach less far than this along some direction don't determine the slope of the floor.
+_MIN_REACH_M = 0.4
+_ANKLES = [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]
+_SHOULDERS = [JOINTS.index("left_shoulder"), JOINTS.index("right_shoulder")]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeopleWorld:
+    """Cameras in a world with Z up.
+
+    Parameters
+    ----------
+    cameras
+        Cameras; the floor is z = 0, the origin lies under the middle of the people, and y points away from the first
+        camera.
+    scale
+        Metres of this world to the unit of the cameras before.
+    has_floor
+        Whether feet determine the floor; else z = 0 is only at the height of the lowest feet.
+    """
+
+    cameras: tuple[Camera, ...]
+    scale: float
+    has_floor: bool
+
+
+def find_world(
+    cameras: Sequence[Camera], bodies: Bodies, stature_m: Sequence[float], rate_hz: float
+) -> PeopleWorld | None:
+    """Put cameras into the world of the people; ``None`` if nobody is seen from shoulders to ankles.
+
+    Parameters
+    ----------
+    cameras
+        Adjusted cameras in any frame and scale.
+    stature_m
+        Statures of the people, in any order.
+    rate_hz
+        Rate of the instants.
+    """
+    xyz = bodies.triangulated(cameras)
+    found, weights = statures(xyz, bodies.group)
+    up = _up(xyz)
+    if up is None or not len(found):
+        return None
+    scale = scale_from(found, weights, stature_m)
+    rotation = _level(up)
+    floor = _floor(bodies, scale * xyz @ rotation.T, rate_hz)
+    if floor is not None:
+        rotation = _level(np.array([-floor.slope_x, -floor.slope_y, 1.0])) @ rotation
+        floor = _floor(bodies, scale * xyz @ rotation.T, rate_hz)
+    centers_m = scale * np.array([center_in_world(camera) for camera in cameras]) @ rotation.T
+    xyz_m = scale * xyz @ rotation.T
+    middle_m = np.nanmedian(xyz_m[..., :2], axis=(0, 1))
+    height_m = float(np.nanmin(xyz_m[..., 2])) if floor is None else float(floor.height_m(np.append(middle_m, 0.0)))
+    turn = _away_from(middle_m - centers_m[0, :2])
+    origin_m = np.append(middle_m, height_m if floor is None else -height_m)
+    world_from_root = Rigid3(read_only(turn @ rotation), read_only(-turn @ origin_m))
+    moved = tuple(_moved(camera, world_from_root, scale) for camera in cameras)
+    return PeopleWorld(moved, scale, floor is not None and _reach_m(xyz_m) > _MIN_REACH_M)
+
+
+def _away_from(ahead: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation about the vertical that turns a horizontal direction to y."""
+    cosine, sine = ahead[::-1] / max(float(np.linalg.norm(ahead)), 1e-9)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _moved(camera: Camera, world_from_root: Rigid3, scale: float) -> Camera:
+    """Camera in the world: the unit is scaled first."""
+    pose = camera.cam_from_world
+    scaled = Rigid3(pose.rotation, read_only(scale * pose.translation_m))
+    return replace(camera, cam_from_world=scaled @ world_from_root.inverse())
+
+
+def _reach_m(xyz_m: Float[np.ndarray, "n joints 3"]) -> float:
+    """Standard deviation of the feet's places along the direction in which they reach least far."""
+    ankles_m = xyz_m[:, _ANKLES, :2].reshape(-1, 2)
+    ankles_m = ankles_m[np.isfinite(ankles_m).all(-1)]
+    if len(ankles_m) < 2:
+        return 0.0
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(ankles_m.T))[0])))
+
+
+def _up(xyz: Float[np.ndarray, "n joints 3"]) -> Float[np.ndarray, " 3"] | None:
+    """Direction from ankles to shoulders of people who stand upright: a robust mean."""
+    axis = xyz[:, _SHOULDERS].mean(1) - xyz[:, _ANKLES].mean(1)
+    axis = axis[np.isfinite(axis).all(-1)]
+    length = np.linalg.norm(axis, axis=-1)
+    if not len(length):
+        return None
+    unit = axis[length > _UPRIGHT * np.percentile(length, _LARGEST)]
+    unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+    up = np.median(unit, axis=0)
+    for _ in range(_ITERATIONS):
+        up = up / np.linalg.norm(up)
+        angle = np.arccos(np.clip(unit @ up, -1.0, 1.0))
+        up = (unit / (1.0 + (angle / _LEAN_RAD) ** 2)[:, None] ** 2).sum(0)
+    direction: np.ndarray = up / np.linalg.norm(up)
+    return direction
+
+
+def _level(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation that turns a direction up, by the shortest way."""
+    up = up / np.linalg.norm(up)
+    side = np.eye(3)[int(np.argmin(np.abs(up)))]
+    x = np.cross(side, up)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
+
+
+def _floor(bodies: Bodies, xyz_m: Float[np.ndarray, "n joints 3"], rate_hz: float) -> Floor | None:
+    ankles_m, known = [], []
+    for group in np.unique(bodies.group):
+        own = bodies.group == group
+        instant = bodies.instant[own] - bodies.instant[own][0]
+        of_group = np.full((instant[-1] + 1, 2, 3), np.nan)
+        of_group[instant] = xyz_m[own][:, _ANKLES]
+        ankles_m.append(of_group)
+        known.append(np.isfinite(of_group).all(-1))
+    return estimate_floor(ankles_m, known, rate_hz)
