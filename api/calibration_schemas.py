@@ -7,10 +7,10 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.schemas import CameraManifest, Id, JobError, NextCursor, ResponseModel, UploadedFiles, printable_name
-from pipeline.calibration_choices import CalibrationChoices
+from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M, CalibrationChoices
 from worker.jobs.model import Calibration, JobState
 
-Method = Literal["file", "board"]
+Method = Literal["file", "board", "people"]
 Format = Literal["multicap", "anipose", "caliscope", "opencv"]
 LensModel = Literal["standard", "fisheye"]
 MEDIA_TYPES: dict[Format, tuple[str, str]] = {
@@ -31,7 +31,10 @@ class CalibrationSpec(BaseModel):
 
     method: Method = Field(
         default="file",
-        description="`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board.",
+        description=(
+            "`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board; `people`: "
+            "made from `videos`, or from a session, of people of known stature who walk about."
+        ),
     )
     name: Annotated[str, AfterValidator(printable_name)] | None = Field(
         default=None, min_length=1, max_length=200, description="Name for people; by default that of the file."
@@ -46,13 +49,22 @@ class CalibrationSpec(BaseModel):
         description="Board: `chessboard:COLSxROWS:SQUARE_M`, or `charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY`.",
         examples=["chessboard:9x6:0.06", "charuco:7x5:0.06:0.045:DICT_4X4_50"],
     )
+    stature_m: tuple[Annotated[float, Field(ge=MIN_STATURE_M, le=MAX_STATURE_M)], ...] = Field(
+        default=(),
+        max_length=MAX_STATURES,
+        description="Statures of the people in metres, in any order; one is enough.",
+        examples=[[1.78, 1.65]],
+    )
+    session_id: UUID | None = Field(
+        default=None, description="Session whose people serve; its cameras keep their intrinsics."
+    )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
     )
 
     def choices(self, has_intrinsics: bool) -> CalibrationChoices | None:
         """Choices of the job; ``None`` for a file."""
-        return None if self.board is None else CalibrationChoices(self.board, has_intrinsics)
+        return None if self.method == "file" else CalibrationChoices(self.board, has_intrinsics, self.stature_m)
 
 
 class UploadedCalibration(UploadedFiles, CalibrationSpec):

@@ -5,18 +5,31 @@ from dataclasses import dataclass
 BOARD_FRAMES = 600
 """Largest number of frames of a camera in which a board is looked for."""
 
+MIN_STATURE_M, MAX_STATURE_M = 0.5, 2.6
+"""Limits of the stature of a person who calibrates cameras."""
+MAX_STATURES = 20
+"""Largest number of people whose statures are given."""
+
 
 @dataclass(frozen=True, slots=True)
 class CalibrationChoices:
-    """Choices of a calibration from a board.
+    """Choices of a calibration from a board, or from people.
 
     Parameters
     ----------
     board
-        Specification of the board, as of ``pipeline.calibration.board.spec``.
+        Specification of the board, as of ``pipeline.calibration.board.spec``; ``None``: people calibrate.
     has_intrinsics
         Whether the session's cameras have known intrinsics, which stay; else they are guessed, and made.
+    stature_m
+        Statures of the people, in any order; none with a board.
     """
 
-    board: str
+    board: str | None
     has_intrinsics: bool = False
+    stature_m: tuple[float, ...] = ()
+
+    @property
+    def method(self) -> str:
+        """From what the calibration is made."""
+        return "people" if self.board is None else "board"

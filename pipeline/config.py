@@ -356,7 +356,7 @@ class ReconstructionConfig(JobChoices):
     @property
     def uses_colours(self) -> bool:
         """Whether the colours of clothes are measured, where there are videos."""
-        return self.method == "tracking" and self.appearance == "on"
+        return self.making is None and self.method == "tracking" and self.appearance == "on"
 
 
 def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:

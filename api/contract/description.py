@@ -155,7 +155,7 @@ def calibration_body() -> dict[str, Any]:
     file = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
     properties = {
         CALIBRATION: file | {"description": "Calibration file, for the method `file`."},
-        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board."},
+        VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board or of people."},
         INTRINSICS: file | {"description": "Calibration file whose intrinsics are kept, and poses ignored."},
         "spec": {"$ref": _SCHEMA_REF.format(model=CalibrationSpec.__name__)},
     }

@@ -1,4 +1,4 @@
-// Calibrations: the stored ones to choose, look at and delete; a form to add one from a file or from a board.
+// Calibrations: the stored ones to choose, look at and delete; a form to add one from a file, a board or people.
 
 import { at, call, clone, element, jsonPart, send, showProblem, sized } from "./common.js";
 
@@ -102,18 +102,20 @@ function changed() {
 function showMethod() {
   const { source } = at("add-calibration").elements;
   for (const part of at("add-calibration").querySelectorAll("[data-method]")) {
-    part.hidden = part.dataset.method !== source.value;
+    part.hidden = !part.dataset.method.split(" ").includes(source.value);
     for (const field of part.querySelectorAll("input")) field.disabled = part.hidden;
   }
 }
 
 function formOf(sent) {
-  const { source, title, board, file, footage } = sent.elements;
+  const { source, title, board, file, footage, stature, intrinsics } = sent.elements;
   const form = new FormData();
   const spec = { method: source.value };
   if (title.value.trim()) spec.name = title.value.trim();
   if (source.value === "board") spec.board = board.value.trim();
+  if (source.value === "people") spec.stature_m = stature.value.split(",").map(Number);
   form.append("spec", jsonPart(spec));
+  if (source.value === "people" && intrinsics.files.length) form.append("intrinsics", intrinsics.files[0]);
   if (source.value === "file") form.append("calibration", file.files[0]);
   else for (const video of footage.files) form.append("videos", video);
   return form;

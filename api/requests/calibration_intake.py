@@ -20,17 +20,26 @@ from api.requests.intake import (
     record_path_in,
 )
 from api.requests.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
-from api.requests.spec_checks import limit_errors
+from api.requests.spec_checks import limit_errors, network_errors
 from api.schemas import Manifest
+from worker.jobs.model import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
+from worker.planning import has_videos
 
-_BOARD = "board"
-_NEEDED: Mapping[Method, tuple[str, ...]] = {"file": (CALIBRATION,), "board": (VIDEOS, _BOARD)}
+_BOARD, _STATURE, _SESSION = "board", "stature_m", "session_id"
+_NEEDED: Mapping[Method, tuple[str, ...]] = {
+    "file": (CALIBRATION,),
+    "board": (VIDEOS, _BOARD),
+    "people": (VIDEOS, _STATURE),
+}
 _ALLOWED: Mapping[Method, frozenset[str]] = {
     "file": frozenset({CALIBRATION}),
     "board": frozenset({VIDEOS, INTRINSICS, _BOARD}),
+    "people": frozenset({VIDEOS, INTRINSICS, _STATURE}),
 }
+# A session takes the place of the files.
+_NEEDED_OF_SESSION, _ALLOWED_OF_SESSION = (_STATURE,), frozenset({_STATURE, _SESSION})
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +57,7 @@ class CheckedCalibration:
     Parameters
     ----------
     content
-        A file, or videos.
+        A file, videos that were sent, or a session that is there already.
     has_intrinsics
         Whether the intrinsics of the cameras are given.
     upload_ids
@@ -57,7 +66,7 @@ class CheckedCalibration:
 
     spec: CalibrationSpec
     name: str
-    content: ReadFile | CheckedSession
+    content: ReadFile | CheckedSession | Session
     has_intrinsics: bool = False
     upload_ids: tuple[str, ...] = ()
 
@@ -87,6 +96,8 @@ async def check_calibration(
     errors += _method_errors(spec, form, part)
     if errors:
         raise unprocessable(errors)
+    if spec.session_id is not None:
+        return _of_session(services, records, spec, str(spec.session_id), part)
     if spec.method == "file":
         (file,) = form.files[CALIBRATION]
         contents = await _contents(services, owner, sent, form, spec)
@@ -94,6 +105,20 @@ async def check_calibration(
     videos = await _checked_videos(services, owner, sent, form, spec, upload_ids)
     name = spec.name or f"{spec.method}, {len(form.videos)} cameras"
     return CheckedCalibration(spec, name, videos, has_intrinsics=bool(form.files[INTRINSICS]), upload_ids=upload_ids)
+
+
+def _of_session(
+    services: Services, records: TenantRecords, spec: CalibrationSpec, session_id: str, part: str
+) -> CheckedCalibration:
+    """Check that a session's people can calibrate its cameras."""
+    session = records.sessions.get(session_id)
+    if session.purpose == "calibration":
+        message = "The session was sent for a calibration itself."
+        error = ErrorItem(code="not_a_capture", message=message, pointer=_pointer(part, _SESSION))
+        raise unprocessable([error])
+    if has_videos(session) and (errors := network_errors(JobSpec(), services, None)):
+        raise unprocessable(errors)
+    return CheckedCalibration(spec, spec.name or f"people, {session.name}", session, has_intrinsics=True)
 
 
 def _form_of(sent: Sent) -> Form:
@@ -104,7 +129,11 @@ def _form_of(sent: Sent) -> Form:
 
 def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorItem]:
     """Report what a method lacks, and what it has no use for; ``part`` leads to the choices in the request."""
-    given = set() if spec.board is None else {_BOARD}
+    chosen = ((_BOARD, spec.board), (_STATURE, spec.stature_m), (_SESSION, spec.session_id))
+    given = {name for name, value in chosen if value}
+    of_session = spec.method == "people" and spec.session_id is not None
+    needed = _NEEDED_OF_SESSION if of_session else _NEEDED[spec.method]
+    allowed = _ALLOWED_OF_SESSION if of_session else _ALLOWED[spec.method]
     given |= {name for name, files in form.files.items() if files}
 
     def pointer(name: str) -> str:
@@ -112,14 +141,14 @@ def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorIt
 
     errors = [
         ErrorItem(code="missing_part", message=f"The method {spec.method} needs {name}.", pointer=pointer(name))
-        for name in _NEEDED[spec.method]
+        for name in needed
         if name not in given and not _is_reported(form, name)
     ]
     errors += [
         ErrorItem(
             code="part_not_allowed", message=f"The method {spec.method} has no use for {name}.", pointer=pointer(name)
         )
-        for name in sorted(given - _ALLOWED[spec.method])
+        for name in sorted(given - allowed)
     ]
     return errors
 
@@ -166,6 +195,8 @@ async def _checked_videos(
     except InvalidFilesError as invalid:
         raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
     errors = limit_errors(services, preflight)
+    if spec.method == "people":
+        errors += network_errors(JobSpec(), services, None)
     if errors:
         raise unprocessable(errors)
     return CheckedSession(form, manifest, JobSpec(), preflight, record_path, upload_ids)

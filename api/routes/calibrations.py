@@ -1,4 +1,4 @@
-"""Calibrations: send a file, make one from a board, list, read, download, delete."""
+"""Calibrations: send a file, make one from a board or from people, list, read, download, delete."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -25,7 +25,7 @@ from api.requests.idempotency import Answer, IdempotentRequest, IdempotentReques
 from api.requests.intake import SPEC, received, stored
 from api.schemas import JobOut
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import StagePlan
+from worker.jobs.model import Session, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import plan_job
@@ -61,7 +61,7 @@ _FILE: dict[str, Any] = {
     openapi_extra=calibration_body(),
 )
 async def create_calibration(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Send a calibration file, or have a calibration made from videos of a board.
+    """Send a calibration file, or have a calibration made from videos of a board, or from people who walk about.
 
     A file is checked and stored at once. Otherwise the answer is a job, whose id is that of the calibration.
     """
@@ -154,6 +154,13 @@ def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCali
     if isinstance(content, ReadFile):
         return _add_file(services, idempotent, checked, content)
     making = checked.spec.choices(checked.has_intrinsics)
+    if isinstance(content, Session):
+        services.disk.require_room()
+        stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making)
+        with idempotent.records.transaction() as work:
+            answer = _begin(services, idempotent, work, checked, content.id, stages)
+        services.queue.publish()
+        return answer
     with stored(services, content) as new:
         stages = plan_job(new, JobSpec(), services.settings.chunk_frames, making=making)
         with idempotent.records.transaction() as work:

@@ -12,8 +12,10 @@ from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
+from pipeline.capture.session import CaptureSession
 from pipeline.config import ReconstructionConfig, method_warnings
-from pipeline.data import Reconstruction
+from pipeline.data import Detections, Reconstruction
+from pipeline.detect.chunk import concatenate
 from pipeline.errors import ChildError, InputError, PipelineError, Problem
 from pipeline.progress import OnProgress, Progress, silent
 from pipeline.runtime.child_processes import ProcessPool
@@ -22,8 +24,19 @@ from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
 from pipeline.stages.output_folder import OutputFolder, output_folder
-from pipeline.stages.plan import EXPORT, STAGE_BY_NAME, PlannedStage, SessionFacts, Task, followers, plan
-from pipeline.stages.run import Context, assemble, run_task
+from pipeline.stages.outputs_npz import decode_detections
+from pipeline.stages.plan import (
+    DETECT,
+    EXPORT,
+    LOOK,
+    STAGE_BY_NAME,
+    PlannedStage,
+    SessionFacts,
+    Task,
+    followers,
+    plan,
+)
+from pipeline.stages.run import Context, assemble, detection_joints, run_task
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DEFAULTS = ReconstructionConfig()
@@ -81,6 +94,44 @@ def reconstruct(
             observations=tuple(reconstruction.observations),
             warnings=(*reconstruction.warnings, *method_warnings(config, facts.has_videos)),
         )
+
+
+def detect_people(
+    session: CaptureSession, config: ReconstructionConfig = _DEFAULTS, on_progress: OnProgress = silent
+) -> Mapping[str, Detections]:
+    """Detect bodies in all videos of a session.
+
+    Parameters
+    ----------
+    session
+        Cameras with their videos; poses of the cameras are not used.
+
+    Raises
+    ------
+    InputError
+        If a video can't be decoded or too many of its frames are damaged.
+    ModelError
+        If the detector is not installed.
+
+    Returns
+    -------
+        Bodies by camera, with the joints of ``pipeline.stages.run.detection_joints``.
+    """
+    config = replace(config, method="tracking", appearance="off")
+    facts = session_facts(session)
+    with (
+        output_folder(None) as outputs,
+        tempfile.TemporaryDirectory(prefix="multicap-") as interim,
+        tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
+    ):
+        codes = dict.fromkeys(STAGE_BY_NAME, "")
+        stages = [one for one in plan(facts, config, codes, config.chunk_frames) if one.name in {LOOK, DETECT}]
+        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch))
+        for stage in stages:
+            _run_stage(job, stage, on_progress)
+        chunks = map(decode_detections, _TaskContext(job).outputs(DETECT))
+        names = [camera.name for camera in session.cameras]
+        return concatenate(chunks, names, len(detection_joints(config).names))
 
 
 def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFacts:

@@ -1,6 +1,6 @@
 """Plan of a job: stages, their tasks and the keys of the tasks' outputs. Standard library only.
 
-A job reconstructs a session, or makes a calibration from the board that its videos show.
+A job reconstructs a session, or makes a calibration from the board or the people that its videos show.
 
 ``STAGES`` declares each stage once; progress, labels, keys, the page and the command line read it. ``plan`` is pure:
 equal inputs give equal plans on every machine. The key of a task is a hash of the stage, the digest of its code, the
@@ -148,11 +148,15 @@ class Stage:
 
 
 def _is_detecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    return facts.has_videos and config.making is None
+    return facts.has_videos and (config.making is None or config.making.board is None)
 
 
 def _is_sized(facts: SessionFacts, config: ReconstructionConfig) -> bool:
     return _is_detecting(facts, config) and networks_of(config).is_sized
+
+
+def _is_finding_board(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is not None and config.making.board is not None
 
 
 def _is_calibrating(_: SessionFacts, config: ReconstructionConfig) -> bool:
@@ -196,14 +200,14 @@ STAGES = (
         follows=(),
         choices=("making",),
         function="find_board",
-        is_planned=_is_calibrating,
+        is_planned=_is_finding_board,
         unit="frames",
     ),
     Stage(
         CALIBRATE,
         "Calibrate cameras",
         cut="whole",
-        follows=(FIND_BOARD,),
+        follows=(DETECT, FIND_BOARD),
         choices=("making",),
         function="calibrate",
         is_planned=_is_calibrating,

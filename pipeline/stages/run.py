@@ -14,6 +14,7 @@ from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import frames_to_look_at, look_in_video
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.board.views import decode_views, encode_views
+from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.report import MadeCalibration, report_document
 from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import KeypointSession
@@ -226,7 +227,7 @@ def detect(task: Task, context: Context) -> Output:
 def find_board(task: Task, context: Context) -> Output:
     """Look for the board in frames of a camera."""
     session, making = context.session(), context.config.making
-    if isinstance(session, KeypointSession) or task.camera is None or making is None:
+    if isinstance(session, KeypointSession) or task.camera is None or making is None or making.board is None:
         raise PipelineError("A board is looked for in videos.")
     number = [camera.name for camera in session.cameras].index(task.camera)
     times_s = [times.time_s for times in session.times.values()]
@@ -240,15 +241,27 @@ def find_board(task: Task, context: Context) -> Output:
 
 
 def calibrate(task: Task, context: Context) -> Output:
-    """Make a calibration from the views of a board."""
-    session, making, on_share = context.outline(), context.config.making, _on_share(task, context)
+    """Make a calibration from the views of a board, or from the people of a session."""
+    making, on_share = context.config.making, _on_share(task, context)
     if making is None:
         raise PipelineError("The job makes no calibration.")
-    given = {camera.name: camera for camera in session.cameras} if making.has_intrinsics else None
+    if making.board is None:
+        session = context.session()
+        joints = session.joints if isinstance(session, KeypointSession) else detection_joints(context.config)
+        detections = (
+            session.detections
+            if isinstance(session, KeypointSession)
+            else _bodies(session, joints, map(decode_detections, context.outputs(DETECT)))
+        )
+        made = calibrate_people(
+            session.cameras, session.times, detections, joints, making.stature_m, making.has_intrinsics, on_share
+        )
+        return _calibrated(made, context)
+    outline = context.outline()
+    given = {camera.name: camera for camera in outline.cameras} if making.has_intrinsics else None
     views = [decode_views(content) for content in context.outputs(FIND_BOARD)]
-    board, rate_hz = parse_board(making.board), session.timebase.frame_rate_hz
-    made = calibrate_board(views, board, given, rate_hz, on_share=on_share)
-    return _calibrated(made, context)
+    board, rate_hz = parse_board(making.board), outline.timebase.frame_rate_hz
+    return _calibrated(calibrate_board(views, board, given, rate_hz, on_share=on_share), context)
 
 
 def _calibrated(made: MadeCalibration, context: Context) -> Output:

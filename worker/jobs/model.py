@@ -248,7 +248,7 @@ class Calibration:
     Parameters
     ----------
     method
-        ``file`` or ``board``.
+        ``file``, ``board`` or ``people``.
     source
         Of a file its name, format, units, axes and notes; else the choices with which it is made.
     files

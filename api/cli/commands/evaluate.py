@@ -26,6 +26,7 @@ from api.cli.options import (
     known_refinement,
     known_smoothing,
 )
+from pipeline.calibration_choices import MAX_STATURE_M, MIN_STATURE_M
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import open_session
 from pipeline.clustering.associate import reconstruct_by_clustering
@@ -41,6 +42,7 @@ from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, sc
 from pipeline.evaluation.extremities.feet import score_heels_and_toes
 from pipeline.evaluation.extremities.hands import score_hands
 from pipeline.evaluation.extremities.headings import score_foot_directions
+from pipeline.evaluation.from_people import without_extrinsics
 from pipeline.evaluation.simulated import score_simulated
 from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
 from pipeline.evaluation.simulated_feet import score_feet
@@ -50,14 +52,26 @@ from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
-from pipeline.stages.local import reconstruct
+from pipeline.stages.local import detect_people, reconstruct
 from pipeline.stages.refinement import refine_from_bodies
+from pipeline.stages.run import detection_joints
 from pipeline.tracking.associate import associate, locate_people, track_bodies
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
 _ABLATION_VIEWS = 12
+
+StatureOption = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--stature-m",
+        min=MIN_STATURE_M,
+        max=MAX_STATURE_M,
+        metavar="M",
+        help="Throw the extrinsics away, and find them from the people, of this stature. May be given once a person.",
+    ),
+]
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
@@ -77,6 +91,7 @@ def rendered(
     smoothing: SmoothingOption = DEFAULTS.smoothing,
     joint_centers: JointCentersOption = DEFAULTS.joint_centers,
     refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
+    stature_m: StatureOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
     """Videos with exact truth: 12 body joints, Hungarian matching in each frame, gate 0.5 m; and headings of feet."""
@@ -92,12 +107,19 @@ def rendered(
             joint_centers=known_joint_centers(joint_centers),
             refine_calibration=known_refinement(refine_calibration),
         )
+        errors: dict[str, float] = {}
+        if stature_m:
+            detections = detect_people(session, config, bars.update)
+            cameras, errors = without_extrinsics(
+                session.cameras, session.times, detections, detection_joints(config), stature_m
+            )
+            session = replace(session, cameras=cameras)
         reconstruction = reconstruct(session, config, bars.update)
         scores = score_rendered(reconstruction.tracks, reconstruction.joints, reconstruction.timebase, truth)
         if truth.feet_m is not None:
             motions, timebase = reconstruction.animation.motions, reconstruction.timebase
             scores |= score_foot_directions(motions, timebase, truth.time_s, truth.feet_m)
-        scores |= _refinement_scores(reconstruction.refinement)
+        scores |= _refinement_scores(reconstruction.refinement) | errors
     if as_json:
         emit(scores)
         return
@@ -110,6 +132,7 @@ def shelf(
     method: MethodOption = DEFAULTS.method,
     smoothing: SmoothingOption = DEFAULTS.smoothing,
     refine_calibration: RefineCalibrationOption = DEFAULTS.refine_calibration,
+    stature_m: StatureOption = None,
     detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
     every: Annotated[
         int, typer.Option(min=1, max=10, help="Keep every n-th image, at a different phase for each camera.")
@@ -132,6 +155,12 @@ def shelf(
         benchmark, kept = thin(whole, every)
         warm_up()
         started_s = time.perf_counter()
+        errors: dict[str, float] = {}
+        if stature_m:
+            cameras, errors = without_extrinsics(
+                benchmark.cameras, benchmark.times, benchmark.detections, COCO_17, stature_m
+            )
+            benchmark = replace(benchmark, cameras=cameras)
         cameras, refinement = _refined(
             benchmark.cameras, benchmark.times, benchmark.detections, benchmark.timebase, COCO_17, config
         )
@@ -160,6 +189,7 @@ def shelf(
             "jitter_m_s2": mean_jitter_m_s2(tracks, benchmark.timebase.frame_rate_hz),
             "fps": benchmark.timebase.num_frames / elapsed_s,
             **_refinement_scores(refinement),
+            **errors,
         }
         if ablation:
             result["ablation"] = ablate(whole)
@@ -228,6 +258,7 @@ def simulated(
     shift: Annotated[
         float, typer.Option(min=0.0, max=0.3, metavar="M", help="Distance by which each camera is shifted beforehand.")
     ] = 0.0,
+    stature_m: StatureOption = None,
     duration: Annotated[
         float | None, typer.Option(min=1.0, max=600.0, metavar="S", help="Length in seconds. Default: the scene's.")
     ] = None,
@@ -263,8 +294,9 @@ def simulated(
     with reporting(as_json):
         checked_method = known_method(method)
         checked_evidence = _known_evidence(evidence, checked_method, ablation)
-        if checked_evidence == "fields" and (turn or shift or known_refinement(refine_calibration) != "off"):
-            hint = "Use --evidence bodies, or omit --turn, --shift and --refine-calibration."
+        is_refined = known_refinement(refine_calibration) != "off"
+        if checked_evidence == "fields" and (turn or shift or stature_m or is_refined):
+            hint = "Use --evidence bodies, or omit --turn, --shift, --stature-m and --refine-calibration."
             raise InputError([Problem("no_refinement", "Calibrations are refined here from whole bodies.", hint=hint)])
         config = ReconstructionConfig(
             checked_method,
@@ -287,7 +319,7 @@ def simulated(
                 scores = _score_fields(simulation, config, ablation)
             else:
                 disturbed = disturb_calibration(simulation, turn, shift, seed)
-                scores = _score_bodies(disturbed, simulation.cameras, config)
+                scores = _score_bodies(disturbed, simulation.cameras, config, stature_m or ())
             by_views[len(simulation.cameras)] = scores
     if as_json:
         emit(
@@ -337,9 +369,17 @@ def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> di
     return scores
 
 
-def _score_bodies(simulation: Simulation, true: Sequence[Camera], config: ReconstructionConfig) -> dict[str, Any]:
-    """Score a simulation with bodies; its calibration may be disturbed."""
+def _score_bodies(
+    simulation: Simulation, true: Sequence[Camera], config: ReconstructionConfig, stature_m: Sequence[float]
+) -> dict[str, Any]:
+    """Score a simulation with bodies; its calibration may be disturbed, or made from people of given statures."""
     started_s = time.perf_counter()
+    errors: dict[str, float] = {}
+    if stature_m:
+        cameras, errors = without_extrinsics(
+            simulation.cameras, simulation.times, simulation.detections, simulation.joints, stature_m
+        )
+        simulation = replace(simulation, cameras=cameras)
     given = simulation.cameras
     cameras, refinement = _refined(
         given, simulation.times, simulation.detections, simulation.timebase, simulation.joints, config
@@ -358,7 +398,7 @@ def _score_bodies(simulation: Simulation, true: Sequence[Camera], config: Recons
         people.tracks, people.observations, simulation.cameras, simulation.timebase, simulation.joints, config
     )
     fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
-    scores = _score(animation, simulation, simulation.joints) | {"fps": fps} | _refinement_scores(refinement)
+    scores = _score(animation, simulation, simulation.joints) | {"fps": fps} | _refinement_scores(refinement) | errors
     if refinement is not None:
         for name, some in (("given", given), ("refined", cameras)):
             scores |= {f"cameras_{name}_{kind}": value for kind, value in camera_errors(true, some).items()}

@@ -328,6 +328,12 @@ PARTS = CodeGroup(
             "List the calibrations, or send the file.",
         ),
         ProblemCode(
+            "not_a_capture",
+            _FIELD,
+            "The session was sent for a calibration, and is no capture.",
+            "Name a session whose cameras have intrinsics, or send videos.",
+        ),
+        ProblemCode(
             "calibration_unmade",
             _FIELD,
             "The calibration is being made, or its job has failed.",

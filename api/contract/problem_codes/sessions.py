@@ -53,6 +53,36 @@ CALIBRATIONS = CodeGroup(
             "Film the board where the camera and a neighbour both see it.",
         ),
         ProblemCode(
+            "people_one_camera",
+            _FILES,
+            "People calibrate two cameras or more.",
+            "Film a board to calibrate one camera.",
+        ),
+        ProblemCode(
+            "people_not_found",
+            _FILES,
+            "A camera sees people too briefly to be calibrated from them.",
+            "Let people walk about for a minute where several cameras see them whole.",
+        ),
+        ProblemCode(
+            "people_unlinked",
+            _FILES,
+            "A camera sees nobody at the same time as another camera, or can't tell who it is.",
+            "Let one or two people walk where several cameras see them.",
+        ),
+        ProblemCode(
+            "people_disagree",
+            _FILES,
+            "What a camera sees of the people contradicts the other cameras.",
+            "Check the synchronisation, that no camera moved, and the intrinsics.",
+        ),
+        ProblemCode(
+            "people_not_whole",
+            _FILES,
+            "Nobody is seen from the shoulders to the ankles, so scale and vertical are unknown.",
+            "Film people whole.",
+        ),
+        ProblemCode(
             "board_unsynchronised",
             _MADE,
             "Two cameras see the board at poses that contradict each other.",

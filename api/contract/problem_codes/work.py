@@ -167,6 +167,30 @@ WARNINGS = CodeGroup(
             "Reconstruct the frames before and after the time in the message on their own (`frame_range`).",
         ),
         ProblemCode(
+            "people_few_views",
+            _WARNING,
+            "A camera shares people with another camera briefly.",
+            "Let people walk where it and a neighbour see them.",
+        ),
+        ProblemCode(
+            "people_uncertain_pose",
+            _WARNING,
+            "People determine the pose of a camera poorly.",
+            "Film longer, with people all over the place.",
+        ),
+        ProblemCode(
+            "people_uncertain_focal",
+            _WARNING,
+            "People determine the focal length of a camera poorly.",
+            "Give the intrinsics, or calibrate them from a board.",
+        ),
+        ProblemCode(
+            "people_uncertain_floor",
+            _WARNING,
+            "The feet reach too little ground to find its slope.",
+            "Let people walk all over the place.",
+        ),
+        ProblemCode(
             "board_few_views",
             _WARNING,
             "The board was found in few pictures of a camera.",

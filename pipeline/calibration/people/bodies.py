@@ -72,7 +72,11 @@ def gather_bodies(tracklets: Sequence[Tracklet], relatives: Sequence[Relative], 
              if len({tracklets[k].camera for k in own}) > 1]  # fmt: skip
     if not parts:
         return Bodies(np.empty(0, int), np.empty(0, int), np.empty((0, num_cameras, len(JOINTS), 2)))
-    return Bodies(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("group", "instant", "points_px")))
+    return Bodies(
+        np.concatenate([part.group for part in parts]),
+        np.concatenate([part.instant for part in parts]),
+        np.concatenate([part.points_px for part in parts]),
+    )
 
 
 def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[Tracklet]) -> bool:

@@ -8,7 +8,15 @@ from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust
 from pipeline.calibration.adjustment.links import Distances, Link, Shifts
-from pipeline.calibration.adjustment.parameters import EXTRINSICS, FOCAL, POSITION, Parameters, no_prior, none_free
+from pipeline.calibration.adjustment.parameters import (
+    DISTORTION,
+    EXTRINSICS,
+    FOCAL,
+    POSITION,
+    Parameters,
+    no_prior,
+    none_free,
+)
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations
 from pipeline.calibration.adjustment.structure import Points
 from pipeline.calibration.people.bodies import Bodies
@@ -33,7 +41,8 @@ _FEW_BODIES, _MANY_BODIES, _MAX_GROUPS = 120, 500, 24
 _MIN_GROUP = 10
 # Observations farther from the projection than this share of the focal length are of somebody else.
 _MAX_ERROR = 0.03
-_FOCAL_SIGMA = 0.25
+# Priors where intrinsics are guessed: logarithm of the focal length, first radial coefficient.
+_FOCAL_SIGMA, _K1_SIGMA = 0.25, 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,30 +64,31 @@ class Adjusted:
     error_px: Float[np.ndarray, " cameras"]
 
 
-def adjust_poses(posed: Mapping[int, Camera], bodies: Bodies, has_free_focals: bool) -> dict[int, Camera]:
+def adjust_poses(posed: Mapping[int, Camera], bodies: Bodies, has_free_lenses: bool) -> dict[int, Camera]:
     """Adjust the cameras that are posed so far to some bodies."""
     numbers = sorted(posed)
     chosen = _spread(bodies.of_cameras(numbers), _FEW_BODIES)
-    adjusted = _adjust([posed[k] for k in numbers], chosen, (), has_free_focals and len(numbers) > 2)
+    adjusted = _adjust([posed[k] for k in numbers], chosen, None, has_free_lenses and len(numbers) > 2)
     return dict(zip(numbers, adjusted.cameras, strict=True))
 
 
 def adjust_all(
-    cameras: Sequence[Camera], bodies: Bodies, instants_s: Float[np.ndarray, " instants"], has_free_focals: bool
+    cameras: Sequence[Camera], bodies: Bodies, instants_s: Float[np.ndarray, " instants"], has_free_lenses: bool
 ) -> Adjusted:
     """Adjust all cameras to bodies all over the take, with bones and speeds.
 
     Parameters
     ----------
-    has_free_focals
-        Whether the focal lengths are adjusted too.
+    has_free_lenses
+        Whether focal lengths and first radial coefficients are adjusted too.
     """
     chosen = _spread(bodies, _MANY_BODIES)
-    found = _adjust(cameras, chosen, instants_s, has_free_focals)
+    found = _adjust(cameras, chosen, instants_s, has_free_lenses)
     camera = found.observations.camera
     distance_px = np.linalg.norm(found.adjustment.residuals_px, axis=-1)
-    error_px = [float(np.nanmedian(distance_px[camera == k])) if (camera == k).any() else np.nan for k in range(len(cameras))]
-    return Adjusted(found.adjustment.cameras, found.adjustment.sigma, read_only(np.array(error_px)))
+    own_px = [distance_px[camera == number] for number in range(len(cameras))]
+    error_px = np.array([np.nanmedian(one) if len(one) else np.nan for one in own_px])
+    return Adjusted(found.adjustment.cameras, found.adjustment.sigma, read_only(error_px))
 
 
 def _spread(bodies: Bodies, most: int) -> Bodies:
@@ -98,7 +108,7 @@ class _Found:
 
 
 def _adjust(
-    cameras: Sequence[Camera], bodies: Bodies, instants_s: Sequence[float] | np.ndarray, has_free_focals: bool
+    cameras: Sequence[Camera], bodies: Bodies, instants_s: Float[np.ndarray, " instants"] | None, has_free_lenses: bool
 ) -> _Found:
     xyz_m = bodies.triangulated(cameras)
     projected_px = np.stack([project(camera, xyz_m) for camera in cameras], axis=1)
@@ -112,7 +122,7 @@ def _adjust(
     observations = Observations(
         camera, number[body, joint], np.zeros((len(camera), 3)), bodies.points_px[body, camera, joint]
     )
-    links, lengths_m = _links(bodies, number, xyz_m, instants_s) if len(instants_s) else ((), np.empty(0))
+    links, lengths_m = _links(bodies, number, xyz_m, instants_s) if instants_s is not None else ((), np.empty(0))
     free, sigma = none_free(len(cameras)), no_prior(len(cameras))
     free[1:, EXTRINSICS] = True
     centers_m = np.array([center_in_world(camera) for camera in cameras])
@@ -120,9 +130,10 @@ def _adjust(
     farthest = int(np.argmax(np.linalg.norm(centers_m - centers_m[0], axis=-1)))
     along = int(np.argmax(np.abs(centers_m[farthest] - centers_m[0])))
     free[farthest, POSITION.start + along] = False
-    if has_free_focals:
+    if has_free_lenses:
         free[:, FOCAL] = True
-        sigma[:, FOCAL] = _FOCAL_SIGMA
+        free[:, DISTORTION.start] = True
+        sigma[:, FOCAL], sigma[:, DISTORTION.start] = _FOCAL_SIGMA, _K1_SIGMA
     problem = AdjustmentProblem(
         tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),
@@ -139,7 +150,8 @@ def _links(
     """Bones of the groups that are seen most, and shifts between neighbouring instants."""
     groups, counts = np.unique(bodies.group, return_counts=True)
     order = np.argsort(-counts)[:_MAX_GROUPS]
-    pairs, owners, lengths_m = [], [], []
+    pairs, owners = [], []
+    lengths_m: list[float] = []
     for group in groups[order][counts[order] >= _MIN_GROUP]:
         own = bodies.group == group
         for one, other in _BONES:

@@ -56,7 +56,8 @@ def calibrate_people(
     stature_m
         Statures of the people, in any order; one for all is enough.
     has_intrinsics
-        Whether the intrinsics are known, and stay; else one focal length a camera is estimated.
+        Whether the intrinsics are known, and stay; else a focal length and a radial coefficient of each camera are
+        estimated.
     on_share
         Called with the share of the work that is done.
 
@@ -79,7 +80,7 @@ def calibrate_people(
     posed = pose_cameras(cameras, relatives, bodies, not has_intrinsics)
     linked = linked_or_refused(cameras, posed, relatives)
     on_share(0.8)
-    adjusted = adjust_all(linked, bodies, instants_s, has_free_focals=not has_intrinsics)
+    adjusted = adjust_all(linked, bodies, instants_s, has_free_lenses=not has_intrinsics)
     rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
     world = world_or_refused(find_world(adjusted.cameras, bodies, stature_m, rate_hz))
     on_share(1.0)
@@ -110,7 +111,7 @@ def _with_likely_focals(cameras: Sequence[Camera], tracklets: Sequence[Tracklet]
 def _with_focal(camera: Camera, factor: float) -> Camera:
     matrix = camera.matrix.copy()
     matrix[:2, :2] *= factor
-    return replace(camera, matrix=read_only(matrix))
+    return replace(camera, matrix=read_only(matrix), distortion=read_only(np.zeros(4)))
 
 
 def _made(

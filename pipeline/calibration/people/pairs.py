@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pipeline.calibration.people.tracklets import JOINTS, MIN_INSTANTS, Tracklet
 from pipeline.data import read_only
@@ -120,7 +120,8 @@ def _compare(
     cameras: tuple[int, int], tracklets: Sequence[Tracklet], focal_px: Float[np.ndarray, " cameras"]
 ) -> _Compared | None:
     sides = [[n for n, one in enumerate(tracklets) if one.camera == camera] for camera in cameras]
-    pairs, overlaps, owners, lefts, rights, tolerances = [], [], [], [], [], []
+    pairs: list[tuple[int, int]] = []
+    overlaps, owners, lefts, rights, tolerances = [], [], [], [], []
     for first in sides[0]:
         for second in sides[1]:
             left, right = tracklets[first], tracklets[second]
@@ -132,9 +133,7 @@ def _compare(
             is_known = (np.isfinite(a) & np.isfinite(b)).all(-1)
             if is_known.sum() < 5 * MIN_INSTANTS:
                 continue
-            sigma = [
-                max(_TOLERANCE * one.height_px, _MIN_TOLERANCE_PX) / focal_px[one.camera] for one in (left, right)
-            ]
+            sigma = [max(_TOLERANCE * one.height_px, _MIN_TOLERANCE_PX) / focal_px[one.camera] for one in (left, right)]
             owners.append(np.full(is_known.sum(), len(pairs)))
             tolerances.append(np.full(is_known.sum(), np.hypot(*sigma) / np.sqrt(2)))
             pairs.append((first, second))
@@ -160,23 +159,31 @@ def _alikeness(compared: _Compared, tracklets: Sequence[Tracklet]) -> Float[np.n
         left, right = tracklets[first], tracklets[second]
         shared = left.shared(right)
         a, b = heights[first][left.rows(shared)], heights[second][right.rows(shared)]
-        change = np.abs((a - np.nanmedian(a, axis=0)) - (b - np.nanmedian(b, axis=0)))
-        spread = np.abs(a - np.nanmedian(a, axis=0)) + np.abs(b - np.nanmedian(b, axis=0))
-        total = np.nansum(np.where(np.isfinite(change), spread, np.nan))
-        alike[number] = 1.0 - np.nansum(change) / max(total, 1e-9)
+        both = np.isfinite(a) & np.isfinite(b)
+        a, b = a - _medians(a, both), b - _medians(b, both)
+        change, spread = np.abs(a - b)[both].sum(), (np.abs(a) + np.abs(b))[both].sum()
+        alike[number] = 1.0 - change / max(float(spread), 1e-9)
     return np.maximum(alike, 0.01) * np.sqrt(compared.overlap)
+
+
+def _medians(
+    values: Float[np.ndarray, "instants joints"], used: Bool[np.ndarray, "instants joints"]
+) -> Float[np.ndarray, " joints"]:
+    """Median of the used values of each joint; 0 where there is none."""
+    chosen = [column[mask] for column, mask in zip(values.T, used.T, strict=True)]
+    return np.array([np.median(one) if len(one) else 0.0 for one in chosen])
 
 
 def _heights(tracklet: Tracklet) -> Float[np.ndarray, "instants joints"]:
     index = {name: number for number, name in enumerate(JOINTS)}
     points = tracklet.ideal
-    with np.errstate(all="ignore"):
-        hips = np.nanmean(points[:, [index["left_hip"], index["right_hip"]]], axis=1)
-        shoulders = np.nanmean(points[:, [index["left_shoulder"], index["right_shoulder"]]], axis=1)
-        trunk = shoulders - hips
-        axis = np.nanmedian(trunk, axis=0)
-        length = max(float(np.linalg.norm(axis)), 1e-6)
-    heights: np.ndarray = (points - hips[:, None]) @ (axis / length**2)
+    hips = points[:, [index["left_hip"], index["right_hip"]]].mean(1)
+    shoulders = points[:, [index["left_shoulder"], index["right_shoulder"]]].mean(1)
+    trunk = (shoulders - hips)[np.isfinite(shoulders - hips).all(-1)]
+    if not len(trunk):
+        return np.full(points.shape[:2], np.nan)
+    axis = np.median(trunk, axis=0)
+    heights: np.ndarray = (points - hips[:, None]) @ (axis / max(float(axis @ axis), 1e-12))
     return heights
 
 
@@ -257,12 +264,12 @@ def _posed(
     if num_front < 0.8 * len(left):
         return None
     pose = Rigid3(read_only(rotation), read_only(translation[:, 0]))
-    rays = [np.column_stack([points, np.ones(len(points))]) for points in (left @ np.eye(2), right)]
-    rays[0] = rays[0] @ rotation.T
+    rays = np.column_stack([left, np.ones(len(left))]) @ rotation.T, np.column_stack([right, np.ones(len(right))])
     cosine = (rays[0] * rays[1]).sum(-1) / np.linalg.norm(rays[0], axis=-1) / np.linalg.norm(rays[1], axis=-1)
     angle_deg = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
     matches = tuple(
-        Match(int(compared.tracklets[number][0]), int(compared.tracklets[number][1]), value) for number, value in support
+        Match(first, second, value)
+        for (first, second), value in ((compared.tracklets[number].tolist(), value) for number, value in support)
     )
     total = sum(value for _, value in support)
     overlap = float(compared.overlap[chosen].sum())

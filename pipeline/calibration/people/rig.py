@@ -25,7 +25,7 @@ _STATURE_M = 1.7
 
 
 def pose_cameras(
-    cameras: Sequence[Camera], relatives: Sequence[Relative], bodies: Bodies, has_free_focals: bool
+    cameras: Sequence[Camera], relatives: Sequence[Relative], bodies: Bodies, has_free_lenses: bool
 ) -> Mapping[int, Camera]:
     """Pose the cameras that can be linked, in the frame of one of them, at a scale that is about right.
 
@@ -33,8 +33,8 @@ def pose_cameras(
     ----------
     cameras
         Intrinsics; the poses are ignored.
-    has_free_focals
-        Whether the focal lengths are adjusted too.
+    has_free_lenses
+        Whether focal lengths and first radial coefficients are adjusted too.
     """
     posed = _seed(cameras, relatives, bodies)
     while posed:
@@ -49,7 +49,7 @@ def pose_cameras(
                 break
         if found is None:
             return posed
-        posed = adjust_poses(posed, bodies, has_free_focals)
+        posed = adjust_poses(posed, bodies, has_free_lenses)
     return posed
 
 

@@ -218,9 +218,7 @@ def _sampled(
     sampled = (1 - share) * points_px[after - 1] + share * points_px[after]
     sampled[after_s - before_s > _MAX_GAP_S] = np.nan
     extent: np.ndarray = np.nanmax(points_px, axis=1) - np.nanmin(points_px, axis=1)
-    return Tracklet(
-        number, int(first), read_only(sampled), _ideal(camera, sampled), float(np.median(extent.max(-1)))
-    )
+    return Tracklet(number, int(first), read_only(sampled), _ideal(camera, sampled), float(np.median(extent.max(-1))))
 
 
 def _ideal(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

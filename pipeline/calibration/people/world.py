@@ -129,12 +129,13 @@ def _level(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def _floor(bodies: Bodies, xyz_m: Float[np.ndarray, "n joints 3"], rate_hz: float) -> Floor | None:
-    ankles_m, known = [], []
+    ankles_m: list[np.ndarray] = []
+    known: list[np.ndarray] = []
     for group in np.unique(bodies.group):
         own = bodies.group == group
         instant = bodies.instant[own] - bodies.instant[own][0]
         of_group = np.full((instant[-1] + 1, 2, 3), np.nan)
         of_group[instant] = xyz_m[own][:, _ANKLES]
         ankles_m.append(of_group)
-        known.append(np.isfinite(of_group).all(-1))
+        known.append(np.asarray(np.isfinite(of_group).all(-1)))
     return estimate_floor(ankles_m, known, rate_hz)

@@ -125,7 +125,9 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
 
 def making_of(choices: Mapping[str, Any] | None) -> CalibrationChoices | None:
     """Choices of the calibration that a job makes, from its column."""
-    return None if choices is None else CalibrationChoices(**choices)
+    if choices is None:
+        return None
+    return CalibrationChoices(**{**choices, "stature_m": tuple(choices.get("stature_m", ()))})
 
 
 def calibration_of(row: Row[Any]) -> Calibration:

@@ -43,7 +43,7 @@ class Calibrations:
         """Add the calibration that a job will make, in the transaction that adds the job."""
         if job.making is None:
             raise ValueError("the job makes no calibration")
-        return self._insert(job.id, name, "board", asdict(job.making), None, job.session_id)
+        return self._insert(job.id, name, job.making.method, asdict(job.making), None, job.session_id)
 
     def get(self, calibration_id: str) -> Calibration:
         """Calibration with an id; ``NotFound`` if there is none."""

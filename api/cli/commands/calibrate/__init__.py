@@ -1,10 +1,10 @@
-"""`multicap calibrate`: make a calibration from a board."""
+"""`multicap calibrate`: make a calibration from a board or from people."""
 
 import typer
 
-from api.cli.commands.calibrate import board
+from api.cli.commands.calibrate import board, people
 
-app = typer.Typer(help="Calibrations: make one from a board.", no_args_is_help=True)
+app = typer.Typer(help="Calibrations: make one from a board or from people.", no_args_is_help=True)
 
 
 @app.callback()
@@ -13,3 +13,4 @@ def _group() -> None:
 
 
 app.command("board")(board.command)
+app.command("people")(people.command)

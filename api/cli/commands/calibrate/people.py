@@ -1,0 +1,102 @@
+"""`multicap calibrate people`: cameras from people who walk about."""
+
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+
+from api.cli.commands.calibrate.written import require_ending, show_made, write_made
+from api.cli.console import StageBars, reporting, warn
+from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known
+from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.session import CaptureSession, open_session
+from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.errors import InputError, Problem
+from pipeline.progress import Progress
+from pipeline.stages.local import detect_people
+from pipeline.stages.plan import CALIBRATE
+from pipeline.stages.run import detection_joints
+
+_PERCENT = 100
+
+
+def command(
+    stature_m: Annotated[
+        list[float],
+        typer.Option(
+            "--stature-m",
+            min=MIN_STATURE_M,
+            max=MAX_STATURE_M,
+            metavar="M",
+            help="Stature of the people in metres; may be given once for each person.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
+    videos: Annotated[Path | None, typer.Option(help="Folder of synchronised videos, one for each camera.")] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
+    ] = None,
+    timestamps: Annotated[
+        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+    ] = None,
+    intrinsics: Annotated[
+        Path | None,
+        typer.Option(
+            help="Calibration whose intrinsics are kept; its poses are ignored. Default: focal lengths are estimated."
+        ),
+    ] = None,
+    profile: ProfileOption = DEFAULTS.profile,
+    detector: DetectorOption = DEFAULTS.detector,
+    report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Calibrate cameras from people of known stature who walk about: no board."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        require_ending(out)
+        _check_sources(videos, keypoints, timestamps, intrinsics, stature_m)
+        config = ReconstructionConfig(detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)))
+        session: CaptureSession | KeypointSession
+        if keypoints is not None and intrinsics is not None:
+            session = open_keypoints(keypoints, intrinsics, timestamps)
+            detections, joints = session.detections, session.joints
+        else:
+            session = open_session(videos or Path(), intrinsics)
+            detections, joints = detect_people(session, config, bars.update), detection_joints(config)
+        for sentence in () if as_json else session.warnings:
+            warn(sentence)
+        made = calibrate_people(
+            session.cameras,
+            session.times,
+            detections,
+            joints,
+            stature_m,
+            intrinsics is not None,
+            lambda share: bars.update(Progress(CALIBRATE, round(_PERCENT * share), _PERCENT)),
+        )
+        write_made(made, out, report)
+    show_made(made, out, as_json)
+
+
+def _check_sources(
+    videos: Path | None,
+    keypoints: Path | None,
+    timestamps: Path | None,
+    intrinsics: Path | None,
+    stature_m: list[float],
+) -> None:
+    problems = []
+    if (videos is None) == (keypoints is None):
+        message = "People are filmed, or given as keypoints."
+        problems.append(Problem("sources", message, hint="Give --videos or --keypoints."))
+    if keypoints is not None and intrinsics is None:
+        message = "Keypoints don't tell the size of the pictures."
+        problems.append(Problem("sources", message, hint="Give --intrinsics too."))
+    if keypoints is None and timestamps is not None:
+        message = "Timestamps belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps."))
+    if len(stature_m) > MAX_STATURES:
+        problems.append(Problem("sources", f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
+    if problems:
+        raise InputError(problems)
