@@ -173,6 +173,18 @@ WARNINGS = CodeGroup(
             "Let people walk where it and a neighbour see them.",
         ),
         ProblemCode(
+            "people_poor_fit",
+            _WARNING,
+            "People fit a camera worse than the other cameras.",
+            "Check its synchronisation, whether it moved, and its intrinsics.",
+        ),
+        ProblemCode(
+            "people_same_place",
+            _WARNING,
+            "Two cameras come out at nearly the same place.",
+            "Check whether one video was given twice.",
+        ),
+        ProblemCode(
             "people_uncertain_pose",
             _WARNING,
             "People determine the pose of a camera poorly.",

@@ -68,7 +68,8 @@ def calibrate_people(
     """
     instants_s = instants_of([times[camera.name] for camera in cameras])
     tracklets = find_tracklets(cameras, times, detections, joints, instants_s)
-    require_people(cameras, tracklets)
+    rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
+    require_people(cameras, tracklets, rate_hz)
     on_share(0.1)
     if not has_intrinsics:
         cameras = _with_likely_focals(cameras, tracklets)
@@ -81,10 +82,9 @@ def calibrate_people(
     linked = linked_or_refused(cameras, posed, relatives)
     on_share(0.8)
     adjusted = adjust_all(linked, bodies, instants_s, has_free_lenses=not has_intrinsics)
-    rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
     world = world_or_refused(find_world(adjusted.cameras, bodies, stature_m, rate_hz))
     on_share(1.0)
-    return _made(adjusted, world, bodies, stature_m, has_intrinsics)
+    return _made(adjusted, world, bodies, stature_m, has_intrinsics, rate_hz)
 
 
 def _relate_all(
@@ -115,7 +115,12 @@ def _with_focal(camera: Camera, factor: float) -> Camera:
 
 
 def _made(
-    adjusted: Adjusted, world: PeopleWorld, bodies: Bodies, stature_m: Sequence[float], has_intrinsics: bool
+    adjusted: Adjusted,
+    world: PeopleWorld,
+    bodies: Bodies,
+    stature_m: Sequence[float],
+    has_intrinsics: bool,
+    rate_hz: float,
 ) -> MadeCalibration:
     num_views = bodies.seen().any(-1).sum(0)
     reports = tuple(
@@ -136,7 +141,7 @@ def _made(
         has_extrinsics=True,
         by_camera=reports,
         reprojection_error_px=float(np.nanmedian(adjusted.error_px)),
-        warnings=tuple(people_warnings(reports, world)),
+        warnings=tuple(people_warnings(reports, world, rate_hz)),
         world=(
             f"Z up, floor under the feet, origin under the middle of the people, y away from {world.cameras[0].name}; "
             f"scale from a stature of {statures}."

@@ -10,14 +10,20 @@ from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
 from pipeline.data import Camera
 from pipeline.errors import InputError, Problem
+from pipeline.geometry.camera import center_in_world
 
 _FILM = "Let one or two people walk about for a minute where several cameras see them whole."
+_CHECK = "Check that the videos are synchronised, that no camera moved, and that the intrinsics are its own."
 _MIN_INSTANTS, _FEW_INSTANTS = 50, 150
 # Standard deviations above which a calibration is doubtful.
 _MAX_FOCAL_PERCENT, _MAX_ROTATION_DEG = 2.0, 0.3
+# Ratio of a camera's reprojection error to the median of all above which it is doubtful.
+_POOR_FIT = 1.4
+# Cameras that are closer than this share of the mean distance of two cameras may have the same video.
+_SAME_PLACE = 0.03
 
 
-def require_people(cameras: Sequence[Camera], tracklets: Sequence[Tracklet]) -> None:
+def require_people(cameras: Sequence[Camera], tracklets: Sequence[Tracklet], rate_hz: float) -> None:
     """Raise ``InputError`` if there is one camera only, or with all cameras that see people too briefly."""
     if len(cameras) < 2:
         message = "People calibrate two cameras or more."
@@ -26,7 +32,8 @@ def require_people(cameras: Sequence[Camera], tracklets: Sequence[Tracklet]) -> 
     for number, camera in enumerate(cameras):
         seen = sum(len(one.points_px) for one in tracklets if one.camera == number)
         if seen < _MIN_INSTANTS:
-            message = f"The camera sees people for {seen / 10:.1f} s; at least {_MIN_INSTANTS / 10:.0f} s are required."
+            least_s = _MIN_INSTANTS / rate_hz
+            message = f"The camera sees people for {seen / rate_hz:.1f} s; at least {least_s:.0f} s are required."
             problems.append(Problem("people_not_found", message, camera=camera.name, hint=_FILM))
     if problems:
         raise InputError(problems)
@@ -49,8 +56,7 @@ def linked_or_refused(
         own = [one for one in relatives if number in (one.first, one.second)]
         if own:
             message = "What the camera sees of the people disagrees with the other cameras."
-            hint = "Check that the videos are synchronised, that no camera moved, and that the intrinsics are its own."
-            problems.append(Problem("people_disagree", message, camera=camera.name, hint=hint))
+            problems.append(Problem("people_disagree", message, camera=camera.name, hint=_CHECK))
         else:
             message = "The camera sees nobody at the same time as another camera, or can't be told to."
             problems.append(Problem("people_unlinked", message, camera=camera.name, hint=_FILM))
@@ -73,11 +79,19 @@ def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
     return world
 
 
-def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld) -> Iterator[Problem]:
+def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld, rate_hz: float) -> Iterator[Problem]:
     """Doubts about cameras, their focal lengths and the floor."""
+    yield from _same_places(world.cameras)
+    median_px = float(np.nanmedian([one.reprojection_error_px for one in reports]))
     for one in reports:
+        if one.reprojection_error_px > _POOR_FIT * median_px:
+            message = (
+                f"The reprojection error, {one.reprojection_error_px:.1f} px, is larger than that of the other cameras "
+                f"({median_px:.1f} px)."
+            )
+            yield Problem("people_poor_fit", message, camera=one.name, hint=_CHECK)
         if one.num_views < _FEW_INSTANTS:
-            message = f"The camera shares people with another camera for {one.num_views / 10:.1f} s."
+            message = f"The camera shares people with another camera for {one.num_views / rate_hz:.1f} s."
             yield Problem("people_few_views", message, camera=one.name, hint=_FILM)
         if one.rotation_sigma_deg > _MAX_ROTATION_DEG:
             message = f"The camera's rotation is known to {one.rotation_sigma_deg:.1f} degrees."
@@ -89,3 +103,13 @@ def people_warnings(reports: Sequence[CameraReport], world: PeopleWorld) -> Iter
     if not world.has_floor:
         message = "The feet reach too little ground to find its slope; the vertical is that of upright standing."
         yield Problem("people_uncertain_floor", message, hint="Let the people walk all over the place.")
+
+
+def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:
+    centers_m = np.array([center_in_world(camera) for camera in cameras])
+    apart_m = np.linalg.norm(centers_m[:, None] - centers_m[None], axis=-1)
+    limit_m = _SAME_PLACE * apart_m.sum() / (len(cameras) * (len(cameras) - 1))
+    for one, other in zip(*np.nonzero(np.tril(apart_m < limit_m, -1)), strict=True):
+        message = f"The camera is at nearly the same place as {cameras[other].name}."
+        hint = "Check whether one video was given twice."
+        yield Problem("people_same_place", message, camera=cameras[one].name, hint=hint)

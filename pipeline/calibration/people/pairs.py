@@ -214,24 +214,24 @@ def _support(
     for number in np.argsort(-value):
         if value[number] <= 0:
             break
-        first, second = compared.tracklets[number]
-        shared = tracklets[first].shared(tracklets[second])
-        if not any(_conflict(compared.tracklets[other], (first, second), shared, tracklets) for other, _ in chosen):
+        pair = compared.tracklets[number]
+        shared = tracklets[pair[0]].shared(tracklets[pair[1]])
+        if not any(_conflict(compared.tracklets[other], pair, shared, tracklets) for other, _ in chosen):
             chosen.append((int(number), float(value[number])))
     return chosen
 
 
 def _conflict(
-    other: Int[np.ndarray, " 2"], pair: tuple[int, int], shared: range, tracklets: Sequence[Tracklet]
+    other: Int[np.ndarray, " 2"], pair: Int[np.ndarray, " 2"], shared: range, tracklets: Sequence[Tracklet]
 ) -> bool:
-    if (other[0] == pair[0]) == (other[1] == pair[1]):
+    if np.count_nonzero(other == pair) != 1:
         return False
     theirs = tracklets[other[0]].shared(tracklets[other[1]])
     return max(theirs.start, shared.start) < min(theirs.stop, shared.stop)
 
 
 def _total(support: Sequence[tuple[int, float]]) -> float:
-    return sum(value for _, value in support)
+    return sum((value for _, value in support), 0.0)
 
 
 def _essential(compared: _Compared, chosen: Int[np.ndarray, " pairs"]) -> Float[np.ndarray, "3 3"] | None:

@@ -72,7 +72,7 @@ def instants_of(times: Sequence[FrameTimes]) -> Float[np.ndarray, " instants"]:
     begin_s = min(float(one.time_s[0]) for one in times)
     end_s = max(float(one.time_s[-1]) for one in times)
     step_s = max(_STEP_S, (end_s - begin_s) / _MAX_INSTANTS)
-    return begin_s + step_s * np.arange(int((end_s - begin_s) / step_s) + 1)
+    return begin_s + step_s * np.arange(max(2, int((end_s - begin_s) / step_s) + 1))
 
 
 def find_tracklets(

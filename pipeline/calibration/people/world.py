@@ -71,12 +71,16 @@ def find_world(
     centers_m = scale * np.array([center_in_world(camera) for camera in cameras]) @ rotation.T
     xyz_m = scale * xyz @ rotation.T
     middle_m = np.nanmedian(xyz_m[..., :2], axis=(0, 1))
-    height_m = float(np.nanmin(xyz_m[..., 2])) if floor is None else float(floor.height_m(np.append(middle_m, 0.0)))
+    origin_m = np.append(middle_m, np.nanmin(xyz_m[..., 2]) if floor is None else _ground_m(floor, middle_m))
     turn = _away_from(middle_m - centers_m[0, :2])
-    origin_m = np.append(middle_m, height_m if floor is None else -height_m)
     world_from_root = Rigid3(read_only(turn @ rotation), read_only(-turn @ origin_m))
     moved = tuple(_moved(camera, world_from_root, scale) for camera in cameras)
     return PeopleWorld(moved, scale, floor is not None and _reach_m(xyz_m) > _MIN_REACH_M)
+
+
+def _ground_m(floor: Floor, place_m: Float[np.ndarray, " 2"]) -> float:
+    """Height of the floor at a place."""
+    return floor.z_m + floor.slope_x * float(place_m[0]) + floor.slope_y * float(place_m[1])
 
 
 def _away_from(ahead: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "3 3"]:

@@ -1,6 +1,8 @@
 """Calibrations that jobs make: from the request to a session that uses the result."""
 
+import io
 import json
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,10 @@ import pytest
 from api.settings import Settings
 from pipeline.calibration.board.spec import parse_board
 from pipeline.simulation.boards import BoardPainter, board_poses
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.motion.director import Cast
 from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.simulation.scenes import Scene, Simulation, record
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.media import write_pictures
 from worker.execution import run_chunk
@@ -24,7 +29,12 @@ NUM_CAMERAS = 3
 @pytest.fixture(scope="module")
 def making(make_settings: Callable[..., Settings]) -> Iterator[Live]:
     """Running service with the real check of files, for larger files."""
-    limits = {"max_file_bytes": 20_000_000, "max_session_bytes": 60_000_000}
+    limits = {
+        "max_file_bytes": 20_000_000,
+        "max_session_bytes": 60_000_000,
+        "max_keypoints_bytes": 20_000_000,
+        "max_calibration_bytes": 1_000_000,
+    }
     with running(make_settings(preflight_command=Settings().preflight_command, **limits)) as live:
         yield live
 
@@ -132,3 +142,69 @@ def test_a_deleted_job_takes_the_calibration_that_it_did_not_make(making: Live, 
 def test_a_wrong_board_is_refused_at_once(making: Live, videos: list[Path]) -> None:
     problem = problem_of(send(making, videos, method="board", board="chessboard:9x6:60"), 422, "invalid_request")
     assert [(one["code"], one["hint"]) for one in problem["errors"]] == [("board_invalid", "State metres: 0.06.")]
+
+
+@pytest.fixture(scope="module")
+def walk() -> Simulation:
+    """Two people who walk about before three cameras."""
+    return record(Scene(Rig(Layout.RING, 3, (4.0, 4.0), 2.2), Cast(2, (3.0, 3.0)), duration_s=15.0), seed=3)
+
+
+def keypoint_session(live: Live, simulation: Simulation) -> Any:
+    """Send a simulation as a session of keypoints."""
+    archives = {camera.name: io.BytesIO() for camera in simulation.cameras}
+    writers = {name: zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) for name, archive in archives.items()}
+    parts: list[tuple[str, Any]] = []
+    for name, content in simulation_files(simulation):
+        if name.startswith("keypoints/"):
+            _, camera, file = name.split("/")
+            writers[camera].writestr(file, content)
+        elif name != "truth.npz":
+            parts.append((Path(name).stem, (name, content)))
+    for writer in writers.values():
+        writer.close()
+    parts += [("keypoints", (f"{camera}.zip", archive.getvalue())) for camera, archive in archives.items()]
+    answer = live.client.post("/v1/sessions", files=parts)
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulation) -> None:
+    session = keypoint_session(making, walk)
+    answer = send(making, [], method="people", session_id=session["id"], stature_m=[1.7, 1.65])
+    assert answer.status_code == 202, answer.text
+    job = answer.json()
+    assert [stage["name"] for stage in job["stages"]] == ["make_calibration"]
+    work(making)
+    calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
+    assert calibration["state"] == "ready", calibration["error"]
+    assert calibration["method"] == "people"
+    assert calibration["source"] == {"board": None, "has_intrinsics": True, "stature_m": [1.7, 1.65]}
+    assert [camera["name"] for camera in calibration["cameras"]] == [camera.name for camera in walk.cameras]
+    assert all(1.9 < camera["position_m"][2] < 2.5 for camera in calibration["cameras"])
+    assert calibration["report"]["reprojection_error_px"] < 5.0
+    # The capture stays when the calibration goes.
+    assert making.client.delete(f"/v1/calibrations/{job['id']}").status_code == 204
+    assert making.client.get(session["links"]["self"]).status_code == 200
+
+
+def test_what_people_need_is_said(making: Live, videos: list[Path]) -> None:
+    session_id = "0190b7a4-0000-7000-8000-000000000000"
+    for spec, expected in (
+        ({}, {("missing_part", "/videos"), ("missing_part", "/spec/stature_m")}),
+        ({"stature_m": [1.7], "board": SPEC}, {("missing_part", "/videos"), ("part_not_allowed", "/spec/board")}),
+        ({"session_id": session_id}, {("missing_part", "/spec/stature_m")}),
+    ):
+        problem = problem_of(send(making, [], method="people", **spec), 422, "invalid_request")
+        assert {(one["code"], one["pointer"]) for one in problem["errors"]} == expected
+    with_videos = send(making, videos[:1], method="people", stature_m=[1.7], session_id=session_id)
+    problem = problem_of(with_videos, 422, "invalid_request")
+    assert {(one["code"], one["pointer"]) for one in problem["errors"]} == {("part_not_allowed", "/videos")}
+    for statures in ([0.2], [178.0], ["tall"]):
+        problem_of(send(making, videos[:1], method="people", stature_m=statures), 422, "invalid_request")
+    problem_of(send(making, [], method="people", stature_m=[1.7], session_id=session_id), 404, "not_found")
+    board = send(making, videos, method="board", board=SPEC).json()
+    problem = problem_of(
+        send(making, [], method="people", stature_m=[1.7], session_id=board["session_id"]), 422, "invalid_request"
+    )
+    assert [(one["code"], one["pointer"]) for one in problem["errors"]] == [("not_a_capture", "/spec/session_id")]

@@ -1,0 +1,74 @@
+"""Command ``multicap calibrate people`` on keypoints."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from api.cli.main import app
+from pipeline.calibration.registry import read_calibration
+from pipeline.evaluation.camera_errors import camera_errors
+from pipeline.simulation.motion.director import Cast
+from pipeline.simulation.rigs import Layout, Rig
+from pipeline.simulation.scenes import Scene, record
+from tests.pipeline.simulations import write_simulation
+
+runner = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of two people who walk about before three cameras."""
+    folder = tmp_path_factory.mktemp("capture")
+    write_simulation(
+        record(Scene(Rig(Layout.RING, 3, (4.0, 4.0), 2.2), Cast(2, (3.0, 3.0)), duration_s=15.0), 3), folder
+    )
+    return folder
+
+
+def given(capture: Path) -> list[str]:
+    """Options that name the files of a capture."""
+    return [
+        "--keypoints", str(capture / "keypoints"), "--timestamps", str(capture / "timestamps.csv"),
+        "--intrinsics", str(capture / "calibration.json"), "--stature-m", "1.7",
+    ]  # fmt: skip
+
+
+def test_keypoints_give_a_calibration_and_a_report(capture: Path, tmp_path: Path) -> None:
+    out = tmp_path / "room.toml"
+    arguments = [
+        "calibrate",
+        "people",
+        *given(capture),
+        "--out",
+        str(out),
+        "--report",
+        str(tmp_path / "report"),
+        "--json",
+    ]
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    errors = camera_errors(read_calibration(capture / "calibration.json"), read_calibration(out))
+    assert errors["rotation_deg"] < 0.5
+    assert errors["translation_mm"] < 40.0
+    document = json.loads(result.stdout)
+    assert document["file"] == str(out)
+    assert document["world"].startswith("Z up")
+    assert json.loads((tmp_path / "report" / "report.json").read_bytes())["cameras"] == document["cameras"]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--stature-m", "1.7"], "Give --videos or --keypoints."),
+        (["--stature-m", "1.7", "--keypoints", "K"], "Give --intrinsics too."),
+        (["--stature-m", "1.7", "--videos", "V", "--timestamps", "T"], "Omit --timestamps."),
+        (["--stature-m", "178", "--videos", "V"], "2.6"),
+    ],
+)
+def test_what_is_missing_or_too_much_is_said(options: list[str], expected: str, tmp_path: Path) -> None:
+    result = runner.invoke(app, ["calibrate", "people", *options, "--out", str(tmp_path / "room.json")])
+    assert result.exit_code == 2
+    assert expected in result.stderr
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,113 @@
+"""Parts of the calibration from people."""
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.people.pairs import relate, sampson
+from pipeline.calibration.people.stature import scale_from, statures
+from pipeline.calibration.people.tracklets import JOINTS, Tracklet, find_tracklets, instants_of
+from pipeline.data import Detections, FrameTimes
+from pipeline.geometry.camera import project
+from pipeline.joints import JointSet
+from pipeline.simulation.scenes import Simulation
+
+SET = JointSet(JOINTS, ())
+
+
+def walkers(simulation: Simulation, places_px: np.ndarray) -> Detections:
+    """Bodies, each a square of joints of 100 px, at places of shape (frames, people, 2)."""
+    num_frames, num_people = places_px.shape[:2]
+    shape = np.random.default_rng(0).uniform(-50, 50, (len(JOINTS), 2))
+    shape[0], shape[1] = (0, -50), (0, 50)
+    points_px = (places_px[:, :, None] + shape).reshape(-1, len(JOINTS), 2)
+    frame = np.repeat(np.arange(num_frames), num_people)
+    box_px = np.concatenate([points_px.min(1), points_px.max(1)], axis=1)
+    return Detections(simulation.cameras[0].name, frame, points_px, np.ones(points_px.shape[:2]), box_px)
+
+
+def test_a_tracklet_ends_where_two_people_may_be_exchanged(walk: Simulation) -> None:
+    camera = walk.cameras[0]
+    along, height = np.linspace(100.0, 900.0, 250), np.full(250, 300.0)
+    crossing = np.stack([np.column_stack([along, height]), np.column_stack([along[::-1], height + 10.0])], axis=1)
+    times = {camera.name: FrameTimes(np.arange(250) / 25.0)}
+    instants_s = instants_of(list(times.values()))
+    assert instants_s[:3] == pytest.approx([0.0, 0.1, 0.2])
+    found = find_tracklets([camera], times, {camera.name: walkers(walk, crossing)}, SET, instants_s)
+    for one in found:
+        # Nobody turns round: each tracklet is one person.
+        x = one.points_px[:, 0, 0]
+        assert (np.diff(x) > 0).all() or (np.diff(x) < 0).all()
+    # Two people meet, stand before each other, and go back, or on: nobody can tell.
+    meeting = np.where(np.abs(crossing[..., :1] - 500.0) < 60.0, [500.0, 300.0], crossing)
+    met = find_tracklets([camera], times, {camera.name: walkers(walk, meeting)}, SET, instants_s)
+    assert not any({0, len(instants_s) - 1} <= set(one.instants) for one in met)
+    apart = crossing + np.array([[0.0, 0.0], [0.0, 300.0]])
+    found = find_tracklets([camera], times, {camera.name: walkers(walk, apart)}, SET, instants_s)
+    assert [len(one.instants) for one in found] == [len(instants_s)] * 2
+
+
+def test_points_are_interpolated_between_frames_and_not_over_gaps(walk: Simulation) -> None:
+    camera = walk.cameras[0]
+    time_s = np.arange(250) / 25.0 + 0.013
+    places = np.column_stack([100.0 * time_s, np.full(250, 300.0)])[:, None]
+    times = {camera.name: FrameTimes(time_s)}
+    instants_s = instants_of([FrameTimes(np.array([0.0, 10.0]))])
+    (found,) = find_tracklets([camera], times, {camera.name: walkers(walk, places)}, SET, instants_s)
+    assert found.points_px[:, 0, 0] == pytest.approx(100.0 * instants_s[found.first : found.instants.stop])
+    whole = walkers(walk, places)
+    kept = (whole.frame < 100) | (whole.frame > 130)
+    cut = Detections(camera.name, whole.frame[kept], whole.keypoints_px[kept], whole.score[kept], whole.box_px[kept])
+    found_two = find_tracklets([camera], times, {camera.name: cut}, SET, instants_s)
+    assert len(found_two) == 2
+
+
+def test_two_cameras_find_who_is_who_and_their_relative_pose(walk: Simulation) -> None:
+    instants_s = instants_of(list(walk.times.values()))
+    tracklets = find_tracklets(walk.cameras, walk.times, walk.detections, walk.joints, instants_s)
+    relative = relate((0, 1), tracklets, np.array([camera.matrix[0, 0] for camera in walk.cameras]))
+    assert relative is not None
+    first, second = (walk.cameras[k].cam_from_world for k in (0, 1))
+    true = second @ first.inverse()
+    turn = true.rotation.T @ relative.second_from_first.rotation
+    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 5.0
+    direction = true.translation_m / np.linalg.norm(true.translation_m)
+    assert direction @ relative.second_from_first.translation_m > np.cos(np.radians(5.0))
+    # Every match joins two tracklets of one true person.
+    assert relative.matches
+    for match in relative.matches:
+        people = {person_of(walk, tracklets[number], instants_s) for number in (match.first, match.second)}
+        assert len(people) == 1
+
+
+def person_of(simulation: Simulation, tracklet: Tracklet, instants_s: np.ndarray) -> int:
+    """Person whose joints are closest to a tracklet."""
+    camera = simulation.cameras[tracklet.camera]
+    frames = np.rint(instants_s[np.asarray(tracklet.instants)] * simulation.timebase.frame_rate_hz).astype(int)
+    frames = np.minimum(frames, simulation.timebase.num_frames - 1)
+    columns = simulation.joints.indices(JOINTS)
+    true_px = project(camera, simulation.truth_m[:, frames][:, :, columns])
+    distance_px = np.nanmedian(np.linalg.norm(true_px - tracklet.points_px, axis=-1), axis=(1, 2))
+    return int(np.argmin(distance_px))
+
+
+def test_the_sampson_distance_is_that_to_the_epipolar_line() -> None:
+    # A sideways camera: epipolar lines are rows, and both points move half of the difference.
+    essential = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    left, right = np.array([[0.1, 0.2], [0.0, 0.0]]), np.array([[0.5, 0.2], [0.3, 0.1]])
+    assert sampson(essential, left, right) == pytest.approx([0.0, 0.1 / np.sqrt(2)])
+
+
+def test_statures_scale_the_world_whoever_is_who() -> None:
+    found, weights = np.array([2.0, 1.8, 2.05]), np.array([100.0, 80.0, 10.0])
+    assert scale_from(found, weights, [0.9, 1.0]) == pytest.approx(0.5)
+    assert scale_from(found, weights, [1.7]) == pytest.approx(1.7 / 2.0)
+
+
+def test_a_person_without_legs_has_no_stature(walk: Simulation) -> None:
+    columns = walk.joints.indices(JOINTS)
+    xyz_m = walk.truth_m[0][:, columns].copy()
+    group = np.zeros(len(xyz_m), int)
+    found, _ = statures(xyz_m, group)
+    assert 1.4 < found[0] < 2.1
+    xyz_m[:, -2:] = np.nan
+    assert len(statures(xyz_m, group)[0]) == 0
