@@ -9,12 +9,13 @@ from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 from starlette.routing import BaseRoute
 
-from api.calibration_schemas import CalibrationSpec, UploadedCalibration
 from api.contract import examples
 from api.errors import ErrorItem, ProblemDetails
 from api.http.rates import RATE_HEADERS
 from api.requests.form import CALIBRATION, CALIBRATION_ID, INTRINSICS, KEYPOINTS, TIMESTAMPS, VIDEOS
-from api.schemas import JobEnded, Manifest, UploadedCapture, UploadedSession
+from api.schemas.calibrations import CalibrationSpec, UploadedCalibration
+from api.schemas.captures import Manifest, UploadedCapture, UploadedSession
+from api.schemas.jobs import JobEnded
 from worker.jobs.spec import JobSpec
 
 Responses = dict[int | str, dict[str, Any]]

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 from fastapi import Request
 
-from api.calibration_schemas import CalibrationSpec, Method, UploadedCalibration
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to, unprocessable
 from api.requests.form import CALIBRATION, CALIBRATION_FORM, INTRINSICS, VIDEOS, Form, ReceivedFile
@@ -21,7 +20,8 @@ from api.requests.intake import (
 )
 from api.requests.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
 from api.requests.spec_checks import limit_errors, network_errors
-from api.schemas import Manifest
+from api.schemas.calibrations import CalibrationSpec, Method, UploadedCalibration
+from api.schemas.captures import Manifest
 from worker.jobs.model import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords

@@ -36,7 +36,7 @@ from api.requests.multipart import receive_form
 from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.requests.spec_checks import callback_errors, limit_errors, network_errors, spec_errors
 from api.requests.validation import model_items
-from api.schemas import Manifest, UploadedCapture, UploadedFiles, UploadedSession
+from api.schemas.captures import Manifest, UploadedCapture, UploadedFiles, UploadedSession
 from pipeline.capture.preflight_record import Preflight
 from worker.jobs.errors import NotFound
 from worker.jobs.files.artifacts import input_key, record_key, session_prefix

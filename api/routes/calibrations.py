@@ -8,13 +8,6 @@ from fastapi import APIRouter, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
-from api.calibration_schemas import (
-    MEDIA_TYPES,
-    CalibrationOut,
-    CalibrationPage,
-    Format,
-    UploadedCalibration,
-)
 from api.contract.description import RETRY_AFTER, answer, calibration_body, location, problems
 from api.dependencies import POLL_AFTER_S, CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.errors import ApiError
@@ -23,7 +16,14 @@ from api.requests.calibration_intake import CheckedCalibration, ReadFile, check_
 from api.requests.form import CALIBRATION_FORM
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import SPEC, received, stored
-from api.schemas import JobOut
+from api.schemas.calibrations import (
+    MEDIA_TYPES,
+    CalibrationOut,
+    CalibrationPage,
+    Format,
+    UploadedCalibration,
+)
+from api.schemas.jobs import JobOut
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Session, StagePlan
 from worker.jobs.spec import JobSpec

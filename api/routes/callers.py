@@ -8,7 +8,7 @@ from api.auth import COOKIE, AnyCallerDep, wrong_key
 from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
 from api.requests.bodies import SmallBodyRoute
-from api.schemas import BrowserSession, CallerOut, QuotasOut
+from api.schemas.service import BrowserSession, CallerOut, QuotasOut
 
 router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
 

@@ -11,7 +11,7 @@ from api.auth import AnyCallerDep, RecordsDep
 from api.contract.description import problems
 from api.contract.examples import EVENT
 from api.dependencies import JobId, Services, ServicesDep
-from api.schemas import JobOut
+from api.schemas.jobs import JobOut
 from worker.jobs.errors import NotFound
 from worker.jobs.model import FINISHED, Change
 

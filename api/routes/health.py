@@ -12,7 +12,7 @@ from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
 from api.errors import ErrorItem, database_damaged, problem_response, service_unavailable
 from api.metrics import RequestMetrics
-from api.schemas import Health, Readiness
+from api.schemas.service import Health, Readiness
 from pipeline.config import install_command, networks_of
 from worker.jobs.files.disk import DiskSpace
 from worker.jobs.repositories.work.workers import installed_detectors

@@ -26,7 +26,8 @@ from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
 from api.requests.spec_checks import callback_errors, network_errors, spec_errors
-from api.schemas import AttemptList, AttemptOut, JobOut, JobPage, UploadedCapture
+from api.schemas.captures import UploadedCapture
+from api.schemas.jobs import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import RETRYABLE, Job, JobState
 from worker.jobs.spec import JobSpec

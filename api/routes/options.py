@@ -6,7 +6,7 @@ from api.auth import RecordsDep
 from api.contract.description import answer
 from api.dependencies import ServicesDep
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
-from api.schemas import ChoiceOut, DetectorOut, Options, ProfileNetworksOut, ProfileOut
+from api.schemas.options import ChoiceOut, DetectorOut, Options, ProfileNetworksOut, ProfileOut
 from pipeline.config import (
     CHOICES,
     JOINTS,

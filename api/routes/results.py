@@ -16,7 +16,7 @@ from api.dependencies import JobId, Services, ServicesDep
 from api.errors import ApiError, ErrorItem
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import NOT_MODIFIED, IfNoneMatch
-from api.schemas import ResultList, ResultOut
+from api.schemas.jobs import ResultList, ResultOut
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
 

@@ -10,7 +10,7 @@ from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, CheckedSession, check, received, stored
-from api.schemas import SessionOut, SessionPage, UploadedSession
+from api.schemas.captures import SessionOut, SessionPage, UploadedSession
 from worker.jobs.files.removals import remove_files
 from worker.jobs.model import Session
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from api.errors import MEANINGS
-from api.schemas import CameraManifest, Manifest
+from api.schemas.captures import CameraManifest, Manifest
 from pipeline.capture.quantities import FRAME_RATE_HZ, OFFSET_S
 from tests.api.conftest import Live, form, problem_of
 

@@ -6,7 +6,9 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
-from api.schemas import CameraManifest, Id, JobError, NextCursor, ResponseModel, UploadedFiles, printable_name
+from api.schemas.captures import CameraManifest, UploadedFiles
+from api.schemas.common import Id, NextCursor, ResponseModel, printable_name
+from api.schemas.jobs import JobError
 from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M, CalibrationChoices
 from worker.jobs.model import Calibration, JobState
 

@@ -1,0 +1,218 @@
+"""Bodies of capture sessions: requests of clients, and the session with the report of its check."""
+
+import json
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Self
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from api.schemas.common import Id, NextCursor, ResponseModel, fields_of, printable_name
+from worker.jobs.model import (
+    Session,
+)
+from worker.jobs.spec import JobSpec
+
+
+def _json(value: dict[str, Any]) -> dict[str, Any]:
+    """Refuse values that Python's parser accepts and JSON does not allow, such as NaN and lone surrogates."""
+    try:
+        json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except ValueError:
+        message = "metadata must be valid JSON: no NaN, no infinity, no lone surrogates."
+        raise PydanticCustomError("json_value", message) from None
+    return value
+
+
+class CameraManifest(BaseModel):
+    """Facts about a camera's video that neither the file nor the calibration states."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=64, description="Name of the camera in the calibration."
+    )
+    file: Annotated[str, AfterValidator(printable_name)] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=200,
+        description="Name of the camera's video; by default the video with the camera's name.",
+    )
+    offset_s: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-86_400.0,
+        le=86_400.0,
+        allow_inf_nan=False,
+        description="Time of the first frame on the clock that all cameras share.",
+    )
+    rate: float | None = Field(
+        default=None,
+        strict=True,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frame rate in Hz, if the times in the video are wrong.",
+    )
+
+
+class Manifest(BaseModel):
+    """Description of a session beside its files. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        default="untitled", min_length=1, max_length=200, description="Name of the session for people."
+    )
+    frame_rate_hz: float | None = Field(
+        default=None,
+        strict=True,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frame rate of keypoints without timestamps; by default 25 Hz.",
+    )
+    cameras: tuple[CameraManifest, ...] = Field(
+        default=(), max_length=256, description="Facts about some cameras of a session of videos."
+    )
+    units: Literal["m", "cm", "mm"] = Field(
+        default="m",
+        description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t).",
+    )
+    metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
+        default={}, description="Data of the client, which every response with the session repeats."
+    )
+
+
+class UploadedFiles(BaseModel):
+    """Files that are sent as uploads, each given by the id of its upload. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    videos: tuple[UUID, ...] = Field(default=(), description="Uploads of the videos, one for each camera.")
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        return [("videos", one) for one in self.videos]
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return ()
+
+    def upload_ids(self) -> tuple[str, ...]:
+        """Ids of all uploads."""
+        return tuple(sorted({str(upload_id) for _, upload_id in self.uploads()}))
+
+
+class UploadedSession(UploadedFiles):
+    """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+
+    keypoints: tuple[UUID, ...] = Field(
+        default=(),
+        description="Uploads of keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as "
+        "the camera.",
+    )
+    calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
+    calibration_id: UUID | None = Field(
+        default=None, description="Id of a stored calibration, in place of `calibration`."
+    )
+    timestamps: UUID | None = Field(
+        default=None,
+        description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+    )
+    manifest: Manifest = Manifest()
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        single = (("calibration", self.calibration), ("timestamps", self.timestamps))
+        keypoints = [("keypoints", one) for one in self.keypoints]
+        return [*super().uploads(), *keypoints, *((part, one) for part, one in single if one is not None)]
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return () if self.calibration_id is None else ("calibration_id",)
+
+
+class UploadedCapture(UploadedSession):
+    """Session of uploaded files with the choices of its job. Unknown fields are refused."""
+
+    spec: JobSpec = JobSpec()
+
+
+class FileOut(ResponseModel):
+    """File of a session."""
+
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
+
+
+class CameraOut(ResponseModel):
+    """Camera of the calibration with its video or its keypoints."""
+
+    name: str = Field(description="Name of the camera in the calibration.")
+    file: str = Field(description="Name of the file with the camera's video or keypoints.")
+    size_px: tuple[int, int] = Field(description="Width and height of the frames.")
+    frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
+    num_frames: int = Field(description="Number of frames in the file.")
+    start_time_s: float = Field(default=0.0, description="Time of the camera's first frame on the session's clock.")
+
+
+class TimebaseOut(ResponseModel):
+    """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
+
+    start_time_s: float = Field(description="Time of output frame 0.")
+    frame_rate_hz: float = Field(description="Output frames a second.")
+    num_frames: int = Field(description="Number of output frames.")
+
+
+class PreflightOut(ResponseModel):
+    """Result of the check of a session's files."""
+
+    cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
+    timebase: TimebaseOut = Field(description="Clock of the output frames.")
+    warnings: tuple[str, ...] = Field(description="Warnings about the files.")
+
+
+class SessionLinks(ResponseModel):
+    """Paths of a session and of its jobs."""
+
+    self: str = Field(description="Path of the session.")
+    jobs: str = Field(description="Path of the session's jobs.")
+
+
+class SessionOut(ResponseModel):
+    """Capture session."""
+
+    id: Id
+    name: str = Field(description="Name of the session for people.")
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    files: tuple[FileOut, ...] = Field(description="Files of the session.")
+    num_bytes: int = Field(description="Size of all files.")
+    preflight: PreflightOut = Field(description="Result of the check of the files.")
+    metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
+    links: SessionLinks
+
+    @classmethod
+    def of(cls, session: Session) -> Self:
+        """Build the response from a session."""
+        address = f"/v1/sessions/{session.id}"
+        return cls(
+            id=session.id,
+            name=session.name,
+            created_at=session.created_at,
+            files=tuple(FileOut(**fields_of(file, FileOut)) for file in session.files),
+            num_bytes=sum(file.num_bytes for file in session.files),
+            preflight=PreflightOut.model_validate(session.preflight.to_json()),
+            metadata=dict(session.metadata),
+            links=SessionLinks(self=address, jobs=f"{address}/jobs"),
+        )
+
+
+class SessionPage(ResponseModel):
+    """Page of sessions, the newest session first."""
+
+    sessions: tuple[SessionOut, ...]
+    next_cursor: NextCursor

@@ -1,0 +1,238 @@
+"""Bodies of jobs: the envelope that every answer, event and webhook has, with stages, attempts and results."""
+
+from typing import Literal, Self
+
+from pydantic import AwareDatetime, Field
+
+from api.schemas.common import Id, NextCursor, ResponseModel, fields_of
+from pipeline.stages.plan import STAGE_BY_NAME
+from worker.jobs.model import (
+    CANCELABLE,
+    Attempt,
+    ChunkState,
+    Failure,
+    Job,
+    JobState,
+    Problem,
+    Result,
+    Stage,
+    is_worth_a_retry,
+)
+from worker.jobs.spec import JobSpec
+
+
+class StageOut(ResponseModel):
+    """Stage of a job with its progress."""
+
+    name: str = Field(description="Name of the stage, such as `detect`.")
+    label: str = Field(description="Name of the stage for people.")
+    state: ChunkState = Field(description="State of the stage.")
+    done: int = Field(description="Units of work that are done, such as a camera's frames.")
+    total: int = Field(description="All units of work.")
+    fraction: float = Field(ge=0, le=1, description="Share of the units that are done.")
+    started_at: AwareDatetime | None = Field(description="Start of the first chunk; null before.")
+    finished_at: AwareDatetime | None = Field(description="End of the last chunk; null before.")
+    reused: bool = Field(description="Whether the outputs of an earlier job were used.")
+
+    @classmethod
+    def of(cls, stage: Stage) -> Self:
+        """Build the response from a stage."""
+        fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
+        label = STAGE_BY_NAME[stage.name].label
+        return cls(label=label, fraction=min(1.0, fraction), **fields_of(stage, cls, without=("label", "fraction")))
+
+
+class JobError(ResponseModel):
+    """Error of a job or of an attempt at a chunk."""
+
+    code: str = Field(description="Stable code; docs/problems.md lists all codes.")
+    detail: str = Field(description="Description of the error, a sentence for a person.")
+    stage: str | None = Field(description="Stage that failed.")
+    camera: str | None = Field(description="Camera whose file caused the error.")
+    hint: str | None = Field(description="Advice to the caller.")
+    retryable: bool = Field(description="Whether another attempt may succeed.")
+
+    @classmethod
+    def of(cls, problem: Problem) -> Self:
+        """Build the response from a problem."""
+        return cls(**fields_of(problem, cls))
+
+
+class FailureOut(ResponseModel):
+    """Failed attempt at a chunk of a stage."""
+
+    stage: str = Field(description="Name of the stage.")
+    chunk: int = Field(description="Number of the chunk in its stage, from 0.")
+    chunk_try: int = Field(description="Number of the attempt at the chunk, from 1.")
+    failed_at: AwareDatetime = Field(description="Time of the failure.")
+    reason: JobError = Field(description="Error of the attempt.")
+
+    @classmethod
+    def of(cls, failure: Failure) -> Self:
+        """Build the response from a failure."""
+        return cls(
+            chunk=failure.chunk_index,
+            reason=JobError.of(failure.problem),
+            **fields_of(failure, cls, without=("chunk", "reason")),
+        )
+
+
+class AttemptOut(ResponseModel):
+    """Attempt of a job: its first run, or a retry."""
+
+    attempt: int = Field(description="Number of the attempt, from 1.")
+    state: JobState = Field(description="State of the job in this attempt.")
+    queued_at: AwareDatetime = Field(description="Time at which the attempt was queued.")
+    started_at: AwareDatetime | None = Field(description="Start of the attempt; null while it is queued.")
+    finished_at: AwareDatetime | None = Field(description="End of the attempt; null before.")
+    error: JobError | None = Field(description="Error that ended the attempt; null if it did not fail.")
+    failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
+
+    @classmethod
+    def of(cls, attempt: Attempt) -> Self:
+        """Build the response from an attempt."""
+        return cls(
+            error=JobError.of(attempt.problem) if attempt.problem else None,
+            failures=tuple(FailureOut.of(failure) for failure in attempt.failures),
+            **fields_of(attempt, cls, without=("error", "failures")),
+        )
+
+
+class AttemptList(ResponseModel):
+    """All attempts of a job, in the order of time."""
+
+    attempts: tuple[AttemptOut, ...]
+
+
+class WarningOut(ResponseModel):
+    """Warning about a result."""
+
+    code: str = Field(description="Stable code, such as `few_views`; docs/problems.md lists all codes.")
+    message: str = Field(description="Sentence for people.")
+
+
+class JobLinks(ResponseModel):
+    """Paths of a job and of everything that belongs to it."""
+
+    self: str = Field(description="Path of the job.")
+    session: str = Field(description="Path of the job's session.")
+    attempts: str = Field(description="Path of the job's attempts.")
+    events: str = Field(description="Path of the job's event stream.")
+    results: str = Field(description="Path of the list of result files.")
+    results_zip: str = Field(description="Path of the archive of all result files.")
+    cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
+    retry: str | None = Field(
+        description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
+    )
+
+
+class JobOut(ResponseModel):
+    """Job: a reconstruction of a session, or the making of a calibration from it."""
+
+    id: Id
+    kind: Literal["reconstruction", "calibration"] = Field(description="What the job makes.")
+    calibration_id: Id | None = Field(description="Calibration that the job makes; null of a reconstruction.")
+    session_id: Id
+    session_name: str = Field(description="Name of the session.")
+    num_frames: int = Field(description="Output frames of the whole session; `spec.frame_range` may select some.")
+    duration_s: float = Field(description="Duration of the session: output frames divided by the frame rate.")
+    state: JobState = Field(description="State of the job.")
+    spec: JobSpec = Field(description="Choices of the job.")
+    attempt: int = Field(description="Number of the current attempt, from 1.")
+    stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
+    progress: float = Field(
+        ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
+    )
+    queue_position: int | None = Field(description="Position in the queue, from 1; null once the job runs.")
+    eta_s: float | None = Field(
+        ge=0,
+        description="Estimated seconds left, from the work that is done; null before any work is done, and at the end.",
+    )
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    started_at: AwareDatetime | None = Field(description="Start of the current attempt; null while it is queued.")
+    finished_at: AwareDatetime | None = Field(description="End of the current attempt; null before.")
+    expires_at: AwareDatetime | None = Field(
+        description="Time at which results are deleted; null if they are kept until the job is deleted."
+    )
+    error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
+    warnings: tuple[str, ...] = Field(
+        description="Warnings about the files, the choices and, once finished, the result."
+    )
+    result_warnings: tuple[WarningOut, ...] = Field(
+        description="Warnings about the result with codes, such as `nobody_found`; docs/problems.md lists all codes."
+    )
+    links: JobLinks
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        """Build the response from a job."""
+        address = f"/v1/jobs/{job.id}"
+        return cls(
+            **fields_of(job, cls, without=("kind", "calibration_id", "stages", "error", "result_warnings", "links")),
+            kind="reconstruction" if job.making is None else "calibration",
+            calibration_id=None if job.making is None else job.id,
+            stages=tuple(StageOut.of(stage) for stage in job.stages),
+            error=JobError.of(job.problem) if job.problem else None,
+            result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),
+            links=JobLinks(
+                self=address,
+                session=f"/v1/sessions/{job.session_id}",
+                attempts=f"{address}/attempts",
+                events=f"{address}/events",
+                results=f"{address}/results",
+                results_zip=f"{address}/results.zip",
+                cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
+                retry=f"{address}/retry" if is_worth_a_retry(job.state, job.problem) else None,
+            ),
+        )
+
+
+class JobPage(ResponseModel):
+    """Page of jobs, the newest job first."""
+
+    jobs: tuple[JobOut, ...]
+    next_cursor: NextCursor
+
+
+class EndedJob(ResponseModel):
+    """Job that has ended, in short; `GET /v1/jobs/{id}` has all fields."""
+
+    id: Id
+    session_id: Id
+    state: JobState = Field(description="State of the job at its end.")
+    attempt: int = Field(description="Number of the attempt that ended.")
+    warnings: tuple[str, ...] = Field(description="Warnings of the job.")
+
+
+class JobEnded(ResponseModel):
+    """Webhook about the end of a job, by Standard Webhooks.
+
+    Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
+    """
+
+    type: str = Field(description="Type of the message: `job.` and the state of the job.")
+    timestamp: AwareDatetime = Field(description="Time at which the job ended.")
+    data: EndedJob
+
+
+class ResultOut(ResponseModel):
+    """Result file of a job."""
+
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.")
+    person: str | None = Field(description="Person in the file; null if it concerns all people.")
+    media_type: str = Field(description="Content type of the file.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
+    link: str = Field(description="Path of the file.")
+
+    @classmethod
+    def of(cls, job_id: str, result: Result) -> Self:
+        """Build the response from a result."""
+        return cls(link=f"/v1/jobs/{job_id}/results/{result.name}", **fields_of(result, cls, without=("link",)))
+
+
+class ResultList(ResponseModel):
+    """All result files of a job."""
+
+    results: tuple[ResultOut, ...]
