@@ -8,9 +8,9 @@ from typing import Annotated, Any, cast
 import typer
 
 from pipeline.calibration.contents import UNITS_M, Units
+from pipeline.choices import Choice, choices_of
 from pipeline.config import (
     CHOICES,
-    Choice,
     Feet,
     JobChoices,
     JointCenters,
@@ -18,7 +18,6 @@ from pipeline.config import (
     ReconstructionConfig,
     RefineCalibration,
     Smoothing,
-    choices_of,
 )
 from pipeline.errors import InputError, Problem
 

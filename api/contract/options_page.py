@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from api.contract.documentation import write_or_check
-from pipeline.config import CHOICES, Choice, ReconstructionConfig, Value, choices_of
+from pipeline.choices import Choice, Value, choices_of
+from pipeline.config import CHOICES, ReconstructionConfig
 
 PAGE = Path(__file__).parents[2] / "docs" / "options.md"
 

@@ -5,7 +5,8 @@ from typing import Self
 from pydantic import Field
 
 from api.schemas.common import ResponseModel
-from pipeline.config import Choice, JointsOfBody, Kind, Profile
+from pipeline.choices import Choice, Kind
+from pipeline.config import JointsOfBody, Profile
 
 
 class DetectorOut(ResponseModel):

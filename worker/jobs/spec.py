@@ -8,19 +8,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 from pydantic.config import JsonDict
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
+from pipeline.choices import About, Choice, OtherNames, Value, members, values_of
 from pipeline.config import (
     CHOICES,
     MAX_OUTPUT_FRAMES,
-    About,
-    Choice,
     JobChoices,
-    OtherNames,
     ReconstructionConfig,
-    Value,
-    members,
     too_long_for,
     unlimited_alternatives,
-    values_of,
 )
 
 

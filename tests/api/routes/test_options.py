@@ -5,7 +5,8 @@ from pydantic import ValidationError
 
 from api.cli.main import load
 from api.contract.options_page import PAGE, document, main
-from pipeline.config import CHOICES, ReconstructionConfig, choices_of
+from pipeline.choices import choices_of
+from pipeline.config import CHOICES, ReconstructionConfig
 from tests.api.conftest import Live
 from worker.jobs.spec import JobSpec
 

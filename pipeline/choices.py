@@ -1,0 +1,196 @@
+"""Vocabulary of declared choices: values with labels, limits, and the choices that a dataclass declares.
+
+``pipeline.config`` declares the choices of a reconstruction with it. A value stands once, with its label: as
+``Annotated[Literal["name"], Value("label")]`` in the union of its choice. Standard library only.
+"""
+
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A value of a choice.
+
+    Parameters
+    ----------
+    label
+        What forms and documentation call it.
+    note
+        Further sentence for the documentation, such as a cost; empty for none.
+    """
+
+    label: str
+    note: str = field(default="", kw_only=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Network(Value):
+    """A detector network; ``pipeline.detect.entries`` has its files, input and outputs.
+
+    Parameters
+    ----------
+    leaves_fields
+        Whether it outputs part affinity fields; the other networks find whole bodies.
+    publisher
+        Where users get its files; ``None``: Multicap installs it from a package.
+    """
+
+    leaves_fields: bool = False
+    publisher: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat(Value):
+    """A format of a person's file; ``pipeline.export.formats`` writes and reads it.
+
+    Parameters
+    ----------
+    media_type
+        RFC 6838, as the service sends it.
+    holds
+        ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints.
+    max_frames
+        Largest number of frames of a file; ``None``: no limit.
+    """
+
+    media_type: str
+    holds: Literal["motion", "joints"]
+    max_frames: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OtherNames:
+    """Values of a choice beside the named ones, by a regular expression."""
+
+    pattern: str
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a declaration says of a choice beside its type and default.
+
+    Parameters
+    ----------
+    label
+        Heading of its field in a form.
+    sentence
+        Description for the API, the command line and the documentation.
+    minimum, above, maximum
+        Limits of numbers: at least, more than, at most.
+    unset
+        Meaning of an omitted value, where the default is ``None``.
+    option
+        Name of the option of the command line, if other than the field's.
+    noun
+        Name of one value in problems of the command line, if other than the option's.
+    """
+
+    label: str
+    sentence: str
+    minimum: int | float | None = None
+    above: int | float | None = None
+    maximum: int | float | None = None
+    unset: str | None = None
+    option: str | None = None
+    noun: str | None = None
+
+
+Kind = Literal["one", "several", "number", "whole_number", "frame_range"]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A declared choice.
+
+    Parameters
+    ----------
+    name
+        Name of the field.
+    kind
+        ``one`` of the values, ``several`` of them, a number, a whole number, or a range of frames.
+    hint
+        Type of the field, with the labels of its values.
+    values
+        Named values by name; of numbers, names that stand for no number.
+    """
+
+    name: str
+    kind: Kind
+    hint: Any
+    values: Mapping[str, Value]
+    default: Any
+    about: About
+
+    @property
+    def option(self) -> str:
+        """Name of the option of the command line, without dashes in front."""
+        return self.about.option or self.name.replace("_", "-")
+
+    @property
+    def noun(self) -> str:
+        """Name of one value in problems of the command line."""
+        return self.about.noun or self.option
+
+    @property
+    def is_checked_by_name(self) -> bool:
+        """Whether the command line refuses values that are not declared; of networks the registry refuses them."""
+        return self.kind in {"one", "several"} and self.name != "detector"
+
+    @property
+    def description(self) -> str:
+        """The sentence, with the values and their labels or the meaning of an omitted value."""
+        parts = [f"`{name}`: {value.label}" for name, value in self.values.items()]
+        if self.about.unset is not None:
+            parts.append(f"Omitted: {self.about.unset}")
+        return f"{self.about.sentence} {'; '.join(parts)}." if parts else self.about.sentence
+
+
+def members(hint: Any) -> tuple[Any, ...]:
+    """Types of a union; of another type the type itself."""
+    return get_args(hint) if get_origin(hint) in {Union, types.UnionType} else (hint,)
+
+
+_AnyValue = TypeVar("_AnyValue", bound=Value)
+
+
+def values_of(hint: Any, kind: type[_AnyValue]) -> dict[str, _AnyValue]:
+    """Values of a type of this module that are of a kind, by name, in the order of their declaration."""
+    found = {}
+    for member in members(hint):
+        if get_origin(member) is tuple:
+            found.update(values_of(get_args(member)[0], kind))
+        elif get_origin(member) is Annotated:
+            literal, value = get_args(member)
+            if isinstance(value, kind):
+                found[str(*get_args(literal))] = value
+    return found
+
+
+def choices_of(declaration: type[Any]) -> tuple[Choice, ...]:
+    """Choices that a dataclass declares, in their order; fields without ``About`` are left out."""
+    hints = get_type_hints(declaration, include_extras=True)
+    found = []
+    for one in fields(declaration):
+        hint = hints[one.name]
+        if get_origin(hint) is Annotated:
+            inner, about = get_args(hint)
+            found.append(Choice(one.name, _kind(inner), inner, values_of(inner, Value), one.default, about))
+    return tuple(found)
+
+
+def _kind(hint: Any) -> Kind:
+    plain = [member for member in members(hint) if get_origin(member) is not Annotated and member is not type(None)]
+    match plain:
+        case []:
+            return "one"
+        case [one] if get_origin(one) is tuple:
+            return "several" if get_args(one)[1] is Ellipsis else "frame_range"
+        case [one] if one is int:
+            return "whole_number"
+        case [one] if one is float:
+            return "number"
+    message = f"Choices have no type {hint}."
+    raise TypeError(message)
