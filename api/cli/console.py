@@ -31,6 +31,7 @@ from rich.progress import Progress as ProgressBars
 from rich.text import Text
 
 from pipeline.errors import InputError, PipelineError
+from pipeline.findings import Finding, documents
 from pipeline.progress import Progress
 from pipeline.stages.plan import STAGE_BY_NAME
 
@@ -119,6 +120,15 @@ def warn(sentence: str) -> None:
 
 def _print_error(sentence: str) -> None:
     console.print(Text.assemble(("error ", "bold red"), sentence), soft_wrap=True)
+
+
+def show_findings(findings: Sequence[Finding], all_is_well: str) -> None:
+    """Print the findings of a check, errors first, or the sentence that nothing was found."""
+    for one in documents(findings):
+        sentence = f"{one['camera']}: {one['message']}" if one["camera"] else one["message"]
+        (_print_error if one["severity"] == "error" else warn)(f"{sentence} {one['hint'] or ''}".rstrip())
+    if not findings:
+        console.print(all_is_well)
 
 
 class _Interruption(KeyboardInterrupt):

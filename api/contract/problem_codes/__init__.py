@@ -6,7 +6,7 @@ code that raises problems.
 
 from collections.abc import Mapping
 
-from api.contract.problem_codes.commands import COMMANDS
+from api.contract.problem_codes.commands import COMMANDS, FINDINGS
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from api.contract.problem_codes.requests import ANSWERS, FIELDS, PARTS
 from api.contract.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
@@ -27,6 +27,7 @@ GROUPS: tuple[CodeGroup, ...] = (
     READINESS,
     WARNINGS,
     COMMANDS,
+    FINDINGS,
 )
 
 STATUSES: Mapping[str, int] = {code.name: code.statuses[0] for group in GROUPS for code in group.codes if code.statuses}

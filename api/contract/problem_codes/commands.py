@@ -4,6 +4,7 @@ from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from pipeline.config import CHOICES
 
 _COMMAND = ("command",)
+_FINDING = ("finding",)
 
 COMMANDS = CodeGroup(
     "Command line",
@@ -57,5 +58,55 @@ COMMANDS = CodeGroup(
             "backup_failed", _COMMAND, "The backup could not be made, read or restored.", "Follow the message."
         ),
         ProblemCode("interrupted", _COMMAND, "The command was interrupted by a signal.", "Start it again."),
+    ),
+)
+
+FINDINGS = CodeGroup(
+    "Findings of checks",
+    "`multicap calibration check FILE` lists what is wrong (`error`) or doubtful (`warning`) about a calibration. With "
+    "videos or keypoints it lists failed checks of the people too, under the codes of warnings of a result.",
+    (
+        ProblemCode(
+            "same_place",
+            _FINDING,
+            "Two cameras are at the same place; an error if they are turned alike, too.",
+            "Check whether one camera stands twice in the file.",
+        ),
+        ProblemCode(
+            "world_unit",
+            _FINDING,
+            "The cameras are farther apart, or closer together, than those of any rig.",
+            "State the unit of the calibration.",
+        ),
+        ProblemCode(
+            "no_common_view",
+            _FINDING,
+            "No other camera sees any place that the camera sees.",
+            "Check the pose of the camera, or turn it to the view of the others.",
+        ),
+        ProblemCode(
+            "focal_length",
+            _FINDING,
+            "The focal length does not fit the size of the picture.",
+            "Check that the camera matrix belongs to this size, in pixels.",
+        ),
+        ProblemCode(
+            "pixels_not_square",
+            _FINDING,
+            "The focal lengths along x and y differ.",
+            "Check the camera matrix, unless the picture was stretched.",
+        ),
+        ProblemCode(
+            "principal_point",
+            _FINDING,
+            "The principal point is far from the middle of the picture.",
+            "Check that the camera matrix belongs to this size, and that the picture was not cropped.",
+        ),
+        ProblemCode(
+            "distortion_folds",
+            _FINDING,
+            "The distortion has no inverse in a part of the picture; an error if that part is not only in the corners.",
+            "Calibrate the lens again with views near the edges, or with fewer coefficients.",
+        ),
     ),
 )

@@ -341,7 +341,7 @@ PARTS = CodeGroup(
         ),
         ProblemCode(
             "calibration_unposed",
-            _FIELD,
+            (*_FIELD, "finding"),
             "The calibration has the intrinsics of its cameras, and no poses.",
             "Make one from videos in which the cameras see the board at the same time.",
         ),

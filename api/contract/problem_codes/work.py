@@ -5,6 +5,7 @@ from pipeline.config import FILE_FORMATS, unlimited_alternatives
 
 _SPEC = ("422", "command")
 _WARNING = ("warning",)
+_WARNING_AND_FINDING = ("warning", "finding")
 _READYZ = ("readyz",)
 
 SPECS = CodeGroup(
@@ -122,11 +123,13 @@ WARNINGS = CodeGroup(
     (
         ProblemCode(
             "nobody_found",
-            _WARNING,
+            _WARNING_AND_FINDING,
             "No person was found.",
             "Check that the calibration belongs to the videos, and that two cameras see a person at the same time.",
         ),
-        ProblemCode("too_few_cameras", _WARNING, "The session has fewer than three cameras.", "Add a camera."),
+        ProblemCode(
+            "too_few_cameras", _WARNING_AND_FINDING, "The session has fewer than three cameras.", "Add a camera."
+        ),
         ProblemCode(
             "damaged_video",
             _WARNING,
@@ -135,7 +138,7 @@ WARNINGS = CodeGroup(
         ),
         ProblemCode(
             "camera_without_people",
-            _WARNING,
+            _WARNING_AND_FINDING,
             "A camera was matched with no person.",
             "Check its video, its calibration and its offset.",
         ),
@@ -232,27 +235,42 @@ WARNINGS = CodeGroup(
             "The board never lies still on the floor, so that the floor of the world is a guess.",
             "Lay it flat on the floor for a second, or state the time (`--floor-time`).",
         ),
-        ProblemCode("upside_down", _WARNING, "Heads are below feet.", "Turn the calibration: Z must point up."),
         ProblemCode(
-            "not_upright", _WARNING, "People lean in most frames.", "Check that the calibration's up axis is Z."
+            "upside_down", _WARNING_AND_FINDING, "Heads are below feet.", "Turn the calibration: Z must point up."
         ),
         ProblemCode(
-            "floor_not_at_zero", _WARNING, "Feet do not stand at a height of 0.", "Move the calibration's origin."
+            "not_upright",
+            _WARNING_AND_FINDING,
+            "People lean in most frames.",
+            "Check that the calibration's up axis is Z.",
         ),
-        ProblemCode("floor_tilted", _WARNING, "The floor that feet stand on is tilted.", "Level the calibration."),
         ProblemCode(
-            "stature_out_of_range", _WARNING, "A person is not 1.0 to 2.3 m tall.", "Check the calibration's unit."
+            "floor_not_at_zero",
+            _WARNING_AND_FINDING,
+            "Feet do not stand at a height of 0.",
+            "Move the calibration's origin.",
         ),
-        ProblemCode("camera_below_floor", _WARNING, "A camera is below the floor.", "Check the calibration's axes."),
+        ProblemCode(
+            "floor_tilted", _WARNING_AND_FINDING, "The floor that feet stand on is tilted.", "Level the calibration."
+        ),
+        ProblemCode(
+            "stature_out_of_range",
+            _WARNING_AND_FINDING,
+            "A person is not 1.0 to 2.3 m tall.",
+            "Check the calibration's unit.",
+        ),
+        ProblemCode(
+            "camera_below_floor", _WARNING_AND_FINDING, "A camera is below the floor.", "Check the calibration's axes."
+        ),
         ProblemCode(
             "mirrored_world",
-            _WARNING,
+            _WARNING_AND_FINDING,
             "People's left and right are exchanged.",
             "Check the signs of the calibration's axes, and that the videos are not mirrored.",
         ),
         ProblemCode(
             "camera_disagrees",
-            _WARNING,
+            _WARNING_AND_FINDING,
             "A camera sees people elsewhere than the other cameras do.",
             "Refine the calibration; see [refinement](calibration.md#refinement). Or check the camera's offset.",
         ),

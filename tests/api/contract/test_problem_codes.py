@@ -19,7 +19,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 CODES = {one.name: one for group in GROUPS for one in group.codes}
 NAME = re.compile(r"[a-z]+(_[a-z0-9]+)*")
-PLACES = {"job", "attempt", "readyz", "command", "warning"}
+PLACES = {"job", "attempt", "readyz", "command", "warning", "finding"}
 
 # Functions with tuples whose first items are codes.
 IN_TUPLES = {
@@ -44,6 +44,8 @@ PASSED_ON = {
     ("api/errors.py", "problem_response"),
     ("api/routes/health.py", "_database_check"),  # that of database_damaged
     ("pipeline/capture/session.py", "_range_problems"),
+    ("pipeline/findings.py", "from_problem"),  # those of the problem
+    ("pipeline/quality/findings.py", "people_findings"),  # those of the checks of a take
     ("pipeline/video/probe.py", "problem"),
     ("worker/problems.py", "problem_of"),  # those of the pipeline
 }

@@ -1,39 +1,32 @@
-"""`multicap calibration`: show and convert calibration files."""
+"""`multicap calibration`: show, check and convert calibration files."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
+from api.cli.commands.calibration import check
+from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
 from api.cli.console import console, emit, print_table, reporting, warn
-from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, Contents, Units
-from pipeline.calibration.registry import read_contents
+from pipeline.calibration.contents import UNKNOWN_SIZE, Contents
 from pipeline.calibration.write import ENCODERS
 from pipeline.data import Camera
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.geometry.camera import center_in_world
 
-app = typer.Typer(help="Calibration files: show, convert.", no_args_is_help=True)
-
-
-FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
-UnitsOption = Annotated[
-    str, typer.Option("--units", metavar="|".join(UNITS_M), help="Unit of lengths, if the format does not state it.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """Calibration files: show, convert."""
+    """Calibration files: show, check, convert."""
 
 
 @app.command()
 def show(file: FileArgument, units: UnitsOption = "m", as_json: JsonOption = False) -> None:
     """Show the format, the unit and the cameras of a calibration."""
     with reporting(as_json):
-        contents = _read(file, units)
+        contents = read(file, units)
     if as_json:
         emit(_document(contents, units))
         return
@@ -53,7 +46,7 @@ def convert(
 ) -> None:
     """Write a calibration as Multicap's JSON, Caliscope's TOML or OpenCV's YAML, in metres."""
     with reporting(as_json):
-        contents = _read(file, units)
+        contents = read(file, units)
         problems = [_unsized(file, camera) for camera in contents.cameras if camera.size_px == UNKNOWN_SIZE]
         if target.suffix.lower() not in ENCODERS:
             hint = f"Use one of {', '.join(ENCODERS)}."
@@ -66,13 +59,6 @@ def convert(
         return
     _show_statement(contents, units)
     console.print(f"{len(contents.cameras)} cameras in {target}")
-
-
-def _read(file: Path, units: str) -> Contents:
-    if units not in UNITS_M:
-        raise InputError([Problem("calibration_units", f"--units must be one of {', '.join(UNITS_M)}.")])
-    known: Units = next(unit for unit in UNITS_M if unit == units)
-    return read_contents(file, known)
 
 
 def _write(target: Path, content: bytes) -> None:
@@ -114,17 +100,8 @@ def _document(contents: Contents, units: str) -> dict[str, Any]:
         "units": contents.unit or units,
         "axes": contents.axes,
         "notes": list(contents.notes),
-        "cameras": [
-            {
-                "name": camera.name,
-                "size_px": None if camera.size_px == UNKNOWN_SIZE else list(camera.size_px),
-                "matrix": camera.matrix.tolist(),
-                "lens": camera.lens,
-                "distortion": camera.distortion.tolist(),
-                "rotation": camera.cam_from_world.rotation.tolist(),
-                "translation_m": camera.cam_from_world.translation_m.tolist(),
-                "position_m": np.round(center_in_world(camera), 6).tolist(),
-            }
-            for camera in contents.cameras
-        ],
+        "cameras": camera_documents(contents.cameras),
     }
+
+
+app.command("check")(check.command)

@@ -1,16 +1,24 @@
-"""Commands ``multicap calibration show`` and ``convert``."""
+"""Commands ``multicap calibration show``, ``check`` and ``convert``."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
+from pipeline.calibration.refinement.adjust import move_camera
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode, encode_opencv
+from pipeline.data import Camera
+from pipeline.geometry.rigid import Rigid3
+from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig
+from tests.pipeline.simulations import write_simulation
 
 runner = CliRunner()
 
@@ -63,3 +71,70 @@ def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
     own = tmp_path / "own.json"
     own.write_bytes(encode(RIG))
     assert problems("show", str(own), "--units=mm") == ["calibration_units"]
+
+
+def check(*words: str) -> tuple[int, dict[str, Any]]:
+    result = runner.invoke(app, ["calibration", "check", *words, "--json"])
+    return result.exit_code, json.loads(result.stdout)
+
+
+def test_check_of_a_good_calibration(rig: Path) -> None:
+    code, found = check(str(rig))
+    assert (code, found["findings"]) == (0, [])
+    assert [camera["name"] for camera in found["cameras"]] == ["left", "right"]
+    result = runner.invoke(app, ["calibration", "check", str(rig)])
+    assert "2 cameras: nothing is wrong with the calibration." in result.stderr
+
+
+def test_check_names_unit_and_camera(tmp_path: Path) -> None:
+    far = tmp_path / "far.json"
+    poses = (Rigid3(one.cam_from_world.rotation, -1e4 * np.eye(3)[axis]) for axis, one in enumerate(RIG))
+    far.write_bytes(encode([replace(one, cam_from_world=pose) for one, pose in zip(RIG, poses, strict=True)]))
+    code, found = check(str(far))
+    assert code == 2
+    assert [(one["code"], one["severity"]) for one in found["findings"]] == [("world_unit", "error")]
+    result = runner.invoke(app, ["calibration", "check", str(far)])
+    assert (result.exit_code, "error The cameras are up to" in result.stderr) == (2, True)
+
+
+def test_check_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    code, found = check(str(tmp_path / "none.json"))
+    assert (code, found["cameras"]) == (2, [])
+    assert [(one["code"], one["severity"], one["camera"]) for one in found["findings"]] == [
+        ("calibration_missing", "error", None)
+    ]
+    assert check(str(tmp_path / "none.json"), "--timestamps=t.csv")[1]["problems"][0]["code"] == "sources"
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five seconds of two people in a room."""
+    scene = replace(find_scene("room"), duration_s=5.0)
+    folder = tmp_path_factory.mktemp("room")
+    write_simulation(record(scene, seed=3, num_views=4), folder)
+    return folder
+
+
+def test_people_tell_a_turned_camera_and_a_wrong_floor(room: Path) -> None:
+    """Calibrations that are good by themselves are compared with people."""
+    cameras = read_contents(room / "calibration.json").cameras
+    people = ("--keypoints", str(room / "keypoints"), "--timestamps", str(room / "timestamps.csv"))
+    code, found = check(str(room / "calibration.json"), *people)
+    assert (code, found["findings"]) == (0, [])
+
+    def findings(name: str, changed: Sequence[Camera]) -> list[dict[str, Any]]:
+        file = room / name
+        file.write_bytes(encode(changed))
+        assert check(str(file))[1]["findings"] == []
+        code, found = check(str(file), *people)
+        assert code == 0
+        listed: list[dict[str, Any]] = found["findings"]
+        return listed
+
+    turn = np.array([0.0, np.radians(1.5), 0.0, 0.0, 0.0, 0.0, 0.0])
+    (turned,) = findings("turned.json", [move_camera(cameras[0], turn), *cameras[1:]])
+    assert (turned["code"], turned["camera"]) == ("camera_disagrees", cameras[0].name)
+    lift_m = np.array([0.0, 0.0, 0.5])
+    lifted = [replace(one, cam_from_world=one.cam_from_world @ Rigid3(np.eye(3), -lift_m)) for one in cameras]
+    (high,) = findings("lifted.json", lifted)
+    assert (high["code"], high["evidence"]) == ("floor_not_at_zero", pytest.approx(0.5, abs=0.05))

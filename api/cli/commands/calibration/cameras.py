@@ -1,0 +1,51 @@
+"""Calibration files on the command line: arguments, reading, and JSON of cameras."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, Contents, Units
+from pipeline.calibration.registry import read_contents
+from pipeline.data import Camera
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.camera import center_in_world
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
+UnitsOption = Annotated[
+    str, typer.Option("--units", metavar="|".join(UNITS_M), help="Unit of lengths, if the format does not state it.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+
+
+def read(file: Path, units: str) -> Contents:
+    """Read a calibration in a unit as it was typed.
+
+    Raises
+    ------
+    InputError
+        If there is no such unit, or with all problems of the file.
+    """
+    if units not in UNITS_M:
+        raise InputError([Problem("calibration_units", f"--units must be one of {', '.join(UNITS_M)}.")])
+    known: Units = next(unit for unit in UNITS_M if unit == units)
+    return read_contents(file, known)
+
+
+def camera_documents(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
+    """Cameras as JSON objects; lengths in metres."""
+    return [
+        {
+            "name": camera.name,
+            "size_px": None if camera.size_px == UNKNOWN_SIZE else list(camera.size_px),
+            "matrix": camera.matrix.tolist(),
+            "lens": camera.lens,
+            "distortion": camera.distortion.tolist(),
+            "rotation": camera.cam_from_world.rotation.tolist(),
+            "translation_m": camera.cam_from_world.translation_m.tolist(),
+            "position_m": np.round(center_in_world(camera), 6).tolist(),
+        }
+        for camera in cameras
+    ]

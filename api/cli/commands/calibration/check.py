@@ -1,0 +1,94 @@
+"""`multicap calibration check`: what is wrong or doubtful about a calibration, alone and with people."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+
+from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
+from api.cli.console import EXIT_BAD_INPUT, StageBars, emit, reporting, show_findings, warn
+from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known, known_units
+from pipeline.calibration.checks.check import check_cameras
+from pipeline.capture.keypoints import open_keypoints
+from pipeline.capture.session import open_session
+from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.data import Camera
+from pipeline.errors import InputError, Problem
+from pipeline.findings import Finding, documents, from_problem, has_error
+from pipeline.quality.findings import join_findings, people_findings
+from pipeline.quality.report import quality_report
+from pipeline.stages.association import Session
+from pipeline.stages.local import reconstruct
+
+
+def command(
+    file: FileArgument,
+    videos: Annotated[
+        Path | None, typer.Option(help="Folder with one video of each camera: people in them are checked too.")
+    ] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
+    ] = None,
+    timestamps: Annotated[
+        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+    ] = None,
+    units: UnitsOption = "m",
+    profile: ProfileOption = DEFAULTS.profile,
+    detector: DetectorOption = DEFAULTS.detector,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        _check_sources(videos, keypoints, timestamps)
+        config = ReconstructionConfig(
+            detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)), smoothing="none"
+        )
+        unit = known_units(units)
+        cameras: Sequence[Camera] = ()
+        try:
+            cameras = read(file, units).cameras
+            session: Session | None = None
+            if keypoints is not None:
+                session = open_keypoints(keypoints, file, timestamps, units=unit)
+            elif videos is not None:
+                session = open_session(videos, file, units=unit)
+        except InputError as error:
+            findings = [*check_cameras(cameras)] if cameras else []
+            findings += [from_problem(problem) for problem in error.problems]
+        else:
+            findings = _check(cameras, session, config, bars)
+    if as_json:
+        emit({"cameras": camera_documents(cameras), "findings": documents(findings)})
+    else:
+        show_findings(findings, f"{len(cameras)} cameras: nothing is wrong with the calibration.")
+    if has_error(findings):
+        raise typer.Exit(EXIT_BAD_INPUT)
+
+
+def _check(
+    cameras: Sequence[Camera], session: Session | None, config: ReconstructionConfig, bars: StageBars
+) -> list[Finding]:
+    if session is None:
+        return check_cameras(cameras)
+    for sentence in session.warnings:
+        warn(sentence)
+    # Cameras of the session are those of the file at the size of the videos.
+    fitted = {camera.name: camera for camera in session.cameras}
+    alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])
+    if has_error(alone):
+        return alone
+    reconstruction = reconstruct(session, replace(config, appearance="off"), bars.update)
+    return join_findings(alone, people_findings(quality_report(reconstruction)))
+
+
+def _check_sources(videos: Path | None, keypoints: Path | None, timestamps: Path | None) -> None:
+    problems = []
+    if videos is not None and keypoints is not None:
+        problems.append(Problem("sources", "People are filmed, or given as keypoints.", hint="Omit one of them."))
+    if keypoints is None and timestamps is not None:
+        message = "Timestamps belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps."))
+    if problems:
+        raise InputError(problems)

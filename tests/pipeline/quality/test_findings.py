@@ -1,0 +1,30 @@
+from pipeline.findings import Finding
+from pipeline.quality.findings import join_findings, people_findings
+from pipeline.quality.report import quality_report
+from tests.pipeline.quality.test_report import reconstruction
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+
+DOUBT = Finding("camera_below_floor", "The camera is 0.40 m below z = 0.", "a")
+
+
+def test_a_mirrored_world_is_an_error_and_a_wrong_floor_a_warning() -> None:
+    mirrored = walker(60) * [-1.0, 1.0, 1.0] + [0.0, 0.0, 0.4]
+    found = people_findings(quality_report(reconstruction(track_of(mirrored))))
+    assert [(one.code, one.severity) for one in found] == [
+        ("floor_not_at_zero", "warning"),
+        ("mirrored_world", "error"),
+    ]
+    assert found[1].evidence == 1.0
+    assert found[1].hint is not None
+
+
+def test_people_decide_where_the_floor_is() -> None:
+    found = people_findings(quality_report(reconstruction(track_of(walker(60)))))
+    assert found == []
+    assert join_findings([DOUBT], found) == []
+
+
+def test_nobody_decides_nothing() -> None:
+    found = people_findings(quality_report(reconstruction()))
+    assert [(one.code, one.severity) for one in found] == [("nobody_found", "error")]
+    assert join_findings([DOUBT], found) == [DOUBT, *found]
