@@ -67,7 +67,16 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.metrics = RequestMetrics()
     app.openapi = lambda: contract.describe(app)  # type: ignore[method-assign]
     for router in (
-        *(uploads.router, calibrations.router, sessions.router, jobs.router, jobs.small, events.router, results.router),
+        *(
+            uploads.router,
+            calibrations.router,
+            sessions.router,
+            sessions.small,
+            jobs.router,
+            jobs.small,
+            events.router,
+            results.router,
+        ),
         options.router,
     ):
         app.include_router(router, responses=contract.problems(401, 429))

@@ -68,7 +68,7 @@ _MEANINGS = {
     408: "The request arrives too slowly.",
     409: "The state of the job, session or upload does not allow this.",
     410: "The file was removed.",
-    412: "The service uses another version of the upload protocol.",
+    412: "The record has changed since the client's version, or the upload protocol has another version.",
     413: "The request is larger than the service accepts.",
     415: "The address does not accept the content type.",
     416: "The file has no such range.",

@@ -29,6 +29,7 @@ REQUEST_HEADERS = {
     "Upload-Offset": "1048576",
     "Last-Event-ID": "16",
     "If-None-Match": f'"{_SHA256}"',
+    "If-Match": f'"{_SHA256}"',
 }
 
 ANSWER_HEADERS = {
@@ -66,6 +67,7 @@ DOCUMENTS: dict[str, Any] = {
         "people": "auto",
         "exports": ["bvh"],
     },
+    "rename": {"name": "Handshake, take 4"},
     "calibration_spec": {"method": "board", "name": "Studio B", "board": "charuco:7x5:0.06:0.045:DICT_4X4_50"},
 }
 
@@ -95,6 +97,9 @@ _SESSION: dict[str, Any] = {
         {"name": "calibration.toml", "kind": "calibration", "num_bytes": 1024, "sha256": _SHA256},
     ],
     "num_bytes": 10486784,
+    "duration_s": 12.0,
+    "num_jobs": 1,
+    "newest_job": {"id": _JOB_ID, "state": "running"},
     "preflight": _PREFLIGHT,
     "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{_SESSION_ID}", "jobs": f"/v1/sessions/{_SESSION_ID}/jobs"},

@@ -1,4 +1,4 @@
-"""Conditional requests: ``ETag`` and ``If-None-Match`` of JSON records (RFC 9110, section 13)."""
+"""Conditional requests: ``ETag``, ``If-Match`` and ``If-None-Match`` of JSON records (RFC 9110, section 13)."""
 
 import hashlib
 from typing import Annotated, Any
@@ -6,9 +6,11 @@ from typing import Annotated, Any
 from fastapi import Header, Response
 from pydantic import BaseModel
 
+from api.errors import ApiError
 from api.http.byte_ranges import matches
 
 IfNoneMatch = Annotated[str | None, Header(description="Entity tags of the versions that the client has.")]
+IfMatch = Annotated[str | None, Header(description="Entity tag of the version that is to be changed; `*` for any.")]
 
 NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "The client has the current version."}}
 ETAG = {"ETag": {"description": "Entity tag; it changes whenever the body does.", "schema": {"type": "string"}}}
@@ -16,9 +18,25 @@ ETAG = {"ETag": {"description": "Entity tag; it changes whenever the body does."
 
 def conditional(record: BaseModel, if_none_match: str | None) -> Response:
     """Answer with a record and its entity tag, or with 304 if the client has that version."""
-    body = record.model_dump_json().encode()
-    etag = f'"{hashlib.sha256(body).hexdigest()}"'
+    body, etag = _tagged(record)
     headers = {"ETag": etag, "Cache-Control": "private, no-cache"}
     if matches(if_none_match, etag):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
+
+
+def require_match(record: BaseModel, if_match: str) -> None:
+    """Raise 412 unless the client's version of a record, by its ``If-Match`` header, is the present one."""
+    _, etag = _tagged(record)
+    if not matches(if_match, etag):
+        raise ApiError(
+            "changed_meanwhile",
+            "The record has changed since this version.",
+            hint="Read it again, then send the change with its present ETag.",
+        )
+
+
+def _tagged(record: BaseModel) -> tuple[bytes, str]:
+    """JSON of a record, and its entity tag."""
+    body = record.model_dump_json().encode()
+    return body, f'"{hashlib.sha256(body).hexdigest()}"'

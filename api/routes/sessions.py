@@ -1,22 +1,33 @@
-"""Capture sessions: send, list, read, delete."""
+"""Capture sessions: send, list, search, read, rename, delete."""
 
-from fastapi import APIRouter, Request, Response, status
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.auth import RecordsDep
+from api.contract import examples
 from api.contract.description import answer, location, problems, session_body
 from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
-from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
+from api.requests.bodies import SmallBodyRoute
 from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, CheckedSession, check, received, stored
-from api.schemas.captures import SessionOut, SessionPage, UploadedSession
+from api.schemas.captures import SessionChanges, SessionOut, SessionPage, UploadedSession
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import Session
+from worker.jobs.model import Capture, JobState
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+# A route that takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1/sessions", tags=["sessions"], route_class=SmallBodyRoute)
 
 _ONE = answer("Session")
+Name = Annotated[
+    str | None,
+    Query(min_length=1, max_length=200, description="Only sessions whose names contain this text; case is ignored."),
+]
+State = Annotated[JobState | None, Query(description="Only sessions whose newest job is in this state.")]
 _LOCATION = {"headers": {"Location": location("session", "/v1/sessions/{session_id}")}}
 
 
@@ -49,17 +60,19 @@ def _add_session(services: Services, idempotent: IdempotentRequest, checked: Che
     with stored(services, checked) as new, idempotent.records.transaction() as work:
         work.uploads.use(new.upload_ids)
         session = work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
-        return idempotent.store(work, _created(session))
+        return idempotent.store(work, _created(Capture(session)))
 
 
 @router.get(
     "", operation_id="listSessions", summary="List sessions", responses={200: answer("SessionPage"), **problems(422)}
 )
-def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> SessionPage:
-    """List sessions, the newest first."""
-    sessions = records.sessions.page(limit=limit, after=str(cursor) if cursor else None)
-    next_cursor = sessions[-1].id if len(sessions) == limit else None
-    return SessionPage(sessions=tuple(SessionOut.of(session) for session in sessions), next_cursor=next_cursor)
+def list_sessions(
+    records: RecordsDep, name: Name = None, state: State = None, limit: Limit = 50, cursor: Cursor = None
+) -> SessionPage:
+    """List sessions, the newest first: all of them, or those of a name or with a newest job in a state."""
+    captures = records.sessions.page(limit=limit, after=str(cursor) if cursor else None, name=name, state=state)
+    next_cursor = captures[-1].session.id if len(captures) == limit else None
+    return SessionPage(sessions=tuple(map(SessionOut.of, captures)), next_cursor=next_cursor)
 
 
 @router.get(
@@ -70,8 +83,29 @@ def list_sessions(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None)
     responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
 def get_session(session_id: SessionId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
-    """Read a session: its files, and what was found in them."""
-    return conditional(SessionOut.of(records.sessions.get(session_id)), if_none_match)
+    """Read a session: its files, what was found in them, and the number of its jobs with the newest one."""
+    return conditional(SessionOut.of(records.sessions.capture(session_id)), if_none_match)
+
+
+@small.patch(
+    "/{session_id}",
+    operation_id="renameSession",
+    summary="Rename a session",
+    response_model=SessionOut,
+    responses={200: _ONE | {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
+)
+def rename_session(
+    session_id: SessionId,
+    changes: Annotated[SessionChanges, Body(openapi_examples={"default": {"value": examples.DOCUMENTS["rename"]}})],
+    records: RecordsDep,
+    if_match: IfMatch = None,
+) -> Response:
+    """Rename a session; its jobs and the names of their downloads follow. With `If-Match`, only an unchanged one."""
+    with records.transaction() as work:
+        if if_match is not None:
+            require_match(SessionOut.of(work.sessions.locked(session_id)), if_match)
+        capture = work.sessions.rename(session_id, changes.name)
+    return conditional(SessionOut.of(capture), None)
 
 
 @router.delete(
@@ -82,11 +116,12 @@ def get_session(session_id: SessionId, records: RecordsDep, if_none_match: IfNon
     responses=problems(404, 409),
 )
 def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
-    """Delete a session with its files and its finished jobs."""
+    """Delete a session with its videos, its jobs and their results. An unfinished job has to be canceled first."""
     # Its rows first, so that nothing is shown whose files are gone.
     services.disk.using_reserve(lambda: records.sessions.delete(session_id))
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
 
 
-def _created(session: Session) -> Answer:
-    return Answer(201, {"Location": f"/v1/sessions/{session.id}"}, SessionOut.of(session).model_dump_json())
+def _created(capture: Capture) -> Answer:
+    headers = {"Location": f"/v1/sessions/{capture.session.id}"}
+    return Answer(201, headers, SessionOut.of(capture).model_dump_json())

@@ -9,9 +9,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from api.schemas.common import Id, NextCursor, ResponseModel, fields_of, printable_name
-from worker.jobs.model import (
-    Session,
-)
+from worker.jobs.model import Capture, JobState
 from worker.jobs.spec import JobSpec
 
 
@@ -23,6 +21,13 @@ def _json(value: dict[str, Any]) -> dict[str, Any]:
         message = "metadata must be valid JSON: no NaN, no infinity, no lone surrogates."
         raise PydanticCustomError("json_value", message) from None
     return value
+
+
+SessionName = Annotated[
+    str,
+    AfterValidator(printable_name),
+    Field(min_length=1, max_length=200, description="Name of the session for people."),
+]
 
 
 class CameraManifest(BaseModel):
@@ -62,9 +67,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: Annotated[str, AfterValidator(printable_name)] = Field(
-        default="untitled", min_length=1, max_length=200, description="Name of the session for people."
-    )
+    name: SessionName = "untitled"
     frame_rate_hz: float | None = Field(
         default=None,
         strict=True,
@@ -183,6 +186,21 @@ class SessionLinks(ResponseModel):
     jobs: str = Field(description="Path of the session's jobs.")
 
 
+class NewestJobOut(ResponseModel):
+    """Newest job of a session."""
+
+    id: Id
+    state: JobState = Field(description="State of the job.")
+
+
+class SessionChanges(BaseModel):
+    """Changes of a session. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: SessionName
+
+
 class SessionOut(ResponseModel):
     """Capture session."""
 
@@ -191,13 +209,17 @@ class SessionOut(ResponseModel):
     created_at: AwareDatetime = Field(description="Time of the creation.")
     files: tuple[FileOut, ...] = Field(description="Files of the session.")
     num_bytes: int = Field(description="Size of all files.")
+    duration_s: float = Field(description="Duration: output frames divided by the frame rate.")
+    num_jobs: int = Field(description="Number of the session's reconstructions.")
+    newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
     links: SessionLinks
 
     @classmethod
-    def of(cls, session: Session) -> Self:
-        """Build the response from a session."""
+    def of(cls, capture: Capture) -> Self:
+        """Build the response from a session and its jobs."""
+        session, newest = capture.session, capture.newest_job
         address = f"/v1/sessions/{session.id}"
         return cls(
             id=session.id,
@@ -205,6 +227,9 @@ class SessionOut(ResponseModel):
             created_at=session.created_at,
             files=tuple(FileOut(**fields_of(file, FileOut)) for file in session.files),
             num_bytes=sum(file.num_bytes for file in session.files),
+            duration_s=session.preflight.duration_s,
+            num_jobs=capture.num_jobs,
+            newest_job=None if newest is None else NewestJobOut(id=newest.id, state=newest.state),
             preflight=PreflightOut.model_validate(session.preflight.to_json()),
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),

@@ -160,6 +160,23 @@ class Session:
 
 
 @dataclass(frozen=True, slots=True)
+class NewestJob:
+    """Reconstruction of a session that was queued last."""
+
+    id: str
+    state: JobState
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """A session with its reconstructions: their number, and the newest one; ``None`` without any."""
+
+    session: Session
+    num_jobs: int = 0
+    newest_job: NewestJob | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ChunkPlan:
     """A chunk to be worked on. Its progress counts ``unit_count`` units, such as frames of a camera."""
 

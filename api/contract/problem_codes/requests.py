@@ -124,6 +124,12 @@ ANSWERS = CodeGroup(
         ),
         ProblemCode("expired", ("410",), "The result file was removed.", "Start another job of the session."),
         ProblemCode(
+            "changed_meanwhile",
+            ("412",),
+            "`If-Match` names an earlier version of the record.",
+            "Read the record again, then send the change with its present `ETag`.",
+        ),
+        ProblemCode(
             "tus_version",
             ("412",),
             "The header `Tus-Resumable` is missing or names another version.",

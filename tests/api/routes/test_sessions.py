@@ -234,6 +234,62 @@ def test_pages(live: Live) -> None:
     assert second["next_cursor"] is None
 
 
+def test_rename(live: Live) -> None:
+    job_id = live.job_id()
+    path = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["session"]
+    before = live.client.get(path)
+    assert (before.json()["num_jobs"], before.json()["newest_job"]) == (1, {"id": job_id, "state": "queued"})
+    assert before.json()["duration_s"] == 2.4
+    answer = live.client.patch(path, json={"name": "Walk é"}, headers={"If-Match": before.headers["etag"]})
+    assert answer.status_code == 200, answer.text
+    assert answer.json() == before.json() | {"name": "Walk é"} == live.client.get(path).json()
+    assert answer.headers["etag"] == live.client.get(path).headers["etag"] != before.headers["etag"]
+    assert live.client.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+    stale = live.client.patch(path, json={"name": "Run"}, headers={"If-Match": before.headers["etag"]})
+    problem_of(stale, 412, "changed_meanwhile")
+    assert live.client.patch(path, json={"name": "Jump"}, headers={"If-Match": "*"}).json()["name"] == "Jump"
+    assert live.client.patch(path, json={"name": "Sit"}).json()["name"] == "Sit"
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["session_name"] == "Sit"
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        ({}, "missing"),
+        ({"name": ""}, "too_short"),
+        ({"name": "x" * 201}, "too_long"),
+        ({"name": "turned\u202e"}, "control_characters"),
+        ({"name": "walk", "id": "1"}, "unknown_field"),
+    ],
+)
+def test_wrong_names(live: Live, body: dict[str, str], code: str) -> None:
+    session_id = live.session_id()
+    problem = problem_of(live.client.patch(f"/v1/sessions/{session_id}", json=body), 422, "invalid_request")
+    assert [item["code"] for item in problem["errors"]] == [code]
+    assert live.client.get(f"/v1/sessions/{session_id}").json()["name"] == "untitled"
+
+
+def test_search(live: Live) -> None:
+    ids = {}
+    for name in ("Walk 1", "Run 1", "walk 2"):
+        manifest = ("manifest", (None, json.dumps({"name": name}).encode()))
+        ids[name] = live.client.post("/v1/sessions", files=[*form(), manifest]).json()["id"]
+
+    def found(**parameters: Any) -> list[str]:
+        answer = live.client.get("/v1/sessions", params=parameters)
+        assert answer.status_code == 200, answer.text
+        return [session["name"] for session in answer.json()["sessions"]]
+
+    assert found(name="WALK") == ["walk 2", "Walk 1"]
+    page = live.client.get("/v1/sessions", params={"name": "walk", "limit": 1}).json()
+    assert found(name="walk", limit=1, cursor=page["next_cursor"]) == ["Walk 1"]
+    job = live.client.post(f"/v1/sessions/{ids['Run 1']}/jobs", json={}).json()
+    assert (found(state="queued"), found(state="failed")) == (["Run 1"], [])
+    live.finish(job["id"])
+    assert found(state="succeeded", name="run") == ["Run 1"]
+    problem_of(live.client.get("/v1/sessions", params={"state": "lost", "name": ""}), 422, "invalid_request")
+
+
 def test_delete_takes_files_and_jobs_along(live: Live) -> None:
     job_id = live.job_id()
     session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]

@@ -56,7 +56,7 @@ def all_rows(url: str) -> dict[str, list[tuple[object, ...]]]:
 
 
 def next_chunk_id(data: Data) -> int:
-    job = data.add_job(data.store.sessions.page()[0].id)
+    job = data.add_job(data.store.sessions.page()[0].session.id)
     engine = sa.create_engine(sa.make_url(data.url))
     with engine.connect() as connection:
         found = connection.scalar(sa.text("SELECT min(id) FROM chunks WHERE job_id = :id"), {"id": job.id})

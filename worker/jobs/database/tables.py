@@ -60,6 +60,7 @@ sessions = Table(
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
     Column("record_sha256", String(64)),  # of the preflight's file for the workers; null: session of an older version
     Column("purpose", String(16), nullable=False, server_default="capture"),  # or "calibration": not listed
+    Column("search_name", String, nullable=False, server_default=""),  # name as ``searchable`` makes it
     Index(None, "tenant", "id"),
 )
 

@@ -17,6 +17,7 @@ class AuditAction(StrEnum):
     """Actions that are recorded."""
 
     SESSION_CREATED = "session-created"
+    SESSION_RENAMED = "session-renamed"
     SESSION_DELETED = "session-deleted"
     JOB_CREATED = "job-created"
     JOB_CANCELED = "job-canceled"

@@ -1,11 +1,12 @@
 """Capture sessions."""
 
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import Connection, delete, insert, select
+from sqlalchemy import Connection, Row, Select, and_, delete, func, insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.capture.preflight_record import Preflight
@@ -16,7 +17,7 @@ from worker.jobs.database.rows import session_of
 from worker.jobs.database.tables import jobs, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
-from worker.jobs.model import FINISHED, InputFile, Purpose, Session
+from worker.jobs.model import FINISHED, Capture, InputFile, JobState, NewestJob, Purpose, Session
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
 
@@ -77,6 +78,7 @@ class Sessions:
                 insert(sessions).values(
                     id=session_id,
                     name=name,
+                    search_name=searchable(name),
                     created_at=now(),
                     files=[asdict(file) for file in files],
                     preflight=preflight.to_json(),
@@ -95,14 +97,54 @@ class Sessions:
         with self._access.reading() as connection:
             return self._read(connection, session_id)
 
-    def page(self, limit: int = 50, after: str | None = None) -> list[Session]:
-        """Sessions that are captures, the newest first; ``after`` is the last id of the page before."""
+    def capture(self, session_id: str) -> Capture:
+        """Session with an id, and its reconstructions; ``NotFound`` if there is none."""
+        with self._access.reading() as connection:
+            return self._read_capture(connection, session_id)
+
+    def page(
+        self, limit: int = 50, after: str | None = None, name: str | None = None, state: JobState | None = None
+    ) -> list[Capture]:
+        """Sessions that are captures, the newest first.
+
+        Parameters
+        ----------
+        after
+            Last id of the page before.
+        name
+            Only sessions whose names contain the text. Case and compatible forms of characters do not count.
+        state
+            Only sessions whose newest job is in the state.
+        """
         is_listed = (self._access.may_reach(sessions), sessions.c.purpose == "capture")
-        query = select(sessions).where(*is_listed).order_by(sessions.c.id.desc()).limit(limit)
+        query = _select_captures().where(*is_listed).order_by(sessions.c.id.desc()).limit(limit)
         if after is not None:
             query = query.where(sessions.c.id < after)
+        if name is not None:
+            query = query.where(sessions.c.search_name.contains(searchable(name), autoescape=True))
+        if state is not None:
+            query = query.where(jobs.c.state == state)
         with self._access.reading() as connection:
-            return [session_of(row) for row in connection.execute(query)]
+            return [_capture_of(row) for row in connection.execute(query)]
+
+    def locked(self, session_id: str) -> Capture:
+        """Session with an id, locked until the transaction ends; ``NotFound`` if there is none."""
+        with self._access.writing() as connection:
+            lock_session(connection, self._access, session_id)
+            return self._read_capture(connection, session_id)
+
+    def rename(self, session_id: str, name: str) -> Capture:
+        """Give a session another name; ``NotFound`` if there is none."""
+        with self._access.writing() as connection:
+            tenant = lock_session(connection, self._access, session_id)
+            changed = connection.execute(
+                update(sessions)
+                .where(sessions.c.id == session_id, sessions.c.name != name)
+                .values(name=name, search_name=searchable(name))
+            )
+            if changed.rowcount == 1:
+                record_event(connection, self._access.actor, tenant, AuditAction.SESSION_RENAMED, session_id)
+            return self._read_capture(connection, session_id)
 
     def delete(self, session_id: str) -> None:
         """Delete a session and its jobs, and note their files for removal.
@@ -118,7 +160,7 @@ class Sessions:
             of_session = connection.execute(select(jobs.c.id, jobs.c.state).where(jobs.c.session_id == session_id))
             for job in of_session.all():
                 if job.state not in FINISHED:
-                    raise Conflict("A job of this session is unfinished.")
+                    raise Conflict(f"The job {job.id} of this session is unfinished; cancel it first.")
                 remove_later(connection, job_prefix(job.id))
                 forget_unmade(connection, job.id)
             remove_later(connection, session_prefix(session_id))
@@ -131,6 +173,36 @@ class Sessions:
         if row is None:
             raise NotFound("There is no such session.")
         return session_of(row)
+
+    def _read_capture(self, connection: Connection, session_id: str) -> Capture:
+        query = _select_captures().where(sessions.c.id == session_id, self._access.may_reach(sessions))
+        row = connection.execute(query).one_or_none()
+        if row is None:
+            raise NotFound("There is no such session.")
+        return _capture_of(row)
+
+
+def searchable(name: str) -> str:
+    """Name as searches compare it: databases fold the case of letters differently, or only that of ASCII."""
+    return unicodedata.normalize("NFKC", name).casefold()
+
+
+def _select_captures() -> Select[Any]:
+    """Query of sessions with their reconstructions, for ``_capture_of``; ``jobs`` is the newest one."""
+    other = jobs.alias("other")
+    is_one = (other.c.session_id == sessions.c.id, other.c.making.is_(None))
+    newest = select(other.c.id).where(*is_one).order_by(other.c.id.desc()).limit(1).correlate(sessions)
+    num_jobs = select(func.count()).select_from(other).where(*is_one).correlate(sessions)
+    with_newest = sessions.outerjoin(
+        jobs, and_(jobs.c.session_id == sessions.c.id, jobs.c.id == newest.scalar_subquery())
+    )
+    columns = num_jobs.scalar_subquery().label("num_jobs"), jobs.c.id.label("job_id"), jobs.c.state.label("job_state")
+    return select(sessions, *columns).select_from(with_newest)
+
+
+def _capture_of(row: Row[Any]) -> Capture:
+    newest = None if row.job_id is None else NewestJob(row.job_id, JobState(row.job_state))
+    return Capture(session_of(row), row.num_jobs, newest)
 
 
 def lock_session(connection: Connection, access: Access, session_id: str) -> str:

@@ -97,7 +97,7 @@ def test_what_is_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_pat
 
 
 def test_missing_and_damaged_files_are_listed_and_the_rest_is_there(busy: Data, tmp_path: Path) -> None:
-    running, done = busy.store.sessions.page()
+    running, done = (one.session for one in busy.store.sessions.page())
     (finished,) = [job for job in busy.store.jobs.page() if job.state is JobState.SUCCEEDED]
     lost = {
         done.files[0].key: "missing",

@@ -28,8 +28,8 @@ def make(jobs: Bench, tenant: str) -> tuple[TenantRecords, str, str]:
 
 def test_lists_hold_the_tenant_s_own(jobs: Bench) -> None:
     (mine, my_session, my_job), (theirs, their_session, their_job) = make(jobs, "mine"), make(jobs, "theirs")
-    assert [one.id for one in mine.sessions.page()] == [my_session]
-    assert [one.id for one in theirs.sessions.page()] == [their_session]
+    assert [one.session.id for one in mine.sessions.page()] == [my_session]
+    assert [one.session.id for one in theirs.sessions.page()] == [their_session]
     assert [one.id for one in mine.jobs.page()] == [my_job]
     assert set(mine.jobs.changes([my_job, their_job])) == {my_job}
     assert [one.id for one in jobs.store.jobs.page()] == [their_job, my_job]
@@ -39,6 +39,9 @@ def test_lists_hold_the_tenant_s_own(jobs: Bench) -> None:
 Act = Callable[[TenantRecords, str, str], object]
 ACTS: dict[str, Act] = {
     "sessions.get": lambda records, session_id, job_id: records.sessions.get(session_id),
+    "sessions.capture": lambda records, session_id, job_id: records.sessions.capture(session_id),
+    "sessions.locked": lambda records, session_id, job_id: records.sessions.locked(session_id),
+    "sessions.rename": lambda records, session_id, job_id: records.sessions.rename(session_id, "mine"),
     "sessions.delete": lambda records, session_id, job_id: records.sessions.delete(session_id),
     "jobs.add": lambda records, session_id, job_id: records.jobs.add(session_id, JobSpec(), stages(1)),
     "jobs.get": lambda records, session_id, job_id: records.jobs.get(job_id),

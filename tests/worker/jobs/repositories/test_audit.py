@@ -9,6 +9,8 @@ ACTOR = Actor("key", "request")
 def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
     mine = jobs.store.of("mine", Quotas(), ACTOR)
     session_id = mine.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
+    for name in ("Handshake", "Handshake"):  # the second time it is no change
+        mine.sessions.rename(session_id, name)
     job_id = mine.jobs.add(session_id, JobSpec(), stages(1)).id
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, Problem("broken", "It is broken."))
@@ -19,6 +21,7 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: Bench) -> None:
     events = jobs.store.audit.events("mine")
     assert [(event.act, event.subject) for event in reversed(events)] == [
         ("session-created", session_id),
+        ("session-renamed", session_id),
         ("job-created", job_id),
         ("job-retried", job_id),
         ("job-canceled", job_id),

@@ -30,12 +30,19 @@ def test_a_session_is_read_as_it_was_written(jobs: Bench) -> None:
 def test_lists_are_paged_from_the_newest(jobs: Bench) -> None:
     session_ids = [jobs.session_id, *(new_session(jobs.store) for _ in range(4))][::-1]
     job_ids = [jobs.queue(1).id for _ in range(5)][::-1]
-    for ids, page in ((session_ids, jobs.store.sessions.page), (job_ids, jobs.store.jobs.page)):
-        first = [item.id for item in page(limit=2)]
-        second = [item.id for item in page(limit=2, after=first[-1])]
-        third = [item.id for item in page(limit=2, after=second[-1])]
+
+    def session_page(after: str | None) -> list[str]:
+        return [capture.session.id for capture in jobs.store.sessions.page(limit=2, after=after)]
+
+    def job_page(after: str | None) -> list[str]:
+        return [job.id for job in jobs.store.jobs.page(limit=2, after=after)]
+
+    for ids, page in ((session_ids, session_page), (job_ids, job_page)):
+        first = page(None)
+        second = page(first[-1])
+        third = page(second[-1])
         assert [first, second, third] == [ids[:2], ids[2:4], ids[4:]]
-        assert page(limit=2, after=third[-1]) == []
+        assert page(third[-1]) == []
 
 
 def test_a_page_goes_on_after_its_last_item_was_deleted(jobs: Bench) -> None:
