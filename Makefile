@@ -9,7 +9,7 @@ LITERT := .venv-litert
 PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve browser readers linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
+.PHONY: help setup demo serve browser ffmpeg readers linter test-data test test-slow verify-exports verify-converters verify-calibration soak hostile check benchmark format lock clean
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -45,6 +45,11 @@ browser:  ## Install Chromium for the tests of the page (as root, on Debian)
 	@command -v chromium google-chrome >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
 		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium >/dev/null; } \
 		|| echo "Chromium is not installed and can't be installed here: the tests of the page are skipped."
+
+ffmpeg:  ## Install the program ffmpeg for the tests of its files (as root, on Debian)
+	@command -v ffmpeg >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends ffmpeg >/dev/null; } \
+		|| echo "ffmpeg is not installed and can't be installed here: the tests of its files are skipped."
 
 readers: $(READERS)/node_modules/.installed  ## Install three.js, the glTF validator and tus-js-client for the tests
 
@@ -104,7 +109,7 @@ test-data: setup
 PYTEST := $(BIN)/python -P -m pytest -n 3 --dist loadgroup --timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile
 
-test: test-data browser readers  ## Run the tests, but for the slow ones (ten minutes)
+test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (ten minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
 test-slow: test-data  ## Run the slow tests: faults, crowds, distributed services, benchmarks' data (20 minutes)

@@ -1,4 +1,4 @@
-"""Calibrations of another picture size: padding of codecs, scaled pictures, pictures turned by a quarter."""
+"""Calibrations of another picture size: padding of codecs, scales, quarter turns, pixels that are not square."""
 
 from dataclasses import replace
 
@@ -16,6 +16,44 @@ _BLOCKS_PX = (8, 16)
 _SIDES = {0: ("right", "bottom"), 90: ("right", "top"), 180: ("left", "top"), 270: ("left", "bottom")}
 # From the axes of a camera to the axes of the camera turned with the picture, a quarter counterclockwise.
 _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def fit_to_video(
+    camera: Camera, size_px: tuple[int, int], rotation_deg: int, stored_size_px: tuple[int, int]
+) -> tuple[Camera, str] | None:
+    """Adapt a camera to a video, whose stored pixels may be other than square.
+
+    Parameters
+    ----------
+    size_px, rotation_deg
+        See ``fit_to_picture``.
+    stored_size_px
+        Width and height of the stored picture, before its pixels become square and before rotation.
+
+    Returns
+    -------
+        Camera of the shown picture and a sentence that says what was done, empty if nothing; ``None`` if the sizes
+        don't fit. The calibration may be of the shown picture or of the picture with stored pixels; in the latter case
+        it is stretched as the picture is. A calibration without a size is of the pixels that its focal lengths fit.
+    """
+    unstretched_px = stored_size_px if rotation_deg % 180 == 0 else stored_size_px[::-1]
+    is_square = unstretched_px == size_px
+    if camera.size_px == UNKNOWN_SIZE and not is_square:
+        wide = size_px[0] / unstretched_px[0] * unstretched_px[1] / size_px[1]
+        focal_ratio = float(camera.matrix[1, 1] / camera.matrix[0, 0])
+        is_square = abs(np.log(focal_ratio)) < abs(np.log(focal_ratio / wide))
+    elif camera.size_px == size_px:
+        return camera, ""
+    is_stored = camera.size_px == unstretched_px
+    if is_square or (not is_stored and camera.size_px != UNKNOWN_SIZE):
+        found = fit_to_picture(camera, size_px, rotation_deg)
+        if is_square or found is not None:
+            return found
+    found = (camera, "") if is_stored else fit_to_picture(camera, unstretched_px, rotation_deg)
+    if found is None:
+        return None
+    done = "the calibration is stretched as the pixels are, which are not square"
+    return _scaled(found[0], size_px), f"{found[1]}, and {done}" if found[1] else done
 
 
 def fit_to_picture(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> tuple[Camera, str] | None:
@@ -82,9 +120,9 @@ def _cropped(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> Cam
 
 def _scaled(camera: Camera, size_px: tuple[int, int]) -> Camera:
     """Camera of a scaled picture; the outer edges of the pictures, half a pixel from the centres, stay together."""
-    factor = size_px[0] / camera.size_px[0]
-    matrix = camera.matrix * np.array([[factor], [factor], [1.0]])
-    matrix[:2, 2] = factor * (camera.matrix[:2, 2] + 0.5) - 0.5
+    factors = np.array(size_px) / np.array(camera.size_px)
+    matrix = camera.matrix * np.array([[factors[0]], [factors[1]], [1.0]])
+    matrix[:2, 2] = factors * (camera.matrix[:2, 2] + 0.5) - 0.5
     return replace(camera, size_px=size_px, matrix=read_only(matrix))
 
 

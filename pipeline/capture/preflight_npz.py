@@ -64,6 +64,7 @@ def encode_session(session: CaptureSession) -> bytes:
                 "size_px": video.size_px,
                 "rotation_deg": video.rotation_deg,
                 "frame_rate_hz": video.frame_rate_hz,
+                "stored_width_px": video.stored_width_px,
             }
             for video in session.videos
         ],
@@ -97,6 +98,8 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
                 keyframe_pts=arrays[f"keyframe_pts_{k}"],
                 time_s=arrays[f"video_time_s_{k}"],
                 frame_rate_hz=one["frame_rate_hz"],
+                # Records of earlier versions are of square pixels.
+                stored_width_px=one.get("stored_width_px"),
             )
             for k, one in enumerate(head["videos"])
         ),

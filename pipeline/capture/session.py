@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
 from pipeline.calibration.guess import guessed_camera
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.sizes import fit_to_picture
+from pipeline.calibration.sizes import fit_to_video
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
@@ -158,6 +158,7 @@ def open_session(
     if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
         raise InputError(problems)
     warnings += [_repeated_times(video) for video in paired.values() if video.num_repeated]
+    warnings += [str(warning) for video in paired.values() for warning in video.warnings]
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
 
 
@@ -307,7 +308,7 @@ def _fitted(
         video = videos.get(camera.name)
         if video is None or video.size_px == camera.size_px:
             fitted.append(camera)
-        elif (found := fit_to_picture(camera, video.size_px, video.rotation_deg)) is None:
+        elif (found := fit_to_video(camera, video.size_px, video.rotation_deg, video.stored_size_px)) is None:
             problems.append(_size_problem(camera, video))
         else:
             fitted.append(found[0])

@@ -99,6 +99,7 @@ def _request(video: VideoInfo, wanted: Sequence[int], is_selection: bool) -> Req
         codec=video.codec,
         width=width,
         height=height,
+        square_width=video.unrotated_size_px[0],
         seek_pts=seek_points(video.keyframe_pts, first_pts),
         first_pts=first_pts,
         last_pts=int(video.pts[wanted[-1]]),

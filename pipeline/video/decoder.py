@@ -43,6 +43,8 @@ class Request(NamedTuple):
         Path of the file, and FFmpeg's name of its codec.
     width, height
         Size of the stored pictures in pixels, before rotation. Frames of another size come without a picture.
+    square_width
+        Width of the pictures with square pixels.
     seek_pts
         See ``decode_from``.
     first_pts, last_pts
@@ -61,6 +63,7 @@ class Request(NamedTuple):
     codec: str
     width: int
     height: int
+    square_width: int
     seek_pts: Sequence[int]
     first_pts: int
     last_pts: int
@@ -72,7 +75,7 @@ class Request(NamedTuple):
     @property
     def picture_bytes(self) -> int:
         """Bytes of a picture and of the shared file, three a pixel."""
-        return 3 * self.width * self.height
+        return 3 * self.square_width * self.height
 
 
 def _write_frames(request: Request, shared_file: int) -> None:
@@ -91,7 +94,7 @@ def _write_frames(request: Request, shared_file: int) -> None:
                 continue
             is_wanted = request.first_pts <= pts <= request.last_pts and (only_pts is None or pts in only_pts)
             if is_wanted and (frame.width, frame.height) == (request.width, request.height):
-                to_rgb = to_rgb or _rgb_converter(frame)
+                to_rgb = to_rgb or _rgb_converter(frame, request.square_width)
                 to_rgb.vpush(frame)
                 rgb = to_rgb.vpull()
                 is_free.acquire()
@@ -117,14 +120,15 @@ def _read_stdin(is_free: threading.Semaphore) -> None:
     os._exit(1)
 
 
-def _rgb_converter(frame: VideoFrame) -> Graph:
+def _rgb_converter(frame: VideoFrame, square_width: int) -> Graph:
     """Build a converter for frames of this size and format: a filter graph, which reuses the memory of pictures."""
+    is_square = frame.width == square_width
     graph = Graph()
     graph.threads = 1
     source = graph.add_buffer(
         width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base or Fraction(1, 1)
     )
-    scale = graph.add("scale", "flags=bilinear")
+    scale = graph.add("scale", "flags=bilinear" if is_square else f"{square_width}:{frame.height}:flags=bicubic")
     rgb = graph.add("format", "pix_fmts=rgb24")
     return graph.link_nodes(source, scale, rgb, graph.add("buffersink"))
 

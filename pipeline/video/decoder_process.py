@@ -101,7 +101,7 @@ def _read_frames(
     child: "subprocess.Popen[bytes]", request: Request, picture: mmap.mmap, errors: IO[bytes]
 ) -> Iterator[DecodedFrame]:
     stdin, stdout = (cast(IO[bytes], pipe).fileno() for pipe in (child.stdin, child.stdout))
-    image_rgb = np.frombuffer(picture, np.uint8).reshape(request.height, request.width, 3)
+    image_rgb = np.frombuffer(picture, np.uint8).reshape(request.height, request.square_width, 3)
     is_started = False
     exit_code: int | None = None
     with suppress(TimeoutError, subprocess.TimeoutExpired):

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.errors import Problem
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoInfo:
@@ -18,7 +20,7 @@ class VideoInfo:
     codec
         FFmpeg's name of the codec.
     size_px
-        Width and height of the picture after rotation.
+        Width and height of the picture as shown: with square pixels, after rotation.
     rotation_deg
         Counterclockwise turn of the decoded picture for display: 0, 90, 180 or 270.
     pts
@@ -31,6 +33,10 @@ class VideoInfo:
         Rate of ``frame_rate.measured_rate``.
     num_repeated
         Number of frames that are left out because they have the timestamp of another frame.
+    stored_width_px
+        Width of the stored picture if its pixels are not square; ``None``: they are.
+    warnings
+        What a user should know about the file, each with a stable code.
     """
 
     path: Path
@@ -42,12 +48,20 @@ class VideoInfo:
     time_s: Float[np.ndarray, " frames"]
     frame_rate_hz: float
     num_repeated: int = 0
+    stored_width_px: int | None = None
+    warnings: tuple[Problem, ...] = ()
+
+    @property
+    def unrotated_size_px(self) -> tuple[int, int]:
+        """Width and height of the picture with square pixels, before rotation."""
+        width, height = self.size_px
+        return (width, height) if self.rotation_deg % 180 == 0 else (height, width)
 
     @property
     def stored_size_px(self) -> tuple[int, int]:
-        """Width and height of the picture before rotation."""
-        width, height = self.size_px
-        return (width, height) if self.rotation_deg % 180 == 0 else (height, width)
+        """Width and height of the stored picture, before pixels become square and before rotation."""
+        width, height = self.unrotated_size_px
+        return self.stored_width_px or width, height
 
     @property
     def num_frames(self) -> int:

@@ -7,13 +7,14 @@ frames later, once.
 import json
 import math
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from av.container import InputContainer
+from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from jaxtyping import Int
 
@@ -30,6 +31,7 @@ from pipeline.video.container import (
 )
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.info import VideoInfo, seek_points
+from pipeline.video.pictures import interlaced, square_pixels
 from pipeline.video.signatures import is_container
 
 MAX_FRAMES = 2_000_000
@@ -113,38 +115,73 @@ def _probe(path: Path) -> VideoInfo:
                 f"Convert the video to one of {', '.join(sorted(CODECS))}.",
             )
         if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
-            raise _UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
-        announced, time_base = stream.frames, stream.time_base
-        stored_pts, keyframe_pts = _read_packets(container, stream)
+            raise _too_large()
+        announced, time_base, pixel_aspect = _announced(container, stream), stream.time_base, stream.sample_aspect_ratio
+        stored_pts, keyframe_pts, num_read = _read_packets(container, stream)
     if time_base is None or not len(stored_pts):
         raise _UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
     if not len(keyframe_pts):
         raise _UnusableError(
             "no_keyframes", "The video has no frame at which decoding can start.", "Record or export it again."
         )
-    if announced > len(stored_pts) + 1:
+    if announced > num_read + 1:
         raise _UnusableError(
             "video_truncated",
-            f"The file is truncated: it has {len(stored_pts)} of {announced} frames.",
+            f"The file is truncated: it has {num_read} of {announced} frames.",
             "Copy it again.",
         )
     pts = _shown_pts(stored_pts)
-    size_px, rotation_deg = _decode_ends(path, keyframe_pts)
+    frames = _decode_ends(path, keyframe_pts)
+    width, height = frames[0].width, frames[0].height
+    square_width, warnings = square_pixels(width, pixel_aspect)
+    if square_width * height > MAX_PIXELS:
+        raise _too_large()
+    if any(frame.interlaced_frame for frame in frames):
+        warnings.append(interlaced())
+    rotation_deg = round(frames[0].rotation / 90) * 90 % 360
     time_s = (pts - pts[0]) * float(time_base)
-    num_repeated = len(stored_pts) - len(pts)
     return VideoInfo(
-        path, codec, size_px, rotation_deg, pts, keyframe_pts, time_s, measured_rate_hz(time_s), num_repeated
+        path=path,
+        codec=codec,
+        size_px=(square_width, height) if rotation_deg % 180 == 0 else (height, square_width),
+        rotation_deg=rotation_deg,
+        pts=pts,
+        keyframe_pts=keyframe_pts,
+        time_s=time_s,
+        frame_rate_hz=measured_rate_hz(time_s),
+        num_repeated=len(stored_pts) - len(pts),
+        stored_width_px=width if width != square_width else None,
+        warnings=tuple(replace(one, file=path.name) for one in warnings),
     )
+
+
+def _too_large() -> _UnusableError:
+    return _UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
+
+
+def _announced(container: InputContainer, stream: VideoStream) -> int:
+    """Number of packets that the header announces; 0 if it does not.
+
+    The index of MP4 and MOV has an entry for each packet that the file's edit list leaves, before anything is read.
+    """
+    if "mp4" in container.format.name.split(","):
+        return min(stream.frames, len(stream.index_entries))
+    return stream.frames
 
 
 def _read_packets(
     container: InputContainer, stream: VideoStream
-) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, " keyframes"]]:
-    """Read the timestamps of all frames to show, in stored order, and of the keyframes; nothing is decoded."""
+) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, " keyframes"], int]:
+    """Read the timestamps of all frames to show, in stored order, and of the keyframes; nothing is decoded.
+
+    The third value is the number of packets, also of frames that are not shown.
+    """
     pts: list[int] = []
     keyframes: list[int] = []
     is_corrupt = False
+    num_read = 0
     for packet in container.demux(stream):
+        num_read += packet.size > 0
         if packet.size == 0 or packet.is_discard or _is_hidden(stream.codec_context.name, bytes(packet)):
             continue
         stamp = packet.dts if packet.pts is None else packet.pts
@@ -159,7 +196,7 @@ def _read_packets(
     # Only the last packet counts: the decoder marks damaged frames before it.
     if is_corrupt:
         raise _UnusableError("video_truncated", f"The file is truncated after {len(pts) - 1} frames.", "Copy it again.")
-    return np.array(pts, np.int64), np.unique(np.array(keyframes, np.int64))
+    return np.array(pts, np.int64), np.unique(np.array(keyframes, np.int64)), num_read
 
 
 def _is_hidden(codec: str, content: bytes) -> bool:
@@ -187,8 +224,8 @@ def _shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " show
     return shown_pts
 
 
-def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int], int]:
-    """Decode the first pictures and one near the end; return size and rotation, or raise if decoding fails."""
+def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> list[VideoFrame]:
+    """Decode the first pictures and one near the end, all of one size; raise if decoding fails."""
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
         raise _UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
@@ -211,9 +248,7 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> tuple[tuple[int, int],
                 f"{frame.width} x {frame.height} pixels.",
                 "Cut the video there.",
             )
-    rotation_deg = round(first.rotation / 90) * 90 % 360
-    size_px = (first.width, first.height) if rotation_deg % 180 == 0 else (first.height, first.width)
-    return size_px, rotation_deg
+    return frames
 
 
 def problem_before_opening(path: Path) -> Problem | None:

@@ -87,4 +87,6 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
         time_s=np.array(answer["time_s"], np.float64),
         frame_rate_hz=answer["frame_rate_hz"],
         num_repeated=answer["num_repeated"],
+        stored_width_px=answer["stored_width_px"],
+        warnings=tuple(Problem(**warning) for warning in answer["warnings"]),
     )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.calibration.sizes import fit_to_picture
+from pipeline.calibration.sizes import fit_to_picture, fit_to_video
 from pipeline.data import Camera
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
@@ -115,3 +115,48 @@ def test_an_unknown_size_is_the_videos_if_the_principal_point_is_central(size_px
     if found is not None:
         assert found[0].size_px == size_px
         np.testing.assert_array_equal(found[0].matrix, before.matrix)
+
+
+@pytest.mark.parametrize(
+    ("calibrated_px", "rotation_deg", "factors"),
+    [
+        ((1440, 1080), 0, (4 / 3, 1.0)),
+        ((720, 540), 0, (8 / 3, 2.0)),
+        ((1440, 1088), 180, (4 / 3, 1.0)),
+        ((1080, 1440), 90, (1.0, 4 / 3)),
+    ],
+)
+def test_a_calibration_of_stored_pixels_is_stretched_as_they_are(
+    calibrated_px: tuple[int, int], rotation_deg: int, factors: tuple[float, float]
+) -> None:
+    before = camera(calibrated_px, (-0.1, 0.05, 0.001, -0.002))
+    shown_px = (1920, 1080) if rotation_deg % 180 == 0 else (1080, 1920)
+    found = fit_to_video(before, shown_px, rotation_deg, (1440, 1080))
+    assert found is not None
+    assert "not square" in found[1]
+    assert found[0].size_px == shown_px
+    # A picture turned by 180 degrees has its padding of 8 rows at the top.
+    padded = np.array([0.0, 8.0 if calibrated_px[1] == 1088 else 0.0])
+    expected = (project(before, POINTS_M) - padded + 0.5) * np.array(factors) - 0.5
+    np.testing.assert_allclose(project(found[0], POINTS_M), expected, atol=1e-9)
+
+
+def test_a_calibration_of_the_shown_picture_is_taken_as_it_is() -> None:
+    calibrated = camera((1920, 1080))
+    assert fit_to_video(calibrated, (1920, 1080), 0, (1440, 1080)) == (calibrated, "")
+    found = fit_to_video(camera((960, 540)), (1920, 1080), 0, (1440, 1080))
+    assert found is not None
+    assert found[1] == "the calibration is scaled by 2"
+    assert fit_to_video(camera((1000, 1080)), (1920, 1080), 0, (1440, 1080)) is None
+
+
+@pytest.mark.parametrize(("focal_px", "is_stretched"), [((1500.0, 1505.0), False), ((1130.0, 1500.0), True)])
+def test_focal_lengths_tell_the_pixels_of_a_calibration_without_a_size(
+    focal_px: tuple[float, float], is_stretched: bool
+) -> None:
+    matrix = np.array([[focal_px[0], 0.0, 719.5], [0.0, focal_px[1], 539.5], [0.0, 0.0, 1.0]])
+    pose = Rigid3(np.eye(3), np.array([0.0, 0.0, 3.0]))
+    found = fit_to_video(Camera("cam", UNKNOWN_SIZE, matrix, np.zeros(5), pose), (1920, 1080), 0, (1440, 1080))
+    assert found is not None
+    assert found[0].size_px == (1920, 1080)
+    assert found[0].matrix[0, 0] == pytest.approx(focal_px[0] * (4 / 3 if is_stretched else 1))

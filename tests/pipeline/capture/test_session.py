@@ -14,6 +14,7 @@ from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import InputError
 from pipeline.video.decode import decode
 from tests.pipeline.media import rewrite_packets, write_audio, write_video
+from tests.pipeline.video.corpus import write_clip
 
 
 def calibration(path: Path, names: list[str], size_px: tuple[int, int] = (64, 48), **changes: Any) -> Path:
@@ -68,6 +69,27 @@ def test_frames_that_repeat_a_time_are_said(folder: Path, tmp_path: Path) -> Non
     shutil.copy(good, folder / "b.mkv")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
     assert session.warnings == ("a.mkv: 1 frame is left out, because another frame has the same timestamp.",)
+
+
+def test_pixels_that_are_not_square_and_fields_are_said(tmp_path: Path) -> None:
+    """One calibration is of the shown pictures, one of the stored ones; people are seen at the same places."""
+    wide = write_clip(tmp_path, "h264-wide-pixels.mp4").rename(tmp_path / "a.mp4")
+    videos = [wide, Path(shutil.copy(wide, tmp_path / "b.mp4"))]
+    shown: dict[str, Any] = {"size_px": [128, 64], "matrix": [[96.0, 0.0, 63.5], [0.0, 96.0, 31.5], [0.0, 0.0, 1.0]]}
+    stored = {"size_px": [96, 64], "matrix": [[72.0, 0.0, 47.5], [0.0, 96.0, 31.5], [0.0, 0.0, 1.0]]}
+    path = calibration(tmp_path / "c.json", ["a", "b"])
+    document = json.loads(path.read_text())
+    for camera, change in zip(document["cameras"], (shown, stored), strict=True):
+        camera.update(change)
+    path.write_text(json.dumps(document))
+    session = open_session(videos, path)
+    for camera in session.cameras:
+        assert camera.size_px == (128, 64)
+        np.testing.assert_allclose(camera.matrix, shown["matrix"])
+    assert [warning.partition(":")[0] for warning in session.warnings] == ["b", "file a.mp4", "file b.mp4"]
+    assert "stretched" in session.warnings[0]
+    assert "not square (4:3): the pictures are scaled from 96 to 128 columns" in session.warnings[1]
+    assert next(decode(session.videos[0], 5, 6))[1].shape == (64, 128, 3)
 
 
 def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
