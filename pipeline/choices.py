@@ -68,6 +68,10 @@ class OtherNames:
     pattern: str
 
 
+Group = Literal["purpose", "people", "quality", "advanced"]
+"""Parts of a form of choices: what the files are for, how many people there are, how well, and all else."""
+
+
 @dataclass(frozen=True, slots=True)
 class About:
     """What a declaration says of a choice beside its type and default.
@@ -102,9 +106,6 @@ class About:
 
 
 Kind = Literal["one", "several", "number", "whole_number", "frame_range"]
-
-Group = Literal["purpose", "people", "quality", "advanced"]
-"""Parts of a form of choices: what the files are for, how many people there are, how well, and all else."""
 
 
 @dataclass(frozen=True, slots=True)
