@@ -84,7 +84,7 @@ def install_page_libraries(portal: Path) -> bool:
     npm = shutil.which("npm", path=Path(sys.executable).parent) or shutil.which("npm")
     if npm is None:
         return False
-    command = [npm, "ci", "--prefix", portal, "--silent", "--no-audit", "--no-fund"]
+    command = [npm, "ci", "--prefix", str(portal), "--silent", "--no-audit", "--no-fund"]
     done = subprocess.run(command, check=False)  # noqa: S603 - our own lock file
     shutil.rmtree(portal / "node_modules", ignore_errors=True)
     return done.returncode == 0 and (portal / "vendor").is_dir()
