@@ -28,7 +28,7 @@ from api.metrics import RequestMetrics
 from api.requests import validation
 from api.requests.fair_threads import FairThreads
 from api.requests.preflight import PreflightProgram
-from api.routes import calibrations, callers, events, health, jobs, options, page, results, sessions, uploads
+from api.routes import calibrations, callers, events, health, jobs, motion, options, page, results, sessions, uploads
 from api.settings import Settings
 from api.tus.files import UploadSpool
 from pipeline.stages.code import stage_codes
@@ -77,6 +77,7 @@ def create_app(settings: Settings) -> FastAPI:
             events.router,
             results.router,
         ),
+        motion.router,
         options.router,
     ):
         app.include_router(router, responses=contract.problems(401, 429))

@@ -19,7 +19,6 @@ PATH_PARAMETERS = {
     "job_id": _JOB_ID,
     "upload_id": UPLOAD_IDS[0],
     "name": "person-1.bvh",
-    "sample_file": "cam01.mp4",
 }
 
 REQUEST_HEADERS = {
@@ -115,7 +114,6 @@ def _stage(name: str, state: str, done: int, total: int) -> dict[str, Any]:
         "state": state,
         "done": done,
         "total": total,
-        "unit": STAGE_BY_NAME[name].unit,
         "fraction": done / total,
         "started_at": "2026-03-01T09:31:01Z" if started else None,
         "finished_at": None,
@@ -256,7 +254,74 @@ _CALIBRATION_JOB: dict[str, Any] = _JOB | {
     "started_at": None,
 }
 
+_MOTION: dict[str, Any] = {
+    "schema_version": 1,
+    "frame_rate_hz": 25.0,
+    "start_time_s": 0.0,
+    "num_frames": 3,
+    "joint_names": ["nose", "left_eye"],
+    "bones": [["nose", "left_eye"]],
+    "skeleton": {"names": ["Hips", "Spine"], "parents": [None, 0]},
+    "record": {
+        "num_bytes": 44,
+        "offsets": {
+            "origin_m": 0,
+            "joints": 12,
+            "skeleton": 24,
+            "source_views": 36,
+            "score": 38,
+            "error": 40,
+            "camera_error": 42,
+            "identity": 43,
+        },
+        "absent": -32768,
+        "error_step_px": 0.25,
+        "unknown_error": 255,
+    },
+    "people": [
+        {
+            "id": 1,
+            "name": "person-1",
+            "color": "#2626ff",
+            "start_frame": 0,
+            "num_frames": 3,
+            "offset_bytes": 0,
+            "position_step_m": 0.0001,
+            "coverage": 1.0,
+            "stature_m": 1.78,
+            "reprojection_error_px": 3.1,
+            "identity": {"confidence": 1.0, "doubts": []},
+            "contacts": [[0, 0, 1, 2]],
+        }
+    ],
+    "cameras": [
+        {
+            "name": "cam_0",
+            "size_px": [1920, 1080],
+            "matrix": [[1500.0, 0.0, 959.5], [0.0, 1500.0, 539.5], [0.0, 0.0, 1.0]],
+            "distortion": [-0.1, 0.02, 0.0, 0.0],
+            "lens": "standard",
+            "cam_from_world": {
+                "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+                "translation_m": [0.0, 1.2, 4.0],
+            },
+            "video": "cam_0.mp4",
+            "clock": [[0, 0.0, 0.0], [2, 0.08, 0.08]],
+        }
+    ],
+    "is_refined": False,
+    "floor": {"height_m": 0.0, "slope_x": 0.0, "slope_y": 0.0},
+    "reprojection_error_px": {"median": 3.1, "p95": 8.2, "by_camera": {"cam_0": 3.1}, "by_joint": {"nose": 3.1}},
+    "warnings": [],
+    "strips": {
+        "frames_per_bucket": 1,
+        "columns": ["measured", "interpolated", "predicted", "error", "cameras", "identity"],
+        "people": ["////AAAAAAAADAwMAQEB////"],
+    },
+}
+
 ANSWERS: dict[str, dict[str, Any]] = {
+    "MotionDescription": _MOTION,
     "Calibration": _CALIBRATION,
     "CalibrationPage": {"calibrations": [_CALIBRATION], "next_cursor": None},
     "CalibrationJob": _CALIBRATION_JOB,
@@ -283,14 +348,6 @@ ANSWERS: dict[str, dict[str, Any]] = {
         "status": "ready",
         "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),
         "disk_free_bytes": 214748364800,
-    },
-    "Sample": {
-        "installed": True,
-        "install": "Run: multicap samples install",
-        "attribution": "Sample capture: demo of several people of Pose2Sim.",
-        "files": [
-            {"name": "cam01.mp4", "media_type": "video/mp4", "num_bytes": 950272, "link": "/v1/sample/cam01.mp4"}
-        ],
     },
     "Options": {
         "profiles": [
@@ -319,7 +376,6 @@ ANSWERS: dict[str, dict[str, Any]] = {
                 "name": "method",
                 "label": "Method",
                 "description": "Method that matches detections to people.",
-                "group": "advanced",
                 "kind": "one",
                 "values": [
                     {"name": "tracking", "label": "Tracking of whole bodies", "note": ""},

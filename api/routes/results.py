@@ -70,7 +70,7 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -
     for result in results:
         archive.add(_content(services, result), result.name)
     headers = {"Cache-Control": "private, no-cache", **_attachment(f"{session.name or job_id}.zip")}
-    return _Stream(iter(archive), headers=headers, media_type="application/zip")
+    return Stream(iter(archive), headers=headers, media_type="application/zip")
 
 
 def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
@@ -92,8 +92,8 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
         raise _damaged(damaged)
 
 
-def _opened(services: Services, result: Result) -> BinaryIO:
-    """Open a file, or raise the problem of a missing or damaged file."""
+def opened(services: Services, result: Result) -> BinaryIO:
+    """Open a result file, or raise the problem of a missing or damaged file."""
     try:
         return services.artifacts.open(result.key, result.sha256)
     except NotFound:
@@ -187,7 +187,7 @@ def get_result(
         _require_size(services, result)
         return Response(status_code=304, headers=headers) if matches(if_none_match, etag) else RedirectResponse(address)
     with contextlib.ExitStack() as stack:
-        file = stack.enter_context(_opened(services, result))
+        file = stack.enter_context(opened(services, result))
         if matches(if_none_match, etag):
             return Response(status_code=304, headers=headers)
         try:
@@ -201,10 +201,10 @@ def get_result(
     if wanted:
         headers["Content-Range"] = f"bytes {sent.start}-{sent.stop - 1}/{result.num_bytes}"
     content, status = _blocks(file, sent), 206 if wanted else 200
-    return _Stream(content, status, headers=headers, media_type=result.media_type, file=file)
+    return Stream(content, status, headers=headers, media_type=result.media_type, file=file)
 
 
-class _Stream(StreamingResponse):
+class Stream(StreamingResponse):
     """Response from a generator, which is closed even if the client disconnects early.
 
     A generator that was never started, as for HEAD, can't close its ``file``, so the response closes it.

@@ -51,7 +51,7 @@ _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 _HAND_SHARE = 0.5
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
-_PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
+PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
 
 
 class _Views(NamedTuple):
@@ -214,7 +214,7 @@ def _summarise_error(
 
 def _compare(reconstruction: Reconstruction, number: int) -> _Views:
     track, observations = reconstruction.tracks[number], reconstruction.observations[number]
-    error_px = reprojection_error_px(track, observations, reconstruction.cameras, _marks_of(reconstruction, number))
+    error_px = reprojection_error_px(track, observations, reconstruction.cameras, marks_of(reconstruction, number))
     body = _body(reconstruction.joints)
     of_body = replace(observations, points_px=observations.points_px[:, :, body], score=observations.score[:, :, body])
     return _Views(error_px, _sees(of_body), views_per_joint(_without_fingers(track, reconstruction.joints), of_body))
@@ -239,7 +239,7 @@ def _without_fingers(track: Track3D, joints: JointSet) -> Track3D:
     )
 
 
-def _marks_of(reconstruction: Reconstruction, number: int) -> _PositionsOf | None:
+def marks_of(reconstruction: Reconstruction, number: int) -> PositionsOf | None:
     """Positions of a person's marks; ``None`` if they are the joints' centres."""
     track, joints, offsets = reconstruction.tracks[number], reconstruction.joints, reconstruction.offsets
     # A person without hips and shoulders was fitted without offsets.
@@ -351,7 +351,7 @@ def reprojection_error_px(
     track: Track3D,
     observations: Observations,
     cameras: tuple[Camera, ...],
-    marks_m: _PositionsOf | None = None,
+    marks_m: PositionsOf | None = None,
 ) -> Float[np.ndarray, "frames cameras joints"]:
     """Distance of each observation to the projection of the final position, in pixels of the full image.
 

@@ -5,6 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+VIEWER = "viewer"
+"""Kind of the files that viewers read; lists of downloads leave them out."""
+MOTION, DESCRIPTION = "motion.bin", "motion.json"
+"""Names of these files."""
+
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:

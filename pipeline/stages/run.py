@@ -83,6 +83,7 @@ from pipeline.stages.plan import (
     Task,
 )
 from pipeline.stages.refinement import refine_from_bodies, refine_from_fields
+from pipeline.stages.viewer import viewer_files
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 
@@ -376,8 +377,9 @@ def export(task: Task, context: Context) -> Output:
     on_share = _on_share(task, context)
     paths = write_results(reconstruction, context.scratch, config.exports, config.bvh, config.output_rate_hz, on_share)
     files = [_result_file(path) for path in paths]
-    index = json.dumps({"files": [file.name for file in files]}).encode()
     report = json.loads((context.scratch / METRICS).read_bytes())
+    files += viewer_files(reconstruction, context.outline(), report, context.scratch)
+    index = json.dumps({"files": [file.name for file in files]}).encode()
     return Output(index, tuple(files), tuple(all_checks(report)))
 
 

@@ -8,9 +8,10 @@ import sqlite3
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import httpx2
@@ -102,18 +103,28 @@ class Live:
         assert answer.status_code == 202, answer.text
         return str(answer.json()["id"])
 
-    def finish(self, job_id: str, content: bytes = RESULT, warnings: Sequence[ResultWarning] = ()) -> None:
-        """Finish a job as a worker would."""
-        key = result_key(job_id, "person-1.bvh")
-        digest = hashlib.sha256(content).hexdigest()
-        self.services.artifacts.put_bytes(key, content)
-        result = Result("person-1.bvh", "bvh", "person-1", "text/plain; charset=utf-8", key, len(content), digest)
+    def finish(
+        self,
+        job_id: str,
+        content: bytes = RESULT,
+        warnings: Sequence[ResultWarning] = (),
+        motion: Mapping[str, bytes] = MappingProxyType({}),
+    ) -> None:
+        """Finish a job as a worker would; ``motion`` are the files for viewers by name."""
+        result = self._put(job_id, "person-1.bvh", "bvh", content)
+        files = [result, *(self._put(job_id, name, "viewer", one) for name, one in motion.items())]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
-            results, said = ([result], warnings) if claim.stage == "export" else ([], ())
+            results, said = (files, warnings) if claim.stage == "export" else ([], ())
             self.services.store.leases.finish(
-                claim.chunk_id, claim.lease_token, digest, len(content), results=results, warnings=said
+                claim.chunk_id, claim.lease_token, result.sha256, len(content), results=results, warnings=said
             )
+
+    def _put(self, job_id: str, name: str, kind: str, content: bytes) -> Result:
+        key, digest = result_key(job_id, name), hashlib.sha256(content).hexdigest()
+        self.services.artifacts.put_bytes(key, content)
+        person = "person-1" if kind == "bvh" else None
+        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest)
 
 
 def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:

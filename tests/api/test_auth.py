@@ -14,6 +14,7 @@ import httpx2
 import pytest
 
 from api.app import ExposedError, create_app, require_keys_if_exposed
+from api.contract.examples import ANSWERS
 from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
@@ -86,7 +87,10 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         _, mine = live.services.store.keys.add("mine", "portal", ALL)
         live.client.headers["Authorization"] = f"Bearer {theirs}"
         job_id = live.job_id()
-        live.finish(job_id)
+        live.finish(
+            job_id,
+            motion={"motion.bin": bytes(132), "motion.json": json.dumps(ANSWERS["MotionDescription"]).encode()},
+        )
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
         upload = live.client.post("/v1/uploads", headers=TUS).headers["location"]
         del live.client.headers["Authorization"]

@@ -55,9 +55,9 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
         "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createSession",
         "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession", "deleteUpload",
         "describeUploads", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller", "getHealth", "getJob",
-        "getMetrics", "getOptions", "getReadiness", "getResult", "getSession", "getUpload", "listAttempts",
-        "listCalibrations", "listJobs", "listResults", "listSessionJobs", "listSessions", "openBrowserSession",
-        "retryJob", "streamJobEvents",
+        "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSession",
+        "getUpload", "listAttempts", "listCalibrations", "listJobs", "listResults", "listSessionJobs", "listSessions",
+        "openBrowserSession", "renameSession", "retryJob", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
     for operation in operations(schema):

@@ -2,6 +2,7 @@
 
 from sqlalchemy import select
 
+from pipeline.stages.output import VIEWER
 from worker.jobs.database.access import Access
 from worker.jobs.database.rows import result_of
 from worker.jobs.database.tables import results
@@ -17,6 +18,10 @@ class Results:
         self._access = access
 
     def of_job(self, job_id: str) -> list[Result]:
+        """Results of a job for downloads, by name: all but those that viewers read; errors as of ``all_of_job``."""
+        return [result for result in self.all_of_job(job_id) if result.kind != VIEWER]
+
+    def all_of_job(self, job_id: str) -> list[Result]:
         """Results of a job, by name.
 
         Raises
@@ -39,8 +44,8 @@ class Results:
         return found
 
     def get(self, job_id: str, name: str) -> Result:
-        """Result of a job by name; errors as of ``of_job``, and ``NotFound`` if there is none of this name."""
-        for result in self.of_job(job_id):
+        """Result of a job by name; errors as of ``all_of_job``, and ``NotFound`` if there is none of this name."""
+        for result in self.all_of_job(job_id):
             if result.name == name:
                 return result
         raise NotFound("The job has no result of this name.")

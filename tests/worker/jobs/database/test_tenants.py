@@ -47,6 +47,7 @@ ACTS: dict[str, Act] = {
     "jobs.get": lambda records, session_id, job_id: records.jobs.get(job_id),
     "jobs.attempts": lambda records, session_id, job_id: records.jobs.attempts(job_id),
     "results.of_job": lambda records, session_id, job_id: records.results.of_job(job_id),
+    "results.all_of_job": lambda records, session_id, job_id: records.results.all_of_job(job_id),
     "results.get": lambda records, session_id, job_id: records.results.get(job_id, "person-1.bvh"),
     "jobs.cancel": lambda records, session_id, job_id: records.jobs.cancel(job_id),
     "jobs.retry": lambda records, session_id, job_id: records.jobs.retry(job_id, stages(1)),

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,17 @@ def test_results(jobs: Bench) -> None:
     assert jobs.store.results.get(job_id, "metrics.json") == files[1]
     with pytest.raises(NotFound):
         jobs.store.results.get(job_id, "person-2.bvh")
+
+
+def test_downloads_leave_files_of_viewers_out(jobs: Bench) -> None:
+    job_id = jobs.queue(num_chunks=1).id
+    jobs.finish(jobs.claim())
+    claim = jobs.claim()
+    download, of_viewer = result(job_id, "metrics.json"), replace(result(job_id, "motion.bin"), kind="viewer")
+    jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, results=[download, of_viewer])
+    assert jobs.store.results.of_job(job_id) == [download]
+    assert jobs.store.results.all_of_job(job_id) == [download, of_viewer]
+    assert jobs.store.results.get(job_id, "motion.bin") == of_viewer
 
 
 def test_a_failed_job_has_no_results(jobs: Bench) -> None:

@@ -1,0 +1,209 @@
+"""``motion.json``: people, joints, cameras and strips; the index of ``motion.bin``."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.data import Camera, FrameTimes, Reconstruction
+from pipeline.export.colors import color_rgb
+from pipeline.export.viewer.clocks import knots
+from pipeline.export.viewer.frames import (
+    ABSENT,
+    ERROR_STEP_PX,
+    UNKNOWN_ERROR,
+    PersonFrames,
+    encode_person,
+    position_step_m,
+    record_type,
+)
+from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket, identity_confidence
+from pipeline.joints import without_hands
+from pipeline.quality.report import marks_of, reprojection_error_px
+from pipeline.skeleton.model import forward_kinematics, skeleton_of
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footage:
+    """Frames of a camera, and its video.
+
+    Parameters
+    ----------
+    times
+        Times of the frames on the session's clock.
+    video
+        Name of the video file; ``None`` for a session of keypoints.
+    video_times
+        Times of the frames since the start of the video; ``None`` without a video.
+    """
+
+    times: FrameTimes
+    video: str | None = None
+    video_times: FrameTimes | None = None
+
+
+class ViewerMotion:
+    """Motion of a reconstruction for viewers.
+
+    Parameters
+    ----------
+    reconstruction
+        At the session's frame rate.
+    footage
+        Frames of each camera, by its name.
+    report
+        Content of ``metrics.json``.
+    """
+
+    def __init__(
+        self, reconstruction: Reconstruction, footage: Mapping[str, Footage], report: Mapping[str, Any]
+    ) -> None:
+        self._take, self._footage, self._report = reconstruction, footage, report
+        num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
+        self._skeleton = skeleton_of(num_bones) if num_bones else ()
+        self._dtype = record_type(len(reconstruction.joints.names), num_bones, len(reconstruction.cameras))
+        self._steps_m: list[float] = []
+        self._strips: list[str] = []
+
+    def encode(self) -> Iterator[bytes]:
+        """Encode ``motion.bin``, piece by piece."""
+        self._steps_m, self._strips = [], []
+        num_body_joints = len(without_hands(self._take.joints).names)
+        for number in range(len(self._take.tracks)):
+            person = person_frames(self._take, number)
+            self._steps_m.append(position_step_m(person))
+            self._strips.append(encode_strips(person, self._take.timebase.num_frames, num_body_joints))
+            yield from encode_person(person, self._dtype)
+
+    def describe(self) -> bytes:
+        """Encode ``motion.json`` as strict JSON. All pieces of ``encode`` must have been taken before."""
+        take = self._take
+        places = [joint.name for joint in self._skeleton]
+        document = {
+            "schema_version": SCHEMA_VERSION,
+            "frame_rate_hz": take.timebase.frame_rate_hz,
+            "start_time_s": take.timebase.start_time_s,
+            "num_frames": take.timebase.num_frames,
+            "joint_names": take.joints.names,
+            "bones": take.joints.bones,
+            "skeleton": {
+                "names": places,
+                "parents": [None if joint.parent is None else places.index(joint.parent) for joint in self._skeleton],
+            },
+            "record": self._describe_record(),
+            "people": list(self._describe_people()),
+            "cameras": [_describe_camera(camera, self._footage.get(camera.name)) for camera in take.cameras],
+            "is_refined": take.refinement is not None and take.refinement.refined,
+            "floor": None
+            if take.animation.floor is None
+            else {
+                "height_m": take.animation.floor.z_m,
+                "slope_x": take.animation.floor.slope_x,
+                "slope_y": take.animation.floor.slope_y,
+            },
+            "reprojection_error_px": self._report["reprojection_error_px"],
+            "warnings": [
+                *take.warnings,
+                *(check["message"] for check in (*self._report["capture_checks"], *self._report["world_checks"])),
+            ],
+            "strips": {
+                "frames_per_bucket": frames_a_bucket(take.timebase.num_frames),
+                "columns": COLUMNS,
+                "people": self._strips,
+            },
+        }
+        return (json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n").encode("ascii")
+
+    def _describe_record(self) -> dict[str, Any]:
+        fields: Mapping[str, tuple[Any, ...]] = self._dtype.fields or {}
+        return {
+            "num_bytes": self._dtype.itemsize,
+            "offsets": {name: fields[name][1] for name in self._dtype.names or () if name != "padding"},
+            "absent": ABSENT,
+            "error_step_px": ERROR_STEP_PX,
+            "unknown_error": UNKNOWN_ERROR,
+        }
+
+    def _describe_people(self) -> Iterator[dict[str, Any]]:
+        offset_bytes = 0
+        figures = {person["id"]: person for person in self._report["people"]}
+        for track, motion, step_m in zip(self._take.tracks, self._take.motions, self._steps_m, strict=True):
+            red, green, blue = color_rgb(track.track_id)
+            of_person = figures[track.track_id]
+            yield {
+                "id": track.track_id,
+                "name": motion.name,
+                "color": f"#{red:02x}{green:02x}{blue:02x}",
+                "start_frame": track.start_frame,
+                "num_frames": track.num_frames,
+                "offset_bytes": offset_bytes,
+                "position_step_m": step_m,
+                "coverage": of_person["coverage"],
+                "stature_m": of_person["stature_m"],
+                "reprojection_error_px": of_person["reprojection_error_px"],
+                "identity": of_person["identity"],
+                # Rows of four numbers: a long take has thousands of contacts.
+                "contacts": [
+                    [
+                        ("left", "right").index(contact.side),
+                        ("foot", "heel", "toe").index(contact.part),
+                        track.start_frame + contact.start_frame,
+                        contact.num_frames,
+                    ]
+                    for contact in motion.contacts
+                ],
+            }
+            offset_bytes += track.num_frames * self._dtype.itemsize
+
+
+def person_frames(reconstruction: Reconstruction, number: int) -> PersonFrames:
+    """Content of the records of the person with a number on the list of tracks."""
+    track, motion = reconstruction.tracks[number], reconstruction.motions[number]
+    error_px = reprojection_error_px(
+        track, reconstruction.observations[number], reconstruction.cameras, marks_of(reconstruction, number)
+    )
+    doubts: Sequence[Any] = reconstruction.doubts[number] if reconstruction.doubts else ()
+    return PersonFrames(
+        track,
+        motion.root_m,
+        forward_kinematics(motion),
+        _mean_of_joints(error_px[:, :, : len(without_hands(reconstruction.joints).names)]),
+        identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
+    )
+
+
+def _mean_of_joints(error_px: np.ndarray) -> np.ndarray:
+    """Mean over the last axis of the values that are not NaN; NaN without any."""
+    is_known = np.isfinite(error_px)
+    num_known = is_known.sum(-1)
+    total_px = np.where(is_known, error_px, 0.0).sum(-1)
+    return np.where(num_known > 0, total_px / np.maximum(num_known, 1), np.nan)
+
+
+def _describe_camera(camera: Camera, footage: Footage | None) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "size_px": list(camera.size_px),
+        "matrix": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "lens": camera.lens,
+        "cam_from_world": {
+            "rotation": camera.cam_from_world.rotation.tolist(),
+            "translation_m": camera.cam_from_world.translation_m.tolist(),
+        },
+        "video": None if footage is None else footage.video,
+        "clock": [] if footage is None else _describe_clock(footage),
+    }
+
+
+def _describe_clock(footage: Footage) -> list[list[int | float]]:
+    """Rows of frame number, time on the session's clock and, with a video, time in the video."""
+    clocks = [footage.times] if footage.video_times is None else [footage.times, footage.video_times]
+    times_s = np.stack([clock.time_s for clock in clocks], axis=1)
+    if not len(times_s):
+        return []
+    return [[frame, *(round(float(time_s), 6) for time_s in times_s[frame])] for frame in knots(times_s)]

@@ -1,0 +1,140 @@
+"""``motion.bin``: frames of all people as records of equal size, so that a range of frames is one range of bytes.
+
+The records of a person follow each other without gaps, person after person. All numbers are little-endian.
+
+======================  ===============  ===========================================================================
+field                   type             meaning
+======================  ===============  ===========================================================================
+``origin_m``            3 x float32      position that the following ones are relative to, world coordinates
+``joints``              joints x 3 int16 position of each joint in steps from the origin; -32768: absent
+``skeleton``            bones x 3 int16  position of each joint of the animation skeleton, likewise
+``source_views``        joints x uint8   ``Source`` in the two low bits, number of cameras (at most 63) above them
+``score``               joints x uint8   mean confidence of the observations, 255 for 1
+``error``               joints x uint8   mean reprojection error in steps of 0.25 px, 254 for more; 255: unknown
+``camera_error``        cameras x uint8  mean reprojection error of the body's joints in each camera, likewise
+``identity``            uint8            confidence in the person's identity, 255 for 1
+======================  ===============  ===========================================================================
+
+Zeros fill the record up to a multiple of four bytes. The step is a person's own: 0.1 mm, or more for joints farther
+than 3.2 m from the origin.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from pipeline.data import Track3D
+from pipeline.export.writers.blocks import frame_blocks
+
+ABSENT = -32768
+"""Coordinate of a joint without a position."""
+UNKNOWN_ERROR = 255
+ERROR_STEP_PX = 0.25
+POSITION_STEP_M = 1e-4
+
+_LARGEST = 32767
+_MAX_VIEWS = 63
+_ALIGNMENT = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonFrames:
+    """Content of the records of one person.
+
+    Parameters
+    ----------
+    track
+        Joints with final positions.
+    root_m
+        Positions that the others are stored relative to: those of the skeleton's root.
+    skeleton_m
+        Positions of the joints of the animation skeleton.
+    camera_error_px
+        Mean reprojection error of the body's joints in each camera, NaN where a camera sees nothing of the person.
+    identity
+        Confidence in the person's identity in [0, 1].
+    """
+
+    track: Track3D
+    root_m: Float[np.ndarray, "frames 3"]
+    skeleton_m: Float[np.ndarray, "frames bones 3"]
+    camera_error_px: Float[np.ndarray, "frames cameras"]
+    identity: Float[np.ndarray, " frames"]
+
+
+def record_type(num_joints: int, num_bones: int, num_cameras: int) -> np.dtype[np.void]:
+    """Structure of a record; its fields are listed at the top of this module."""
+    fields: list[tuple[str, str, tuple[int, ...]]] = [
+        ("origin_m", "<f4", (3,)),
+        ("joints", "<i2", (num_joints, 3)),
+        ("skeleton", "<i2", (num_bones, 3)),
+        ("source_views", "u1", (num_joints,)),
+        ("score", "u1", (num_joints,)),
+        ("error", "u1", (num_joints,)),
+        ("camera_error", "u1", (num_cameras,)),
+        ("identity", "u1", ()),
+    ]
+    used = np.dtype(fields).itemsize
+    return np.dtype([*fields, ("padding", "u1", (-used % _ALIGNMENT,))])
+
+
+def position_step_m(person: PersonFrames) -> float:
+    """Step of a person's positions: as fine as 0.1 mm where 16 bits allow it."""
+    farthest_m = max(_farthest_m(person.track.xyz_m, person.root_m), _farthest_m(person.skeleton_m, person.root_m))
+    # The origin is rounded to single precision, so a coordinate may end a little farther away.
+    return float(max(POSITION_STEP_M, farthest_m * (1 + 1e-6) / _LARGEST))
+
+
+def encode_person(person: PersonFrames, dtype: np.dtype[np.void]) -> Iterator[bytes]:
+    """Encode the records of a person, block by block.
+
+    Parameters
+    ----------
+    dtype
+        Structure of the records. The person's skeleton may have fewer joints; the others are absent.
+    """
+    step_m = position_step_m(person)
+    num_bones = person.skeleton_m.shape[1]
+    track = person.track
+    for rows in frame_blocks(track.num_frames):
+        records = np.zeros(rows.stop - rows.start, dtype)
+        records["origin_m"] = person.root_m[rows]
+        origin_m = records["origin_m"][:, None].astype(float)
+        records["joints"] = _steps(track.xyz_m[rows] - origin_m, step_m)
+        records["skeleton"] = ABSENT
+        records["skeleton"][:, :num_bones] = _steps(person.skeleton_m[rows] - origin_m, step_m)
+        records["source_views"] = track.source[rows] | np.minimum(track.views[rows], _MAX_VIEWS) << 2
+        records["score"] = share_byte(track.score[rows])
+        records["error"] = error_byte(track.error_px[rows])
+        records["camera_error"] = error_byte(person.camera_error_px[rows])
+        records["identity"] = share_byte(person.identity[rows])
+        yield records.tobytes()
+
+
+def share_byte(share: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
+    """Quantise values in [0, 1]: 255 stands for 1."""
+    return np.rint(255 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
+
+
+def error_byte(error_px: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
+    """Quantise errors in steps of ``ERROR_STEP_PX``; NaN becomes ``UNKNOWN_ERROR``."""
+    steps = np.minimum(np.rint(error_px / ERROR_STEP_PX), UNKNOWN_ERROR - 1)
+    return np.where(np.isnan(steps), UNKNOWN_ERROR, steps).astype(np.uint8)
+
+
+def _steps(offset_m: Float[np.ndarray, "frames joints 3"], step_m: float) -> np.ndarray:
+    is_known = np.isfinite(offset_m).all(-1, keepdims=True)
+    return np.where(is_known, np.rint(np.where(is_known, offset_m, 0.0) / step_m), ABSENT).astype(np.int16)
+
+
+def _farthest_m(xyz_m: Float[np.ndarray, "frames joints 3"], root_m: Float[np.ndarray, "frames 3"]) -> float:
+    return max(
+        (
+            float(np.nanmax(np.abs(xyz_m[rows] - root_m[rows, None]), initial=0.0))
+            for rows in frame_blocks(len(xyz_m))
+            if np.isfinite(xyz_m[rows]).any()
+        ),
+        default=0.0,
+    )

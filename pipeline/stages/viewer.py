@@ -1,0 +1,41 @@
+"""Files for viewers, from a reconstruction and its session."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.data import FrameTimes, Reconstruction
+from pipeline.export.viewer.description import Footage, ViewerMotion
+from pipeline.stages.association import Session
+from pipeline.stages.output import DESCRIPTION, MOTION, VIEWER, ResultFile
+
+
+def viewer_files(
+    reconstruction: Reconstruction, session: Session, report: Mapping[str, Any], folder: Path
+) -> Iterator[ResultFile]:
+    """Write the files for viewers into a folder.
+
+    Parameters
+    ----------
+    reconstruction
+        At the session's frame rate.
+    report
+        Content of ``metrics.json``.
+    """
+    motion = ViewerMotion(reconstruction, footage_of(session), report)
+    with (folder / MOTION).open("wb") as file:
+        file.writelines(motion.encode())
+    yield ResultFile(MOTION, VIEWER, None, "application/octet-stream", folder / MOTION)
+    (folder / DESCRIPTION).write_bytes(motion.describe())
+    yield ResultFile(DESCRIPTION, VIEWER, None, "application/json", folder / DESCRIPTION)
+
+
+def footage_of(session: Session) -> Mapping[str, Footage]:
+    """Frames of each camera of a session, by the camera's name."""
+    if isinstance(session, KeypointSession):
+        return {name: Footage(times) for name, times in session.times.items()}
+    return {
+        camera.name: Footage(session.times[camera.name], video.path.name, FrameTimes(video.time_s))
+        for camera, video in zip(session.cameras, session.videos, strict=True)
+    }

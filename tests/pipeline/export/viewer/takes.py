@@ -1,0 +1,57 @@
+"""Takes of walkers, and a plain reader of what viewers read."""
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import Doubt, FrameTimes, Reconstruction, Timebase, Track3D
+from pipeline.export.viewer.description import Footage
+from pipeline.joints import COCO_17
+from pipeline.skeleton.animate import animate
+from tests.pipeline.quality.test_report import CAMERAS, RATE_HZ, observe
+
+FOOTAGE = {
+    camera.name: Footage(
+        FrameTimes(0.25 + np.arange(100) / RATE_HZ), f"{camera.name}.mp4", FrameTimes(np.arange(100) / RATE_HZ)
+    )
+    for camera in CAMERAS
+}
+
+
+def take(*tracks: Track3D, doubts: Sequence[Sequence[Doubt]] = (), num_frames: int = 100) -> Reconstruction:
+    timebase = Timebase(0.25, RATE_HZ, num_frames)
+    observations = tuple(observe(track) for track in tracks)
+    animation = animate(tracks, observations, CAMERAS, timebase, COCO_17, ReconstructionConfig(smoothing="none"))
+    return Reconstruction(CAMERAS, COCO_17, timebase, tracks, observations, animation, doubts=doubts)
+
+
+def read_record(description: dict[str, Any], content: bytes, person: int, row: int) -> dict[str, Any]:
+    """Read a record by what ``motion.json`` says, with nothing but ``struct``."""
+    record, about = description["record"], description["people"][person]
+    start = about["offset_bytes"] + row * record["num_bytes"]
+    num_joints, num_bones = len(description["joint_names"]), len(description["skeleton"]["names"])
+
+    def values(name: str, form: str) -> tuple[Any, ...]:
+        return struct.unpack_from(f"<{form}", content, start + record["offsets"][name])
+
+    origin_m = np.array(values("origin_m", "3f"))
+
+    def positions_m(name: str, number: int) -> np.ndarray:
+        steps = np.array(values(name, f"{3 * number}h"), float).reshape(number, 3)
+        steps[steps == record["absent"]] = np.nan
+        return origin_m + steps * about["position_step_m"]
+
+    source_views = values("source_views", f"{num_joints}B")
+    return {
+        "joints_m": positions_m("joints", num_joints),
+        "skeleton_m": positions_m("skeleton", num_bones),
+        "source": [value & 3 for value in source_views],
+        "views": [value >> 2 for value in source_views],
+        "score": [value / 255 for value in values("score", f"{num_joints}B")],
+        "error": values("error", f"{num_joints}B"),
+        "camera_error": values("camera_error", f"{len(description['cameras'])}B"),
+        "identity": values("identity", "B")[0] / 255,
+    }
