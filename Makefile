@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PORTAL := api/portal
 READERS := tests/e2e/readers
 LINTER := tests/api/linter
 BLENDER := .venv-blender
@@ -14,7 +15,7 @@ PEERS := .venv-peers
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(VENV)/.compiled  ## Install all dependencies, pinned and checked by hash, into .venv
+setup: $(VENV)/.compiled $(PORTAL)/vendor/.installed  ## Install all dependencies, pinned and checked by hash, into .venv
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)
@@ -32,6 +33,10 @@ $(VENV)/.compiled: $(VENV)/.installed $(KERNELS)
 	@echo "Compiling the numeric kernels; the first time takes two or three minutes."
 	$(BIN)/python -P -m pipeline.runtime.warm_up
 	touch $@
+
+$(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(VENV)/.installed
+	@$(BIN)/npm ci --prefix $(PORTAL) --silent --no-audit --no-fund && touch $@ \
+		|| echo "npm's packages can't be installed here: the page at / shows how to install them; the rest works."
 
 demo: setup  ## Start the service, send a real four-camera capture, write the results to demo-output/
 	$(BIN)/multicap demo
@@ -152,4 +157,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

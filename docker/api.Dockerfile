@@ -1,4 +1,9 @@
 # The web API. From the repository's root: docker build --file docker/api.Dockerfile --tag multicap-api .
+FROM node:24-bookworm-slim AS portal
+WORKDIR /portal
+COPY api/portal/package.json api/portal/package-lock.json api/portal/vendor.mjs ./
+RUN npm ci --no-audit --no-fund
+
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 RUN python -m venv /opt/multicap
@@ -6,6 +11,7 @@ COPY docker/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
 COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
+COPY --from=portal /portal/vendor api/portal/vendor
 COPY multicap multicap
 COPY pipeline pipeline
 COPY worker worker

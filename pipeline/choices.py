@@ -68,6 +68,10 @@ class OtherNames:
     pattern: str
 
 
+Group = Literal["purpose", "people", "quality", "advanced"]
+"""Parts of a form of choices: what the files are for, how many people there are, how well, and all else."""
+
+
 @dataclass(frozen=True, slots=True)
 class About:
     """What a declaration says of a choice beside its type and default.
@@ -86,6 +90,8 @@ class About:
         Name of the option of the command line, if other than the field's.
     noun
         Name of one value in problems of the command line, if other than the option's.
+    group
+        Part of a form that asks for it.
     """
 
     label: str
@@ -96,6 +102,7 @@ class About:
     unset: str | None = None
     option: str | None = None
     noun: str | None = None
+    group: Group = "advanced"
 
 
 Kind = Literal["one", "several", "number", "whole_number", "frame_range"]

@@ -114,10 +114,10 @@ class MotionChoices:
     """Choices that a job and a configuration of the pipeline have alike."""
 
     method: Annotated[Method, About("Method", "Method that matches detections to people.")] = "tracking"
-    profile: Annotated[Profile, About("Profile", "Networks that find the 2D joints, by speed and accuracy.")] = field(
-        default="balanced", kw_only=True
-    )
-    joints: Annotated[DetectedJoints, About("Joints", "Joints that are detected in videos.")] = field(
+    profile: Annotated[
+        Profile, About("Profile", "Networks that find the 2D joints, by speed and accuracy.", group="quality")
+    ] = field(default="balanced", kw_only=True)
+    joints: Annotated[DetectedJoints, About("Joints", "Joints that are detected in videos.", group="quality")] = field(
         default="auto", kw_only=True
     )
     detector: Annotated[
@@ -192,6 +192,7 @@ class JobChoices(MotionChoices):
             "Largest number of people: those whom most cameras saw for longest.",
             minimum=1,
             maximum=1000,
+            group="people",
         ),
     ] = "auto"
     exports: Annotated[
@@ -200,6 +201,7 @@ class JobChoices(MotionChoices):
             "Files of each person",
             "Formats of each person's files, beside `skeletons.json` and `metrics.json`.",
             noun="export",
+            group="purpose",
         ),
     ] = ("bvh",)
     bvh: Annotated[
@@ -208,6 +210,7 @@ class JobChoices(MotionChoices):
             "Application for BVH files",
             "Application that BVH files are written for: names, axes, unit and rest pose.",
             option="preset",
+            group="purpose",
         ),
     ] = "default"
 

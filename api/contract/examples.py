@@ -19,6 +19,7 @@ PATH_PARAMETERS = {
     "job_id": _JOB_ID,
     "upload_id": UPLOAD_IDS[0],
     "name": "person-1.bvh",
+    "sample_file": "cam01.mp4",
 }
 
 REQUEST_HEADERS = {
@@ -114,6 +115,7 @@ def _stage(name: str, state: str, done: int, total: int) -> dict[str, Any]:
         "state": state,
         "done": done,
         "total": total,
+        "unit": STAGE_BY_NAME[name].unit,
         "fraction": done / total,
         "started_at": "2026-03-01T09:31:01Z" if started else None,
         "finished_at": None,
@@ -349,6 +351,14 @@ ANSWERS: dict[str, dict[str, Any]] = {
         "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),
         "disk_free_bytes": 214748364800,
     },
+    "Sample": {
+        "installed": True,
+        "install": "Run: multicap samples install",
+        "attribution": "Sample capture: demo of several people of Pose2Sim.",
+        "files": [
+            {"name": "cam01.mp4", "media_type": "video/mp4", "num_bytes": 950272, "link": "/v1/sample/cam01.mp4"}
+        ],
+    },
     "Options": {
         "profiles": [
             {
@@ -376,6 +386,7 @@ ANSWERS: dict[str, dict[str, Any]] = {
                 "name": "method",
                 "label": "Method",
                 "description": "Method that matches detections to people.",
+                "group": "advanced",
                 "kind": "one",
                 "values": [
                     {"name": "tracking", "label": "Tracking of whole bodies", "note": ""},

@@ -1,12 +1,27 @@
-"""Route of options: the choices of a job, and the installed networks."""
+"""Routes for a form that sends captures: the choices of a job, the installed networks, a sample capture."""
 
-from fastapi import APIRouter, Response
+import mimetypes
+from pathlib import Path as FilePath
+from typing import Annotated
+from urllib.parse import quote
+
+from fastapi import APIRouter, Path, Response
+from starlette.responses import FileResponse
 
 from api.auth import RecordsDep
-from api.contract.description import answer
+from api.contract.description import answer, problems
 from api.dependencies import ServicesDep
+from api.errors import ApiError
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
-from api.schemas.options import ChoiceOut, DetectorOut, Options, ProfileNetworksOut, ProfileOut
+from api.schemas.options import (
+    ChoiceOut,
+    DetectorOut,
+    Options,
+    ProfileNetworksOut,
+    ProfileOut,
+    SampleFileOut,
+    SampleOut,
+)
 from pipeline.config import (
     CHOICES,
     JOINTS,
@@ -19,9 +34,12 @@ from pipeline.config import (
     install_command,
     networks_of,
 )
+from pipeline.runtime.packages import samples
 from worker.jobs.repositories.work.workers import installed_detectors
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
+
+_INSTALL = "Run: multicap samples install"
 
 
 @router.get(
@@ -47,6 +65,61 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
         choices=tuple(ChoiceOut.of(choice) for choice in CHOICES.values()),
     )
     return conditional(options, if_none_match)
+
+
+@router.get("/sample", operation_id="getSample", summary="Read the sample capture", responses={200: answer("Sample")})
+def get_sample(_: RecordsDep) -> SampleOut:
+    """List the files of the sample capture, a real take to try the service with."""
+    paths = _sample_paths()
+    return SampleOut(
+        installed=bool(paths),
+        install=_INSTALL,
+        attribution=samples.ATTRIBUTION,
+        files=tuple(
+            SampleFileOut(
+                name=path.name,
+                media_type=_media_type(path),
+                num_bytes=path.stat().st_size,
+                link=f"/v1/sample/{quote(path.name)}",
+            )
+            for path in paths
+        ),
+    )
+
+
+@router.get(
+    "/sample/{sample_file}",
+    operation_id="getSampleFile",
+    summary="Download a file of the sample capture",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "File of the sample capture.",
+            "content": {
+                "application/octet-stream": {"schema": {"type": "string", "format": "binary"}, "example": "..."}
+            },
+        },
+        **problems(404),
+    },
+)
+def get_sample_file(
+    sample_file: Annotated[str, Path(description="Name of a file of the sample capture.")], _: RecordsDep
+) -> FileResponse:
+    """Download a file of the sample capture."""
+    found = [path for path in _sample_paths() if path.name == sample_file]
+    if not found:
+        raise ApiError("not_found", "The sample capture has no such file, or is not installed.", hint=_INSTALL)
+    return FileResponse(found[0], media_type=_media_type(found[0]))
+
+
+def _sample_paths() -> list[FilePath]:
+    """Files of the sample capture; none if it is not installed."""
+    sample = samples.locate()
+    return [] if sample is None else [*sample.videos.values(), sample.calibration]
+
+
+def _media_type(path: FilePath) -> str:
+    return mimetypes.guess_type(path.name)[0] or "application/octet-stream"
 
 
 def _profile(name: Profile, installed: frozenset[str] | None) -> ProfileOut:

@@ -2,25 +2,32 @@
 
 import os
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from fastapi import APIRouter
 from starlette.responses import FileResponse, Response
-from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
+from api.http.compression import CompressedFiles
 from api.http.middleware import SAFE_HEADERS
 
 router = APIRouter(include_in_schema=False)
 
 _FOLDER = Path(__file__).parents[1] / "portal"
+# Files of the folder that are only there to install its libraries are not served.
+_SERVED = frozenset({".css", ".html", ".js", ".map", ".png", ".svg"})
 # Another version of the service has other files of the same names, so browsers revalidate them each time.
 _REVALIDATED = {"Cache-Control": "no-cache"}
+_POLICY = SAFE_HEADERS["Content-Security-Policy"]
+# The page shows videos and pictures of captures, also those that it draws itself.
+_PAGE_POLICY = _POLICY.replace(
+    "img-src 'self'", "img-src 'self' blob: data:; media-src 'self' blob:; worker-src 'self'"
+)
 # Swagger UI's style sheet contains its arrows as data: images.
-_DOCS_POLICY = SAFE_HEADERS["Content-Security-Policy"].replace("img-src 'self'", "img-src 'self' data:")
+_DOCS_POLICY = _POLICY.replace("img-src 'self'", "img-src 'self' data:")
 
 
-class PortalFiles(StaticFiles):
+class PortalFiles(CompressedFiles):
     """Static files of the page and of Swagger UI.
 
     Only the release files of the package ``fastapi_swagger`` are served. Its code, which loads a script, is not used.
@@ -28,6 +35,13 @@ class PortalFiles(StaticFiles):
 
     def __init__(self) -> None:
         super().__init__(directory=_FOLDER, packages=[("fastapi_swagger", "resources")])
+
+    def lookup_path(self, path: str) -> tuple[str, os.stat_result | None]:
+        """Find a file that browsers need."""
+        name = PurePosixPath(path)
+        if name.suffix not in _SERVED or "node_modules" in name.parts:
+            return "", None
+        return super().lookup_path(path)
 
     def file_response(
         self, full_path: PathLike[str] | str, stat_result: os.stat_result, scope: Scope, status_code: int = 200
@@ -41,7 +55,7 @@ class PortalFiles(StaticFiles):
 @router.get("/")
 def get_page() -> FileResponse:
     """Answer with the page."""
-    return FileResponse(_FOLDER / "index.html", headers=_REVALIDATED)
+    return FileResponse(_FOLDER / "index.html", headers={**_REVALIDATED, "Content-Security-Policy": _PAGE_POLICY})
 
 
 @router.get("/docs")

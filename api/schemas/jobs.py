@@ -29,6 +29,7 @@ class StageOut(ResponseModel):
     state: ChunkState = Field(description="State of the stage.")
     done: int = Field(description="Units of work that are done, such as a camera's frames.")
     total: int = Field(description="All units of work.")
+    unit: Literal["frames", "steps"] = Field(description="Unit of `done` and `total`.")
     fraction: float = Field(ge=0, le=1, description="Share of the units that are done.")
     started_at: AwareDatetime | None = Field(description="Start of the first chunk; null before.")
     finished_at: AwareDatetime | None = Field(description="End of the last chunk; null before.")
@@ -38,8 +39,13 @@ class StageOut(ResponseModel):
     def of(cls, stage: Stage) -> Self:
         """Build the response from a stage."""
         fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
-        label = STAGE_BY_NAME[stage.name].label
-        return cls(label=label, fraction=min(1.0, fraction), **fields_of(stage, cls, without=("label", "fraction")))
+        declared = STAGE_BY_NAME[stage.name]
+        return cls(
+            label=declared.label,
+            unit=declared.unit,
+            fraction=min(1.0, fraction),
+            **fields_of(stage, cls, without=("label", "unit", "fraction")),
+        )
 
 
 class JobError(ResponseModel):

@@ -5,7 +5,7 @@ from typing import Self
 from pydantic import Field
 
 from api.schemas.common import ResponseModel
-from pipeline.choices import Choice, Kind
+from pipeline.choices import Choice, Group, Kind
 from pipeline.config import JointsOfBody, Profile
 
 
@@ -52,6 +52,9 @@ class ChoiceOut(ResponseModel):
     name: str = Field(description="Name of the field in the spec of a job.")
     label: str = Field(description="Heading of the field in a form.")
     description: str = Field(description="Meaning of the choice, a sentence for people.")
+    group: Group = Field(
+        description="Part of a form: `purpose` of the files, `people`, `quality`, or `advanced` for all else."
+    )
     kind: Kind = Field(
         description="`one` of the values, a list of `several` of them, a `number`, a `whole_number`, or a "
         "`frame_range`: a list of two whole numbers."
@@ -73,6 +76,7 @@ class ChoiceOut(ResponseModel):
             name=choice.name,
             label=about.label,
             description=about.sentence,
+            group=about.group,
             kind=choice.kind,
             values=tuple(
                 ValueOut(name=name, label=value.label, note=value.note) for name, value in choice.values.items()
@@ -94,3 +98,21 @@ class Options(ResponseModel):
     choices: tuple[ChoiceOut, ...] = Field(
         description="All choices of a job, for a form. `callback_url` is not listed."
     )
+
+
+class SampleFileOut(ResponseModel):
+    """File of the sample capture."""
+
+    name: str = Field(description="Name of the file.")
+    media_type: str = Field(description="Content type of the file.")
+    num_bytes: int = Field(description="Size of the file.")
+    link: str = Field(description="Path of the file.")
+
+
+class SampleOut(ResponseModel):
+    """Sample capture: a real take to try the service with."""
+
+    installed: bool = Field(description="Whether the machine of the web API has the sample capture.")
+    install: str = Field(description="Advice to the operator on the installation.")
+    attribution: str = Field(description="Source and licence, to show with the capture.")
+    files: tuple[SampleFileOut, ...] = Field(description="Videos and calibration; none if it is not installed.")

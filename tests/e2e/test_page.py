@@ -1,9 +1,7 @@
-"""Page at ``/`` in a real browser: the sample capture from the form to the downloaded files."""
+"""Page at ``/`` in a real browser: captures from the form to the downloaded files."""
 
-import contextlib
 import hashlib
 import json
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -13,54 +11,48 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Locator, Page, expect
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
 from pipeline.runtime.packages.samples import Sample
+from tests.e2e.browsing import opened
 from tests.e2e.serving import Served, digests, serving
 
 pytestmark = pytest.mark.xdist_group("sample")
 
-# The browser makes no requests of its own, and root may start it.
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
-
-
-@contextlib.contextmanager
-def opened(url: str) -> Iterator[Page]:
-    """Open the page in a new browser; at the end of the block check that no script has failed."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("there is no chromium (`make browser` installs it on Debian)")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = browser.new_page(base_url=url)
-        complaints: list[str] = []
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto("/")
-        yield page
-        browser.close()
-    assert complaints == []
-
 
 @pytest.fixture
 def page(served: Served) -> Iterator[Page]:
-    with opened(str(served.client.base_url)) as page:
+    with opened(f"{served.client.base_url}#/new") as page:
         yield page
 
 
+def choose(page: Page, *paths: Path) -> None:
+    """Choose the files of a capture."""
+    page.get_by_label("Choose files").set_input_files(paths)
+
+
+def capture(page: Page, name: str) -> Locator:
+    """Card of a capture in the view of captures."""
+    return page.get_by_role("listitem").filter(has=page.get_by_role("heading", name=name, exact=True, level=2))
+
+
 def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, results: Path) -> None:
-    page.get_by_label("Name").fill("<b>Take</b> 1")
-    page.get_by_label("Videos").set_input_files(list(sample.videos.values()))
-    page.get_by_label("Calibration of all cameras").set_input_files(sample.calibration)
+    page.get_by_label("Name of the take").fill("<b>Take</b> 1")
+    choose(page, *sample.videos.values(), sample.calibration)
+    expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=60_000)
     page.get_by_role("button", name="Send and reconstruct").click()
-    job = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<b>Take</b> 1")).first
-    expect(job.get_by_text("Running")).to_be_visible(timeout=60_000)
-    expect(job.get_by_text("Done, with warnings", exact=True)).to_be_visible(timeout=240_000)
-    # The page requests the files of a finished job then, and shows them after the response.
-    expect(job.get_by_role("link", name="All as ZIP")).to_be_visible()
+    latest = page.get_by_role("region", name="Latest").get_by_role("listitem").first
+    expect(latest).to_contain_text("<b>Take</b> 1", timeout=60_000)
+    expect(latest.get_by_text("Running")).to_be_visible(timeout=60_000)
+    expect(latest.get_by_text("Done, with warnings", exact=True)).to_be_visible(timeout=240_000)
+    latest.get_by_role("link", name="<b>Take</b> 1").click()
+    expect(page.get_by_role("heading", name="<b>Take</b> 1", level=1)).to_be_visible()
+    files = page.get_by_role("region", name="Files")
     found, packed = {}, {}
-    for link in job.get_by_role("link").all():
+    expect(files.get_by_role("link", name="All as ZIP")).to_be_visible()
+    for link in files.get_by_role("link").all():
         with page.expect_download() as download:
             link.click()
         path, name = download.value.path(), download.value.suggested_filename
@@ -73,71 +65,49 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, result
 
 
 def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Served, sample: Sample) -> None:
-    page.get_by_text("Calibrations", exact=True).click()
+    page.get_by_role("link", name="Calibrations", exact=True).click()
     page.get_by_label("Title").fill("<i>Studio</i> B")
     page.get_by_label("File", exact=True).set_input_files(sample.calibration)
     page.get_by_role("button", name="Add").click()
-    stored = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="<i>Studio</i> B"))
-    expect(stored.get_by_text("ready")).to_be_visible(timeout=30_000)
+    stored = capture(page, "<i>Studio</i> B")
+    expect(stored.get_by_text("ready")).to_be_visible(timeout=60_000)
     stored.get_by_text("Cameras", exact=True).click()
     expect(stored.get_by_role("row")).to_have_count(1 + len(sample.videos))
     with page.expect_download() as download:
         stored.get_by_role("link", name="as Caliscope TOML").click()
     assert len(read_calibration(download.value.path().rename(download.value.path().with_suffix(".toml")))) == 4
+    page.get_by_role("link", name="New capture").click()
     page.get_by_label("Stored calibration").select_option("<i>Studio</i> B")
-    expect(page.get_by_label("Calibration of all cameras")).to_be_hidden()
-    page.get_by_label("Videos, one a camera").set_input_files(list(sample.videos.values()))
+    choose(page, *sample.videos.values())
     with page.expect_request("**/v1/jobs") as sent:
         page.get_by_role("button", name="Send and reconstruct").click()
-    job_id = sent.value.response().json()["id"]  # type: ignore[union-attr]
-    files = served.client.get(served.job(job_id)["links"]["session"]).json()["files"]
+    answer = sent.value.response()
+    assert answer is not None
+    files = served.client.get(served.job(answer.json()["id"])["links"]["session"]).json()["files"]
     assert [one["name"][:12] for one in files if one["kind"] == "calibration"] == ["calibration-"]
-    served.client.post(f"/v1/jobs/{job_id}/cancel")
-    page.once("dialog", lambda dialog: dialog.accept())
+    served.client.post(f"/v1/jobs/{answer.json()['id']}/cancel")
+    page.get_by_role("link", name="Calibrations", exact=True).click()
     stored.get_by_role("button", name="Delete").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete the calibration").click()
     expect(stored).to_have_count(0, timeout=30_000)
 
 
-def test_the_choices_of_the_form_are_those_of_the_api(page: Page, served: Served) -> None:
-    properties = served.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
-    page.get_by_text("Options", exact=True).click()
-    for name, label in (
-        ("method", "Method"),
-        ("profile", "Profile"),
-        ("joints", "Joints"),
-        ("detector", "Detector"),
-        ("smoothing", "Smoothing"),
-        ("feet", "Feet on the floor"),
-        ("appearance", "Colours of clothes"),
-        ("joint_centers", "Joint centres"),
-        ("refine_calibration", "Refinement of the calibration"),
-        ("bvh", "Application for BVH files"),
-    ):
-        field = page.locator(f"select[name={name}]")
-        assert field.evaluate("one => one.labels[0].textContent").startswith(label)
-        options = field.get_by_role("option").evaluate_all("all => all.map(one => one.value)")
-        # The networks of users are texts of a pattern beside the names.
-        (names,) = [one["enum"] for one in properties[name].get("anyOf", [properties[name]]) if "enum" in one]
-        assert sorted(options) == sorted(names)
-        assert field.input_value() == properties[name]["default"]
-    boxes = page.get_by_role("group", name="Files of each person").get_by_role("checkbox")
-    chosen = boxes.evaluate_all("all => all.filter(one => one.checked).map(one => one.value)")
-    assert chosen == properties["exports"]["default"]
-    assert boxes.evaluate_all("all => all.map(one => one.value)") == properties["exports"]["items"]["enum"]
-
-
-def test_all_problems_of_a_capture_are_shown(page: Page, sample: Sample, tmp_path: Path) -> None:
-    broken = tmp_path / "broken.mp4"
+def test_all_problems_of_a_capture_are_shown(served: Served, sample: Sample, tmp_path: Path) -> None:
+    broken, other = tmp_path / "cam01.mp4", tmp_path / "cam02.mp4"
     broken.write_bytes(b"no video")
-    calibration = tmp_path / "calibration.toml"
-    calibration.write_text("no calibration")
-    page.get_by_label("Videos").set_input_files([broken, sample.videos[min(sample.videos)]])
-    page.get_by_label("Calibration of all cameras").set_input_files(calibration)
-    page.get_by_role("button", name="Send and reconstruct").click()
-    problems = page.locator("form").get_by_role("alert")
-    expect(problems).to_contain_text("broken.mp4", timeout=60_000)
-    expect(problems).to_contain_text("calibration.toml")
-    expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
+    other.write_bytes(b"no video either")
+    with opened(f"{served.client.base_url}#/new", allowed=("422 (Unprocessable",)) as page:
+        calibration = tmp_path / "calibration.toml"
+        calibration.write_text("no calibration")
+        choose(page, calibration)
+        problems = page.get_by_role("region", name="Send").get_by_role("alert")
+        expect(problems).to_contain_text("calibration.toml", timeout=60_000)
+        choose(page, broken, other, sample.calibration)
+        expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=60_000)
+        page.get_by_role("button", name="Send and reconstruct").click()
+        expect(problems).to_contain_text("cam01.mp4", timeout=60_000)
+        expect(problems).to_contain_text("cam02.mp4")
+        expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
 
 
 def post(served: Served, jobs: str, frames: list[int]) -> dict[str, Any]:
@@ -164,31 +134,26 @@ def test_warnings_of_a_result_are_shown_and_no_retry_that_would_fail_the_same_wa
     failed = post(served, session["links"]["jobs"], [20, 30])
     assert (failed["state"], failed["error"]["retryable"], failed["links"]["retry"]) == ("failed", False, None)
 
-    page.reload()
-    cards = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="Two cameras"))
-    warned = cards.filter(has_text="Done")
+    page.get_by_role("link", name="Captures", exact=True).click()
+    card = capture(page, "Two cameras")
+    warned = card.get_by_role("listitem").filter(has_text="Done").first
     expect(warned.get_by_text("Done, with warnings", exact=True)).to_be_visible()
-    expect(warned.get_by_role("list", name="Warnings")).to_contain_text("The session has 2 cameras")
-    refused = cards.filter(has_text="Failed")
-    expect(refused.locator(".problems")).to_contain_text(failed["error"]["detail"])
-    expect(refused.get_by_role("button", name="Delete")).to_be_visible()
-    for card in (warned, refused):
-        expect(card.get_by_role("button", name="Retry")).to_be_hidden()
-        expect(card.get_by_role("button", name="Cancel")).to_be_hidden()
+    expect(warned.get_by_role("list", name="Warnings of Two cameras")).to_contain_text("The session has 2 cameras")
+    refused = card.get_by_role("listitem").filter(has_text="Failed").first
+    expect(refused.get_by_role("alert")).to_contain_text(failed["error"]["detail"])
+    expect(refused.get_by_role("button", name="Delete the job of Two cameras")).to_be_visible()
+    for row in (warned, refused):
+        expect(row.get_by_role("button", name="Retry Two cameras")).to_have_count(0)
+        expect(row.get_by_role("button", name="Cancel Two cameras")).to_have_count(0)
 
 
-def test_detectors_that_are_not_installed_cannot_be_chosen(page: Page, served: Served) -> None:
+def test_detectors_that_are_not_installed_are_not_offered(page: Page, served: Served) -> None:
     known = served.client.get("/v1/options").raise_for_status().json()["detectors"]
     assert known[0]["installed"] is True
-    page.get_by_text("Options", exact=True).click()
-    options = page.get_by_label("Detector").get_by_role("option")
-    for detector in known:
-        option = options.and_(page.locator(f"[value={detector['name']}]"))
-        if detector["installed"]:
-            expect(option).to_be_enabled()
-        else:
-            expect(option).to_be_disabled()
-            expect(option).to_contain_text("(not installed)")
+    page.get_by_text("More options", exact=True).click()
+    options = page.locator("select[name=send-detector] option")
+    offered = options.evaluate_all("all => all.map(one => one.value)")
+    assert offered == ["auto", *(one["name"] for one in known if one["installed"])]
 
 
 def make_key(data_dir: Path, *options: str) -> str:
@@ -199,8 +164,8 @@ def make_key(data_dir: Path, *options: str) -> str:
 
 def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
     secret, reading = make_key(tmp_path), make_key(tmp_path, "--scope", "read")
-    with serving(tmp_path) as served, opened(str(served.client.base_url)) as page:
-        sending = page.get_by_role("heading", name="New capture")
+    with serving(tmp_path) as served, opened(str(served.client.base_url), allowed=("401 (Unauthorized",)) as page:
+        sending = page.get_by_role("heading", name="New capture", level=1)
         expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
         expect(sending).to_be_hidden()
         page.get_by_label("Key").fill("mc_wrong")
@@ -210,18 +175,19 @@ def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
         page.get_by_role("button", name="Sign in").click()
         expect(sending).to_be_visible()
         expect(page.get_by_text("portal, studio")).to_be_visible()
-        expect(page.get_by_text("No jobs yet")).to_be_visible()
         page.reload()
         expect(sending).to_be_visible()
         assert page.evaluate("document.cookie") == ""
         page.get_by_role("button", name="Sign out").click()
         expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
         page.reload()
-        expect(sending).to_be_hidden()
+        expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
         page.get_by_label("Key").fill(reading)
         page.get_by_role("button", name="Sign in").click()
-        expect(page.get_by_text("No jobs yet")).to_be_visible()
-        expect(sending).to_be_hidden()
+        # A key that may only read sees captures and can send none.
+        page.goto("/#/captures")
+        expect(page.get_by_text("No captures yet")).to_be_visible()
+        expect(page.get_by_role("link", name="New capture")).to_have_count(0)
 
 
 def test_the_contract_is_shown_without_anybody_else(served: Served) -> None:

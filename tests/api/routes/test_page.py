@@ -1,37 +1,81 @@
 """Page and Swagger UI: their files, types, polling and the form of choices."""
 
 import re
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from playwright.sync_api import expect
 
 from tests.api.conftest import Live
-from tests.e2e.test_page import opened
+from tests.e2e.browsing import opened
+
+PORTAL = Path(__file__).parents[3] / "api" / "portal"
 
 
 def test_page_and_all_that_it_refers_to(live: Live) -> None:
     answer = live.client.get("/")
     assert answer.headers["content-type"].startswith("text/html")
-    references = set(re.findall(r'(?:src|href)="([^"]+)"', answer.text))
-    assert references == {"/portal/page.css", "/portal/page.js", "/portal/icon.svg", "/docs", "/openapi.json"}
+    references = {one for one in re.findall(r'(?:src|href)="([^"]+)"', answer.text) if not one.startswith("#")}
+    assert {"/portal/main.js", "/portal/shared/base.css", "/docs", "/openapi.json"} <= references
     for reference in references:
-        assert live.client.get(reference).status_code == 200
+        assert live.client.get(reference).status_code == 200, reference
+
+
+def modules() -> list[str]:
+    """Modules and style sheets of the page, without libraries."""
+    paths = [path.relative_to(PORTAL) for ending in ("js", "css", "html") for path in PORTAL.rglob(f"*.{ending}")]
+    return [path.as_posix() for path in paths if path.parts[0] not in {"node_modules", "vendor"}]
+
+
+def test_modules_refer_to_modules_that_exist(live: Live) -> None:
+    for name in modules():
+        for one in re.findall(r'(?:from|import\()\s*"(\.[^"]+)"', live.client.get(f"/portal/{name}").text):
+            path = (PORTAL / name).parent / one
+            assert path.is_file(), f"{name} imports {one}"
+            assert live.client.get(f"/portal/{path.resolve().relative_to(PORTAL)}").status_code == 200
 
 
 def test_types(live: Live) -> None:
-    types = {
-        name: live.client.get(f"/portal/{name}").headers["content-type"] for name in ("page.js", "page.css", "icon.svg")
-    }
-    assert types["page.js"].startswith("text/javascript")
-    assert types["page.css"].startswith("text/css")
+    names = ("main.js", "shared/base.css", "icon.svg")
+    types = {name: live.client.get(f"/portal/{name}").headers["content-type"] for name in names}
+    assert types["main.js"].startswith("text/javascript")
+    assert types["shared/base.css"].startswith("text/css")
     assert types["icon.svg"] == "image/svg+xml"
 
 
-@pytest.mark.parametrize("path", ["/", "/docs", "/portal/docs.js", "/portal/page.js", "/portal/page.css"])
+def test_only_files_for_browsers_are_served(live: Live) -> None:
+    for name in (
+        "package.json",
+        "package-lock.json",
+        "vendor.mjs",
+        "node_modules/three/build/three.core.js",
+        "../app.py",
+    ):
+        assert live.client.get(f"/portal/{name}").status_code == 404, name
+
+
+def test_texts_are_sent_compressed_with_an_entity_tag_of_their_own(live: Live) -> None:
+    path = "/portal/shared/base.css"
+    plain = live.client.get(path, headers={"Accept-Encoding": "identity"})
+    packed = live.client.get(path, headers={"Accept-Encoding": "br, gzip;q=0.5"})
+    assert "content-encoding" not in plain.headers
+    assert packed.headers["content-encoding"] == "gzip"
+    assert packed.content == plain.content == (PORTAL / "shared/base.css").read_bytes()
+    assert int(packed.headers["content-length"]) < len(plain.content) / 2
+    assert plain.headers["vary"].startswith("Accept-Encoding")
+    assert packed.headers["vary"].startswith("Accept-Encoding")
+    assert packed.headers["etag"] != plain.headers["etag"]
+    for answer, encoding in ((plain, "identity"), (packed, "gzip")):
+        headers = {"Accept-Encoding": encoding, "If-None-Match": answer.headers["etag"]}
+        assert live.client.get(path, headers=headers).status_code == 304
+
+
+@pytest.mark.parametrize("path", ["/", "/docs", *(f"/portal/{name}" for name in modules())])
 def test_nothing_comes_from_elsewhere_and_no_text_is_markup(live: Live, path: str) -> None:
     text = live.client.get(path).text
     assert not re.findall(r"https?://", text)
-    assert not re.findall(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b", text)
+    assert not re.findall(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b|unsafeHTML", text)
     assert not re.findall(r"<style|style=|\son\w+=|javascript:", text)
 
 
@@ -44,40 +88,54 @@ def test_the_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
     }  # fmt: skip
     for reference in references:
         assert live.client.get(reference).status_code == 200
-    policy = answer.headers["content-security-policy"]
-    assert policy == live.client.get("/").headers["content-security-policy"].replace(
-        "img-src 'self'", "img-src 'self' data:"
-    )
+    for path in ("/", "/docs"):
+        policy = dict(
+            part.strip().split(" ", 1) for part in live.client.get(path).headers["content-security-policy"].split(";")
+        )
+        assert policy["default-src"] == "'none'"
+        assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"
 
 
-def test_while_a_job_is_watched_nothing_else_is_asked_each_second(live: Live) -> None:
-    live.job_id()  # without a worker it stays queued
+def test_while_jobs_are_watched_only_they_are_asked_for(live: Live) -> None:
+    job_id = live.job_id()  # without a worker it stays queued
     asked: list[str] = []
     with opened(str(live.client.base_url)) as page:
-        page.wait_for_load_state("networkidle")
+        page.wait_for_load_state()
+        expect(page.get_by_text("Waiting", exact=True)).to_be_visible()
         page.clock.install()
         page.on("request", lambda request: asked.append(urlsplit(request.url).path))
-        with page.expect_response("**/v1/options"):
-            page.reload()
-        for _ in range(8):
-            with page.expect_response("**/v1/jobs?*"):
-                page.clock.run_for(1000)
-        assert asked.count("/v1/options") == 1
-        with page.expect_response("**/v1/options"):
-            page.clock.run_for(31_000)
+        # Its stream tells of it: the list is asked for seldom.
+        with page.expect_response("**/v1/jobs?*"):
+            page.clock.run_for(11_000)
+        live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
+        expect(page.get_by_text("Canceled", exact=True)).to_be_visible()
+        assert set(asked) == {"/v1/jobs"}
+
+
+def test_a_service_without_streams_is_polled(live: Live) -> None:
+    job_id = live.job_id()
+    with opened(str(live.client.base_url)) as page:
+        page.route("**/v1/jobs/*/events", lambda route: route.abort())
+        page.reload()
+        expect(page.get_by_text("Waiting", exact=True)).to_be_visible()
+        live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
+        expect(page.get_by_text("Canceled", exact=True)).to_be_visible()
 
 
 def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
     choices = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
-    with opened(str(live.client.base_url)) as page:
-        page.get_by_text("Options", exact=True).click()
-        names = page.locator("#choices [name]").evaluate_all("all => all.map(one => one.name)")
-        assert list(dict.fromkeys(names)) == list(choices)
+    with opened(f"{live.client.base_url}#/new") as page:
+        page.get_by_text("More options", exact=True).click()
+        fields = page.locator("[name^='send-']")
+        names = {name.removeprefix("send-") for name in fields.evaluate_all("all => all.map(one => one.name)")}
+        assert names == {*choices, "more-people"}
+        group = page.locator("[data-group]").filter(has=page.get_by_role("group", name=choices["bvh"]["label"]))
+        assert group.get_attribute("data-group") == choices["bvh"]["group"] == "purpose"
         assert page.get_by_label(choices["smoothing"]["label"]).input_value() == "fit"
         cutoff = page.get_by_label(choices["cutoff_hz"]["label"])
-        assert (cutoff.input_value(), cutoff.get_attribute("max")) == ("6", "1000")
-        people = page.get_by_label(choices["people"]["label"])
-        assert (people.input_value(), people.get_attribute("placeholder")) == ("", "everybody")
+        assert (cutoff.get_attribute("placeholder"), cutoff.get_attribute("max")) == ("6", "1000")
+        people = page.get_by_role("group", name=choices["people"]["label"])
+        expect(people.get_by_role("radio", name="everybody")).to_be_checked()
         exports = page.get_by_role("group", name=choices["exports"]["label"]).get_by_role("checkbox")
         assert exports.evaluate_all("all => all.map(one => one.checked)") == [True, False, False, False, False]
         assert page.get_by_role("group", name=choices["frame_range"]["label"]).get_by_role("spinbutton").count() == 2

@@ -1,0 +1,131 @@
+// Frame of the page: signing in, navigation, the view of the address.
+
+import { announce } from "./shared/announce.js";
+import { call, signedOut } from "./shared/api.js";
+import { feed } from "./shared/feed.js";
+import { html, nothing, render } from "./shared/lit.js";
+import { problemBox } from "./shared/problem.js";
+import { currentRoute, replace } from "./shared/router.js";
+import { sending } from "./send/sending.js";
+
+const RETRY_MS = 5000;
+
+// A view's module has `open(place, route, caller)`, which fills the place and returns `{ title, close() }`.
+const VIEWS = {
+  new: () => import("./send/view.js"),
+  captures: () => import("./watch/view.js"),
+  calibrations: () => import("./calibrations/view.js"),
+  jobs: () => import("./look/view.js"),
+};
+const NAV = [["new", "New capture", "write"], ["captures", "Captures", "read"], ["calibrations", "Calibrations", "read"]];
+
+const at = (id) => document.getElementById(id);
+let caller = null;
+let view = null;
+let opening = 0; // number of the navigation, so that a slow module does not open over a later one
+
+async function navigate({ isFirst = false } = {}) {
+  const route = currentRoute();
+  if (caller === null) return;
+  if (!(route.name in VIEWS)) return replace(startView());
+  const number = ++opening;
+  const module = await VIEWS[route.name]();
+  if (number !== opening) return;
+  view?.close();
+  const place = document.createElement("div");
+  place.className = `view view-${route.name}`;
+  at("view").replaceChildren(place);
+  view = module.open(place, route, caller);
+  showNav(route.name);
+  document.title = `${view.title} · Multicap`;
+  scrollTo(0, 0);
+  if (isFirst) return;
+  at("view").focus({ preventScroll: true });
+  announce(view.title);
+}
+
+function startView() {
+  return feed.jobs.size === 0 && caller.scopes.includes("write") ? "new" : "captures";
+}
+
+function showNav(name) {
+  at("nav").hidden = caller === null;
+  if (caller === null) return;
+  const links = NAV.filter(([, , scope]) => caller.scopes.includes(scope));
+  render(html`${links.map(([to, label]) => html`<a href="#/${to}" aria-current=${to === name ? "page" : nothing}>${label}</a>`)}`, at("nav"));
+}
+
+function showStatus() {
+  const upload = sending.progress();
+  render(html`
+    ${feed.problem && caller ? html`<span class="away" role="alert">${feed.problem.message}</span>` : nothing}
+    ${upload === null ? nothing : html`<a class="sending" href="#/new">${upload}</a>`}
+    ${caller?.name ? html`<span class="caller">${caller.name}, ${caller.tenant}</span>
+      <button type="button" class="button small" @click=${leave}>Sign out</button>` : nothing}
+  `, at("status"));
+}
+
+function showEntrance(problem = null) {
+  feed.stop();
+  view?.close();
+  view = caller = null;
+  showNav("");
+  showStatus();
+  document.title = "Sign in · Multicap";
+  const place = document.createElement("div");
+  at("view").replaceChildren(place);
+  const draw = (shown) => render(html`<section class="panel entrance" aria-labelledby="entrance-title">
+    <h1 id="entrance-title">Sign in</h1>
+    <form @submit=${submit}>
+      <label class="field"><span>Key</span>
+        <input name="key" type="password" required maxlength="200" placeholder="mc_…" autocomplete="current-password" spellcheck="false">
+      </label>
+      <p class="quiet">The operator of the service creates keys: <code>multicap keys create</code>.</p>
+      <div class="actions"><button class="button primary">Sign in</button></div>
+      ${problemBox(shown)}
+    </form>
+  </section>`, place);
+  const submit = async (event) => {
+    event.preventDefault();
+    try {
+      await call("/v1/browser-session", { method: "POST", body: { key: event.target.elements.key.value.trim() } });
+      await enter();
+    } catch (refused) {
+      draw(refused);
+    }
+  };
+  draw(problem);
+  place.querySelector("input").focus();
+}
+
+async function leave() {
+  await call("/v1/browser-session", { method: "DELETE" }).catch(() => null);
+  showEntrance();
+}
+
+async function enter() {
+  try {
+    caller = await call("/v1/caller");
+  } catch (problem) {
+    if (problem.status === 401) return showEntrance();
+    const place = document.createElement("div");
+    at("view").replaceChildren(place);
+    render(problemBox(problem), place);
+    setTimeout(enter, RETRY_MS);
+    return;
+  }
+  await feed.start();
+  if (caller === null) return; // signed out meanwhile
+  showStatus();
+  await navigate({ isFirst: true });
+}
+
+signedOut.addEventListener("signedout", () => { if (caller !== null) showEntrance(); });
+feed.addEventListener("change", showStatus);
+sending.addEventListener("change", showStatus);
+addEventListener("hashchange", () => navigate());
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault(); // the address' hash names the view
+  at("view").focus();
+});
+enter();

@@ -1,0 +1,94 @@
+// View Look: one job and its files.
+
+import { call } from "../shared/api.js";
+import { feed } from "../shared/feed.js";
+import { factsOf, hasEnded, stateOf } from "../shared/jobs.js";
+import { html, nothing, render } from "../shared/lit.js";
+import { readOptions } from "../shared/options.js";
+import { problemBox, warningList } from "../shared/problem.js";
+import { choiceList, errorBox, stageList } from "../watch/job.js";
+import { downloads } from "./downloads.js";
+
+export function open(place, route, caller) {
+  const view = new Look(place, route.id, caller);
+  view.start();
+  return { title: "Look", close: () => view.close() };
+}
+
+class Look {
+  job = null;
+  session = null;
+  results = null;
+  options = null;
+  problem = null;
+  #viewed = ""; // attempt that the files are of
+  #isClosed = false;
+
+  constructor(place, id, caller) {
+    Object.assign(this, { place, id, caller });
+    this.frame = document.createElement("div");
+    this.below = document.createElement("div");
+    place.append(this.frame, this.below);
+    this.onFeed = () => this.#feedChanged();
+  }
+
+  async start() {
+    feed.addEventListener("change", this.onFeed);
+    this.draw();
+    try {
+      this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
+      document.title = `${this.job.session_name} · Multicap`;
+      [this.session, this.options] = await Promise.all([call(this.job.links.session), readOptions()]);
+      await this.#showResults();
+    } catch (problem) {
+      this.problem = problem;
+    }
+    this.draw();
+  }
+
+  close() {
+    this.#isClosed = true;
+    feed.removeEventListener("change", this.onFeed);
+  }
+
+  #feedChanged() {
+    const job = feed.jobs.get(this.id);
+    if (!job || job === this.job) return;
+    this.job = job;
+    this.#showResults().catch((problem) => { this.problem = problem; this.draw(); });
+    this.draw();
+  }
+
+  async #showResults() {
+    if (this.job.state !== "succeeded" || this.session === null || this.#viewed === `${this.job.attempt}`) return;
+    this.#viewed = `${this.job.attempt}`;
+    this.results = (await call(this.job.links.results)).results;
+    this.draw();
+  }
+
+  draw() {
+    if (this.#isClosed) return;
+    render(this.#head(), this.frame);
+    render(this.#files(), this.below);
+  }
+
+  #head() {
+    const { job } = this;
+    if (job === null) return this.problem ? problemBox(this.problem) : html`<p class="quiet">Loading …</p>`;
+    const { words, tone } = stateOf(job);
+    return html`<div class="bar">
+        <p class="crumb"><a href="#/captures">Captures</a></p>
+        <h1 class="title">${job.session_name}</h1>
+        <span class="state" data-tone=${tone}>${words}</span>
+        ${choiceList(job, this.options)}
+        <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
+      </div>
+      ${hasEnded(job) ? nothing : html`<div class="panel">${stageList(job)}</div>`}
+      ${errorBox(job)}${problemBox(this.problem)}
+      ${warningList(job.warnings, `Warnings of ${job.session_name}`)}`;
+  }
+
+  #files() {
+    return this.job?.state === "succeeded" && this.results ? downloads(this.job, this.results) : nothing;
+  }
+}

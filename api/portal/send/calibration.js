@@ -1,0 +1,39 @@
+// Part of the view Send that chooses the calibration of the cameras: a stored one, or a file.
+
+import { count } from "../shared/format.js";
+import { html, live, nothing } from "../shared/lit.js";
+import { warningList } from "../shared/problem.js";
+import { ACCEPTED_CALIBRATIONS } from "./files.js";
+
+function factsOf(calibration) {
+  const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : "size unknown")))];
+  const errors = (calibration.report?.cameras ?? []).map((one) => one.reprojection_error_px).filter((one) => one != null);
+  const facts = [count(calibration.cameras.length, "camera"), sizes.join(", ")];
+  if (errors.length) facts.push(`error ${Math.max(...errors).toFixed(2)} px at most`);
+  if (calibration.source.units) facts.push(`in ${calibration.source.units}`);
+  return facts.join(" · ");
+}
+
+export function calibrationPart({ sending, stored, choose, sendFile, isLocked }) {
+  const ready = stored.filter(({ state, report }) => state === "ready" && report?.has_extrinsics !== false);
+  const chosen = sending.calibration;
+  // The list may be older than the chosen calibration.
+  const listed = chosen && !ready.some(({ id }) => id === chosen.id) ? [chosen, ...ready] : ready;
+  return html`
+    <div class="pair">
+      <label class="field"><span>Stored calibration</span>
+        <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value)}>
+          <option value="" .selected=${live(!chosen)}>${listed.length ? "Choose …" : "None is stored yet"}</option>
+          ${listed.map(({ id, name }) => html`<option value=${id} .selected=${live(id === sending.draft.calibrationId)}>${name}</option>`)}
+        </select>
+      </label>
+      <label class="field"><span>Or a calibration file</span>
+        <input type="file" accept=${ACCEPTED_CALIBRATIONS} ?disabled=${isLocked}
+          @change=${(event) => { if (event.target.files.length) sendFile(event.target.files[0]); event.target.value = ""; }}>
+      </label>
+    </div>
+    ${sending.isReadingCalibration ? html`<p class="notice" role="status">Checking the calibration …</p>` : nothing}
+    ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
+      ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
+    <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
+}

@@ -1,0 +1,126 @@
+// Form of a job's choices, made from what the service lists: first what an animator thinks of, the rest folded.
+
+import { html, live, nothing, prose, typed } from "../shared/lit.js";
+
+const GROUPS = [["purpose", "What for"], ["people", "Who"], ["quality", "How well"]];
+const MOST_TILES = 6;
+const FEW_PEOPLE = 4;
+
+// Values of a choice that can be had here: networks that a worker lacks are not offered.
+function offered(choice, spec, options) {
+  const lacks = new Map();
+  if (choice.name === "detector") options.detectors.forEach(({ name, installed }) => lacks.set(name, installed === false));
+  const networks = (profile, joints) => profile?.joints.find((one) => one.joints === joints);
+  const profileOf = (name) => options.profiles.find((one) => one.name === name);
+  if (choice.name === "profile") {
+    for (const one of options.profiles) lacks.set(one.name, networks(one, one.default_joints)?.installed === false);
+  }
+  if (choice.name === "joints") {
+    const profile = profileOf(spec.profile ?? options.choices.find(({ name }) => name === "profile")?.default);
+    for (const one of profile?.joints ?? []) lacks.set(one.joints, one.installed === false);
+  }
+  return choice.values.filter(({ name }) => !lacks.get(name));
+}
+
+// Value that a choice has in a spec: the default if it is not set.
+export const valueOf = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
+
+// The form. `id` tells two forms of a page apart; `onChange(name, value)` gets undefined for the default.
+export function choicesForm({ id, options, spec, onChange }) {
+  if (!options) return html`<p class="quiet">Loading the choices …</p>`;
+  const set = (choice, value) => onChange(choice.name, value);
+  const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, set: (value) => set(choice, value) }) ?? nothing;
+  // One value of few comes before several: the application before its files.
+  const of = (group) => options.choices.filter((choice) => choice.group === group)
+    .sort((one, other) => (one.kind === "several") - (other.kind === "several"));
+  const rest = options.choices.filter((choice) => !GROUPS.some(([group]) => group === choice.group));
+  const numChanged = rest.filter(({ name }) => name in spec).length;
+  return html`
+    ${GROUPS.map(([group, title]) => html`<div class="group" data-group=${group}><h3>${title}</h3>
+      <div class="fields">${of(group).map(draw)}</div></div>`)}
+    <details class="advanced">
+      <summary>More options${numChanged ? html` <span class="badge">${numChanged} changed</span>` : nothing}</summary>
+      <div class="fields grid">${rest.map(draw)}</div>
+    </details>`;
+}
+
+function tile({ id, choice, value, label, note, isChecked, onPick, type = "radio" }) {
+  return html`<label class="tile">
+    <input type=${type} name="${id}-${choice.name}" value=${value} .checked=${live(isChecked)} @change=${onPick}>
+    <span class="tile-label">${label}</span>${note ? html`<span class="tile-note">${note}</span>` : nothing}
+  </label>`;
+}
+
+function frame(choice, content) {
+  return html`<fieldset class="choice"><legend>${choice.label}</legend>
+    <p class="quiet">${prose(choice.description)}</p><div class="tiles">${content}</div></fieldset>`;
+}
+
+function numberField({ id, choice, value, onInput, isWhole, placeholder, label, least }) {
+  return html`<input type="number" class="number" name="${id}-${choice.name}" aria-label=${label ?? nothing}
+    step=${isWhole ? 1 : "any"} min=${least ?? choice.minimum ?? nothing} max=${choice.maximum ?? nothing}
+    .value=${typed(value)} placeholder=${placeholder ?? ""} @input=${onInput}>`;
+}
+
+const numberIn = (event) => (event.target.value === "" ? undefined : event.target.valueAsNumber);
+
+const FIELDS = {
+  one({ id, choice, spec, options, set }) {
+    const values = offered(choice, spec, options);
+    const chosen = valueOf(choice, spec);
+    const pick = (name) => set(name === choice.default ? undefined : name);
+    if (choice.group !== "advanced" && values.length <= MOST_TILES) {
+      return frame(choice, values.map(({ name, label, note }) => tile({
+        id, choice, value: name, label, note, isChecked: name === chosen, onPick: () => pick(name),
+      })));
+    }
+    return html`<label class="field"><span>${choice.label}</span>
+      <select name="${id}-${choice.name}" title=${choice.description} @change=${(event) => pick(event.target.value)}>
+        ${values.map(({ name, label }) => html`<option value=${name} .selected=${live(name === chosen)}>${label}</option>`)}
+      </select><span class="quiet">${prose(choice.description)}</span></label>`;
+  },
+  several({ id, choice, spec, options, set }) {
+    const chosen = new Set(valueOf(choice, spec));
+    const toggle = (name) => (event) => {
+      if (event.target.checked) chosen.add(name); else chosen.delete(name);
+      const list = choice.values.map((value) => value.name).filter((one) => chosen.has(one));
+      set(JSON.stringify(list) === JSON.stringify(choice.default) ? undefined : list);
+    };
+    return frame(choice, offered(choice, spec, options).map(({ name, label, note }) => tile({
+      id, choice, value: name, label, note, isChecked: chosen.has(name), onPick: toggle(name), type: "checkbox",
+    })));
+  },
+  whole_number({ id, choice, spec, set }) {
+    const chosen = valueOf(choice, spec);
+    const pick = (value) => set(value === choice.default ? undefined : value);
+    if (choice.group === "advanced" || choice.values.length === 0) return FIELDS.number({ id, choice, spec, set, isWhole: true });
+    const few = Array.from({ length: FEW_PEOPLE }, (_, index) => (choice.minimum ?? 1) + index);
+    const tiles = [...choice.values.map(({ name, label }) => [name, label]), ...few.map((number) => [number, number])];
+    const isOther = typeof chosen === "number" && !few.includes(chosen);
+    return frame(choice, [
+      ...tiles.map(([value, label]) => tile({ id, choice, value, label, isChecked: value === chosen, onPick: () => pick(value) })),
+      html`<label class="tile other"><span class="tile-label">More</span>${numberField({
+        id: `${id}-more`, choice, value: isOther ? chosen : "", isWhole: true, onInput: (event) => pick(numberIn(event) ?? choice.default),
+      })}</label>`,
+    ]);
+  },
+  number({ id, choice, spec, set, isWhole = false }) {
+    const named = choice.values.find(({ name }) => name === choice.default);
+    return html`<label class="field"><span>${choice.label}</span>${numberField({
+      id, choice, isWhole, value: typeof spec[choice.name] === "number" ? spec[choice.name] : "",
+      placeholder: named?.label ?? choice.unset ?? choice.default, onInput: (event) => set(numberIn(event)),
+    })}<span class="quiet">${prose(choice.description)}</span></label>`;
+  },
+  frame_range({ id, choice, spec, set }) {
+    const range = spec[choice.name] ?? [null, null];
+    const bound = (index) => (event) => {
+      const changed = range.map((one, place) => (place === index ? numberIn(event) ?? null : one));
+      set(changed.every((one) => one === null) ? undefined : changed);
+    };
+    const labels = ["first", "after the last"];
+    return html`<fieldset class="field"><legend>${choice.label}: ${choice.unset}, or</legend>
+      <div class="pair">${labels.map((label, index) => html`<label><span>${label}</span>${numberField({
+        id, choice, value: range[index], isWhole: true, onInput: bound(index), least: Math.max(choice.minimum ?? 0, index),
+      })}</label>`)}</div><span class="quiet">${prose(choice.description)}</span></fieldset>`;
+  },
+};

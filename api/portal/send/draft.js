@@ -1,0 +1,35 @@
+// The capture that is being put together, kept over a reload: all but the files, which the browser does not keep.
+
+const KEY = "multicap.draft";
+
+export const FACTS = ["name", "size", "modified", "kind", "camera", "isUsed", "offset_s", "rate", "url", "sent", "isSent"];
+
+export function emptyDraft(kept = {}) {
+  return { name: "", calibrationId: null, spec: {}, rows: [], wasSending: false, request: null, ...kept };
+}
+
+export function loadDraft() {
+  try {
+    const stored = JSON.parse(localStorage.getItem(KEY));
+    return stored?.rows ? { ...emptyDraft(), ...stored, rows: stored.rows.map(rowOf) } : emptyDraft();
+  } catch {
+    return emptyDraft();
+  }
+}
+
+export function saveDraft(draft) {
+  const rows = draft.rows.map((row) => Object.fromEntries(FACTS.map((fact) => [fact, row[fact]])));
+  try {
+    localStorage.setItem(KEY, JSON.stringify({ ...draft, rows }));
+  } catch { /* storage is off or full: the draft does not outlive the page */ }
+}
+
+// Row of the table of files. `file` is null after a reload, until the same file is chosen again.
+export function rowOf(facts, file = null) {
+  return {
+    camera: null, isUsed: true, offset_s: 0, rate: null, url: null, sent: 0, isSent: false, ...facts,
+    file, preview: file !== null && facts.kind === "video" ? URL.createObjectURL(file) : null, problem: null, isActive: false,
+  };
+}
+
+export const isSame = (row, file) => row.name === file.name && row.size === file.size && row.modified === file.lastModified;

@@ -1,0 +1,35 @@
+// One click to try the service: the sample capture, if the machine of the service has it.
+
+import { call, Problem } from "../shared/api.js";
+import { html } from "../shared/lit.js";
+
+let isLoading = false;
+
+async function fetchFile({ name, link, media_type: type }) {
+  const response = await fetch(link);
+  if (!response.ok) throw new Problem(await response.json().catch(() => null), response.status);
+  return new File([await response.blob()], name, { type, lastModified: 0 });
+}
+
+export function sampleButton({ sending, draw, failed }) {
+  const load = async () => {
+    isLoading = true;
+    draw();
+    try {
+      const sample = await call("/v1/sample");
+      if (!sample.installed) {
+        throw new Problem({ detail: "The sample capture is not installed on the service.", hint: `Its operator installs it by \`${sample.install}\`.` });
+      }
+      const files = await Promise.all(sample.files.map(fetchFile));
+      sending.draft.name ||= "Sample capture";
+      await sending.add(files);
+      await sending.send();
+    } catch (problem) {
+      failed(problem);
+    } finally {
+      isLoading = false;
+      draw();
+    }
+  };
+  return html`<button type="button" class="button ghost" ?disabled=${isLoading} @click=${load}>${isLoading ? "Loading the sample …" : "Try the sample capture"}</button>`;
+}

@@ -1,0 +1,363 @@
+// State of the view Send: the draft, its uploads, the check of its files. It outlives the view, so that an upload goes on
+// while another view is open.
+
+import { announce } from "../shared/announce.js";
+import { call, jsonPart, Problem } from "../shared/api.js";
+import { feed } from "../shared/feed.js";
+import { count, percent, stem } from "../shared/format.js";
+import { emptyDraft, isSame, loadDraft, rowOf, saveDraft } from "./draft.js";
+import { kindOf, matchCameras } from "./files.js";
+import { discard, upload } from "./uploader.js";
+
+const PARALLEL = 2;
+const MIN_CAMERAS = 2;
+const SAVE_MS = 300;
+const STILL_CHECKING_MS = 1500;
+
+class Sending extends EventTarget {
+  draft = loadDraft();
+  calibration = null; // the chosen one, with its cameras
+  phase = "draft"; // draft, sending, paused, checking, checked, starting
+  problem = null;
+  isReadingCalibration = false; // whether a calibration file is being checked
+  notes = []; // about files that were dropped
+  session = null; // once the files are checked
+  lastJob = null; // job of the capture sent last
+  #tasks = new Map(); // running uploads by row
+  #saveTimer = 0;
+  #frame = 0;
+  #cut = false;
+
+  constructor() {
+    super();
+    this.#saved();
+  }
+
+  // Go on with what a former page has left.
+  async #saved() {
+    if (this.draft.calibrationId) await this.chooseCalibration(this.draft.calibrationId).catch(() => null);
+    if (this.draft.request) await this.#request().catch((problem) => this.#fail(problem));
+  }
+
+  get rows() { return this.draft.rows; }
+  get used() { return this.rows.filter((row) => row.isUsed); }
+  get isBusy() { return ["sending", "checking", "starting"].includes(this.phase); }
+  // Files that were being sent when the page was closed, and have to be chosen again.
+  get missing() { return this.used.filter((row) => row.file === null && !row.isSent); }
+  get isGuessed() { return this.#match().isGuess; }
+
+  // Text about a running upload for other views; null without one.
+  progress() {
+    if (this.phase === "checking") return "Checking the files …";
+    if (!["sending", "paused"].includes(this.phase)) return null;
+    return `${this.phase === "paused" ? "Paused" : "Sending"}, ${percent(this.fraction)}`;
+  }
+
+  get fraction() {
+    const [sent, total] = this.used.reduce(([a, b], row) => [a + row.sent, b + row.size], [0, 0]);
+    return total ? sent / total : 0;
+  }
+
+  changed() {
+    clearTimeout(this.#saveTimer);
+    this.#saveTimer = setTimeout(() => saveDraft(this.draft), SAVE_MS);
+    if (this.#frame) return;
+    this.#frame = requestAnimationFrame(() => {
+      this.#frame = 0;
+      this.dispatchEvent(new Event("change"));
+    });
+  }
+
+  async add(files) {
+    this.notes = [];
+    this.problem = null;
+    const calibrations = [];
+    const others = [];
+    for (const file of files) {
+      const kind = kindOf(file);
+      if (kind === "calibration") calibrations.push(file);
+      else if (kind === null) others.push(file.name);
+      else this.#addRow(file, kind);
+    }
+    if (calibrations.length > 1) {
+      this.notes.push(`Several files may be the calibration: ${calibrations.map(({ name }) => name).join(", ")}. The first is used.`);
+    }
+    if (others.length) this.notes.push(`Left out: ${others.join(", ")}. A capture has videos, or zips of keypoints, and a calibration.`);
+    if (!this.draft.name && this.rows.length) this.draft.name = folderOf(files) ?? "";
+    this.assignCameras();
+    announce(`${count(this.rows.length, "file")} chosen`);
+    this.changed();
+    if (calibrations.length) await this.sendCalibration(calibrations[0]);
+    if (this.draft.wasSending && this.missing.length === 0 && this.phase === "draft") await this.send();
+  }
+
+  #addRow(file, kind) {
+    const known = this.rows.findIndex((row) => isSame(row, file));
+    const facts = { name: file.name, size: file.size, modified: file.lastModified, kind };
+    if (known >= 0) {
+      const row = this.rows[known];
+      if (row.file === null) this.rows[known] = rowOf({ ...facts, ...pick(row) }, file);
+      return;
+    }
+    if (this.rows.some((row) => row.name === file.name)) {
+      this.notes.push(`Two files have the name ${file.name}. Rename one of them.`);
+      return;
+    }
+    this.rows.push(rowOf(facts, file));
+  }
+
+  removeRow(row) {
+    this.#tasks.get(row)?.stop();
+    if (row.preview) URL.revokeObjectURL(row.preview);
+    if (row.url) discard(row.url);
+    this.draft.rows = this.rows.filter((one) => one !== row);
+    this.changed();
+  }
+
+  clear() {
+    for (const row of this.rows) this.removeRow(row);
+    this.draft = emptyDraft({ calibrationId: this.draft.calibrationId, spec: this.draft.spec });
+    this.phase = "draft";
+    this.session = this.problem = null;
+    this.notes = [];
+    this.changed();
+  }
+
+  #match() {
+    const names = this.rows.filter(({ kind }) => kind !== "timestamps").map(({ name }) => name);
+    return matchCameras(names, this.cameraNames);
+  }
+
+  get cameraNames() { return this.calibration?.cameras.map(({ name }) => name) ?? []; }
+
+  // Give a camera to files that have none, by their names.
+  assignCameras() {
+    const names = this.cameraNames;
+    if (names.length === 0) return;
+    const { matched } = this.#match();
+    for (const row of this.rows) {
+      if (row.kind === "timestamps") continue;
+      if (!names.includes(row.camera)) row.camera = null;
+      const isFree = (camera) => !this.rows.some((one) => one !== row && one.camera === camera);
+      const camera = matched.get(row.name);
+      if (row.camera === null && camera && isFree(camera)) row.camera = camera;
+    }
+  }
+
+  async chooseCalibration(id) {
+    this.draft.calibrationId = id || null;
+    this.calibration = null;
+    this.changed();
+    if (!id) return;
+    try {
+      this.calibration = await call(`/v1/calibrations/${id}`);
+    } catch (problem) {
+      if (problem.status === 404) this.draft.calibrationId = null;
+      throw problem;
+    } finally {
+      this.assignCameras();
+      this.changed();
+    }
+  }
+
+  // Store a calibration file, which checks it; the capture names it by its id.
+  async sendCalibration(file, units = "m") {
+    this.problem = null;
+    this.isReadingCalibration = true;
+    this.changed();
+    const form = new FormData();
+    form.append("spec", jsonPart({ method: "file", name: stem(file.name), units }));
+    form.append("calibration", file);
+    try {
+      this.calibration = await call("/v1/calibrations", { method: "POST", form });
+      this.draft.calibrationId = this.calibration.id;
+      announce(`Calibration with ${count(this.calibration.cameras.length, "camera")}`);
+      this.assignCameras();
+    } catch (problem) {
+      this.problem = problem;
+    }
+    this.isReadingCalibration = false;
+    this.changed();
+  }
+
+  // What keeps the capture from being sent, as sentences.
+  faults() {
+    const faults = [];
+    const views = this.used.filter(({ kind }) => kind !== "timestamps");
+    if (views.length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
+    if (!this.calibration) faults.push("Choose or add the calibration of the cameras.");
+    if (this.missing.length) faults.push(`Choose again: ${this.missing.map(({ name }) => name).join(", ")}.`);
+    if (!this.calibration) return faults;
+    const without = views.filter((row) => row.camera === null);
+    if (without.length) faults.push(`Give a camera to ${without.map(({ name }) => name).join(", ")}, or leave it out.`);
+    const twice = views.filter((row) => row.camera && views.some((one) => one !== row && one.camera === row.camera));
+    if (twice.length) faults.push(`One camera has two files: ${twice.map(({ name }) => name).join(", ")}.`);
+    return faults;
+  }
+
+  async send({ isCheckOnly = false } = {}) {
+    if (this.isBusy) return;
+    this.problem = this.lastJob = null;
+    const faults = this.faults();
+    if (faults.length) {
+      this.problem = { message: "The capture is not complete.", items: faults.map((message) => ({ message })) };
+      this.changed();
+      return;
+    }
+    try {
+      this.#go("sending");
+      this.draft.wasSending = true;
+      if (!await this.#upload()) return;
+      const path = isCheckOnly ? "/v1/sessions" : "/v1/jobs";
+      const body = { ...this.#sessionBody(), ...(!isCheckOnly && { spec: this.draft.spec }) };
+      this.draft.request = { path, body, key: newKey() };
+      announce("All files are sent. They are being checked.");
+      await this.#request();
+    } catch (problem) {
+      this.#fail(problem);
+    }
+  }
+
+  // Send the request of the draft. The service answers a request that it has done before with the same answer, so that a
+  // page that was closed meanwhile can ask again.
+  async #request() {
+    const { path, body, key } = this.draft.request;
+    this.#go("checking");
+    saveDraft(this.draft);
+    const made = await this.#answered(path, body, key);
+    this.draft.wasSending = false;
+    this.draft.request = null;
+    if (path === "/v1/jobs") return this.#sent(made);
+    this.session = made;
+    this.#go("checked");
+    announce("The files are checked.");
+  }
+
+  async #answered(path, body, key) {
+    for (;;) {
+      try {
+        return await call(path, { method: "POST", body, headers: { "Idempotency-Key": key } });
+      } catch (problem) {
+        if (problem.code !== "idempotency_key_busy") throw problem;
+        await new Promise((resolve) => { setTimeout(resolve, STILL_CHECKING_MS); });
+      }
+    }
+  }
+
+  // Reconstruct the session whose files are checked.
+  async start() {
+    this.problem = null;
+    this.#go("starting");
+    try {
+      this.#sent(await call(this.session.links.jobs, { method: "POST", body: this.draft.spec }));
+    } catch (problem) {
+      this.problem = problem;
+      this.#go("checked");
+    }
+  }
+
+  #sent(job) {
+    feed.put(job);
+    this.lastJob = job.id;
+    for (const { preview } of this.rows) if (preview) URL.revokeObjectURL(preview);
+    // The next take has the same cameras and, most often, the same choices.
+    this.draft = emptyDraft({ calibrationId: this.draft.calibrationId, spec: this.draft.spec });
+    this.session = null;
+    this.#go("draft");
+    announce(`${job.session_name} is sent. Its job waits.`);
+  }
+
+  async discardSession() {
+    await call(this.session.links.self, { method: "DELETE" });
+    this.clear();
+  }
+
+  pause() {
+    this.#cut = true;
+    for (const task of this.#tasks.values()) task.stop();
+    this.#go("paused");
+    announce("The upload is paused.");
+  }
+
+  #go(phase) {
+    this.phase = phase;
+    this.changed();
+  }
+
+  #fail(problem) {
+    this.problem = problem;
+    this.draft.wasSending = false;
+    this.draft.request = null;
+    // An upload that the service no longer has is sent anew.
+    if (problem.code === "not_found") for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
+    this.#go("draft");
+  }
+
+  // Send all files, a few at a time; false if the upload was paused.
+  async #upload() {
+    this.#cut = false;
+    const waiting = this.used.filter((row) => !row.isSent);
+    const lane = async () => {
+      for (let row = waiting.shift(); row && !this.#cut; row = waiting.shift()) await this.#uploadRow(row);
+    };
+    try {
+      await Promise.all(Array.from({ length: PARALLEL }, lane));
+    } catch (problem) {
+      this.#cut = true;
+      for (const task of this.#tasks.values()) task.stop();
+      throw problem;
+    }
+    return !this.#cut && this.used.every((row) => row.isSent);
+  }
+
+  async #uploadRow(row) {
+    row.problem = null;
+    row.isActive = true;
+    const task = upload(row.file, {
+      // The service finds the camera of a zip of keypoints by the name of the zip.
+      name: row.kind === "keypoints" ? `${row.camera}.zip` : row.name,
+      url: row.url,
+      onUrl: (url) => { row.url = url; this.changed(); },
+      onProgress: (sent) => { row.sent = sent; this.changed(); },
+    });
+    this.#tasks.set(row, task);
+    this.changed();
+    try {
+      row.isSent = await task.done !== null;
+      if (row.isSent) row.sent = row.size;
+    } catch (problem) {
+      row.problem = problem;
+      throw new Problem({ detail: `${row.name}: ${problem.message}`, hint: problem.hint, code: problem.code }, problem.status);
+    } finally {
+      row.isActive = false;
+      this.#tasks.delete(row);
+      this.changed();
+    }
+  }
+
+  #sessionBody() {
+    const idOf = (row) => row.url.slice(row.url.lastIndexOf("/") + 1);
+    const ids = (kind) => this.used.filter((row) => row.kind === kind).map(idOf);
+    const cameras = this.used.filter(({ kind }) => kind === "video").map((row) => ({
+      name: row.camera, file: row.name, offset_s: row.offset_s, ...(row.rate !== null && { rate: row.rate }),
+    }));
+    const [timestamps] = ids("timestamps");
+    const name = this.draft.name.trim();
+    return {
+      videos: ids("video"), keypoints: ids("keypoints"), ...(timestamps && { timestamps }),
+      calibration_id: this.draft.calibrationId, manifest: { ...(name && { name }), cameras },
+    };
+  }
+}
+
+const pick = ({ camera, isUsed, offset_s, rate, url, sent, isSent }) => ({ camera, isUsed, offset_s, rate, url, sent, isSent });
+
+const newKey = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+
+// Name of the folder that the files were dropped or chosen with.
+function folderOf(files) {
+  const [path] = [...files].map((file) => file.webkitRelativePath).filter(Boolean);
+  return path?.split("/")[0] ?? null;
+}
+
+export const sending = new Sending();

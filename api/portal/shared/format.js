@@ -1,0 +1,38 @@
+// Numbers and times as people read them.
+
+export function size(numBytes) {
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  const power = Math.min(units.length - 1, Math.floor(Math.log10(Math.max(1, numBytes)) / 3));
+  return `${(numBytes / 1000 ** power).toFixed(power > 1 ? 1 : 0)} ${units[power]}`;
+}
+
+// A length of time that needs no precision: time left, time taken.
+export function roughly(seconds) {
+  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
+  return seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${Math.round(seconds / 3600)} h`;
+}
+
+// Length of a take: 0:04.2, 1:30.0, 1:02:03.
+export function length(seconds) {
+  const tenths = Math.round(seconds * 10);
+  const [hours, minutes] = [Math.floor(tenths / 36000), Math.floor(tenths / 600) % 60];
+  const rest = (tenths % 600) / 10;
+  if (hours) return `${hours}:${String(minutes).padStart(2, "0")}:${String(Math.floor(rest)).padStart(2, "0")}`;
+  return `${minutes}:${rest.toFixed(1).padStart(4, "0")}`;
+}
+
+export const count = (number, one, many = `${one}s`) => `${number} ${number === 1 ? one : many}`;
+
+export const percent = (fraction) => `${Math.floor(fraction * 100)} %`;
+
+export function moment(text) {
+  const date = new Date(text);
+  const isToday = date.toDateString() === new Date().toDateString();
+  if (isToday) return `today, ${date.toLocaleTimeString([], { timeStyle: "short" })}`;
+  return date.toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+}
+
+export const day = (text) => new Date(text).toLocaleDateString([], { dateStyle: "medium" });
+
+// The file's name without its ending.
+export const stem = (name) => name.replace(/\.[^.]*$/, "");

@@ -1,0 +1,44 @@
+// Jobs as words.
+
+import { day, moment, percent, roughly } from "./format.js";
+
+const STATES = {
+  queued: ["Waiting", "wait"], running: ["Running", "run"], canceling: ["Canceling", "wait"],
+  succeeded: ["Done", "good"], failed: ["Failed", "bad"], canceled: ["Canceled", "mute"], expired: ["Expired", "mute"],
+};
+const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
+const STEADY_S = 2; // before that a rate says little
+
+export const hasEnded = (job) => ENDED.has(job.state);
+export const foundNobody = (job) => job.result_warnings.some(({ code }) => code === "nobody_found");
+
+// Words and tone of a job's state. A result without people, or with doubts, is no plain success.
+export function stateOf(job) {
+  if (job.state === "succeeded" && foundNobody(job)) return { words: "Done: nobody was found", tone: "empty" };
+  if (job.state === "succeeded" && job.result_warnings.length) return { words: "Done, with warnings", tone: "warn" };
+  const [words, tone] = STATES[job.state] ?? [job.state, "mute"];
+  return { words: job.state === "running" ? `${words} ${percent(job.progress)}` : words, tone };
+}
+
+// Facts of a job in short: times, attempts, its place in the queue, time left.
+export function factsOf(job) {
+  const facts = [moment(job.created_at)];
+  if (job.attempt > 1) facts.push(`attempt ${job.attempt}`);
+  if (job.state === "queued" && job.queue_position) facts.push(`number ${job.queue_position} in the queue`);
+  if (job.state === "running" && job.eta_s !== null) facts.push(`about ${roughly(job.eta_s)} left`);
+  if (hasEnded(job) && job.started_at && job.finished_at) {
+    facts.push(`took ${roughly((new Date(job.finished_at) - new Date(job.started_at)) / 1000)}`);
+  }
+  if (job.state === "succeeded" && job.expires_at) facts.push(`kept until ${day(job.expires_at)}`);
+  return facts;
+}
+
+// Progress of a stage as words, with frames a second while it runs.
+export function countOf(stage) {
+  if (stage.state === "done") return stage.reused ? "done before" : "done";
+  if (stage.state === "waiting" || stage.done === 0) return "";
+  const elapsed_s = (Date.now() - new Date(stage.started_at)) / 1000;
+  const isRated = stage.unit === "frames" && stage.state === "running" && stage.started_at && elapsed_s > STEADY_S;
+  const rate = isRated ? `, ${(stage.done / elapsed_s).toFixed(stage.done < 10 * elapsed_s ? 1 : 0)} frames/s` : "";
+  return `${stage.done} of ${stage.total}${rate}`;
+}

@@ -1,0 +1,29 @@
+// Choices of a job and the networks that are installed, as the service lists them.
+
+import { call } from "./api.js";
+
+const KEPT_MS = 30_000;
+
+let options = null;
+let readAt = -Infinity;
+
+export async function readOptions() {
+  if (performance.now() - readAt > KEPT_MS) {
+    options = await call("/v1/options");
+    readAt = performance.now();
+  }
+  return options;
+}
+
+function wordsOf(choice, value) {
+  const label = (one) => choice.values.find(({ name }) => name === one)?.label ?? String(one);
+  return Array.isArray(value) ? value.map((one) => label(one ?? "…")).join(", ") : label(value);
+}
+
+// Choices of a spec that differ from the defaults, as words; an empty list if none does.
+export function describeSpec(spec, { choices }) {
+  const differs = (choice) => JSON.stringify(spec[choice.name] ?? null) !== JSON.stringify(choice.default ?? null);
+  return choices
+    .filter((choice) => choice.name in spec && differs(choice))
+    .map((choice) => ({ label: choice.label, value: wordsOf(choice, spec[choice.name]) }));
+}

@@ -1,0 +1,19 @@
+// Views by the address' hash: `#/captures`, `#/jobs/ID`. Addresses of the service itself stay those of its API.
+
+export function currentRoute() {
+  const [path, query = ""] = location.hash.replace(/^#\/?/, "").split("?");
+  const [name = "", ...rest] = path.split("/").map(decodeURIComponent);
+  return { name, id: rest[0] ?? null, query: new URLSearchParams(query) };
+}
+
+export const address = (name, id = null) => `#/${name}${id === null ? "" : `/${encodeURIComponent(id)}`}`;
+
+export function go(name, id = null) {
+  location.hash = address(name, id);
+}
+
+// Change the address without a step in the browser's history.
+export function replace(name, id = null) {
+  history.replaceState(null, "", address(name, id));
+  dispatchEvent(new HashChangeEvent("hashchange"));
+}

@@ -1,0 +1,91 @@
+// Card of a capture: its facts, its cameras, its jobs, and what can be done with it.
+
+import { announce } from "../shared/announce.js";
+import { call } from "../shared/api.js";
+import { confirm } from "../shared/dialog.js";
+import { feed } from "../shared/feed.js";
+import { count, length, moment, size } from "../shared/format.js";
+import { hasEnded } from "../shared/jobs.js";
+import { html, nothing, repeat } from "../shared/lit.js";
+import { problemBox, warningList } from "../shared/problem.js";
+import { findingList } from "../send/findings.js";
+import { jobRow } from "./job.js";
+import { runAgainForm, specOf } from "./run_again.js";
+
+function factsOf(session) {
+  const { cameras, timebase } = session.preflight;
+  return [
+    moment(session.created_at),
+    count(cameras.length, "camera"),
+    length(timebase.num_frames / timebase.frame_rate_hz),
+    `${timebase.num_frames} frames at ${Number(timebase.frame_rate_hz.toFixed(2))} Hz`,
+    size(session.num_bytes),
+  ];
+}
+
+function cameraTable(session) {
+  const { cameras, findings = [], warnings } = session.preflight;
+  const sizes = new Map(session.files.map(({ name, num_bytes: bytes }) => [name, bytes]));
+  const known = new Set(findings.map(({ message }) => message));
+  return html`<details class="cameras">
+    <summary>Cameras${findings.length || warnings.length ? html` <span class="badge" data-tone="warn">${count(findings.length || warnings.length, "finding")}</span>` : nothing}</summary>
+    <div class="scroll" role="region" aria-label="Cameras of ${session.name}" tabindex="0"><table>
+      <thead><tr><th scope="col">Camera</th><th scope="col">File</th><th scope="col">Picture</th><th scope="col">Rate</th><th scope="col">Frames</th><th scope="col">Starts at</th><th scope="col">Size</th></tr></thead>
+      <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${camera.file}</td>
+        <td>${camera.size_px.join(" × ")}</td><td>${Number(camera.frame_rate_hz.toFixed(2))} Hz</td><td>${camera.num_frames}</td>
+        <td>${camera.start_time_s.toFixed(3)} s</td><td>${sizes.has(camera.file) ? size(sizes.get(camera.file)) : ""}</td></tr>
+        ${findingList(findings.filter((finding) => finding.camera === camera.name), (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
+    </table></div>
+    ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)))}
+    ${warningList(warnings.filter((warning) => !known.has(warning)), `Warnings about the files of ${session.name}`)}
+  </details>`;
+}
+
+export function captureCard(view, session) {
+  const jobs = feed.ofSession(session.id);
+  const isBusy = jobs.some((job) => !hasEnded(job));
+  // A session of a calibration's footage has no calibrated cameras to reconstruct with.
+  const isFootage = jobs.length > 0 && jobs.every(({ kind }) => kind === "calibration");
+
+  const remove = async () => {
+    const question = {
+      title: `Delete ${session.name}?`, action: "Delete the capture",
+      text: `Its videos (${size(session.num_bytes)}), its jobs and all results are deleted for good.`,
+    };
+    if (!await confirm(question)) return;
+    await view.act(session.id, async () => {
+      await call(session.links.self, { method: "DELETE" });
+      for (const job of jobs) feed.remove(job.id);
+      view.sessions = view.sessions.filter(({ id }) => id !== session.id);
+      view.draw();
+      announce(`${session.name} is deleted.`);
+      view.focusList();
+    });
+  };
+  const toggleForm = () => {
+    if (view.opened.has(session.id)) view.opened.delete(session.id);
+    else view.opened.set(session.id, specOf(jobs[0], view.options));
+    view.draw();
+    view.place.querySelector(`#again-${session.id} input, #again-${session.id} select`)?.focus();
+  };
+
+  return html`<li class="panel capture" aria-labelledby="name-${session.id}">
+    <div class="head">
+      <div>
+        <h2 id="name-${session.id}">${isFootage ? "Calibration: " : ""}${session.name}</h2>
+        <p class="quiet facts">${factsOf(session).map((fact) => html`<span>${fact}</span>`)}</p>
+      </div>
+      ${view.canWrite ? html`<div class="actions">
+        ${isFootage ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
+          ?disabled=${!view.options} aria-label="Run ${session.name} again with other choices" @click=${toggleForm}>${jobs.length ? "Run again …" : "Reconstruct …"}</button>`}
+        <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Cancel its job first." : nothing}
+          aria-label="Delete ${session.name}" @click=${remove}>Delete</button>
+      </div>` : nothing}
+    </div>
+    ${problemBox(view.problems.get(session.id))}
+    ${view.opened.has(session.id) ? runAgainForm(view, session) : nothing}
+    ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job) => jobRow(view, job))}</ol>`
+      : html`<p class="quiet">No job yet.</p>`}
+    ${cameraTable(session)}
+  </li>`;
+}

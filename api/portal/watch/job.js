@@ -1,0 +1,71 @@
+// Row of a job: its state, stages, choices, warnings, and what can be done with it.
+
+import { announce } from "../shared/announce.js";
+import { call } from "../shared/api.js";
+import { confirm } from "../shared/dialog.js";
+import { feed } from "../shared/feed.js";
+import { countOf, factsOf, hasEnded, stateOf } from "../shared/jobs.js";
+import { html, nothing } from "../shared/lit.js";
+import { describeSpec } from "../shared/options.js";
+import { problemBox, warningList } from "../shared/problem.js";
+import { address } from "../shared/router.js";
+
+export function stageList(job) {
+  return html`<ol class="stages">${job.stages.map((stage) => html`<li class="stage" data-state=${stage.state}>
+    <span class="label">${stage.label}</span>
+    <progress max="1" .value=${stage.fraction} aria-label=${stage.label}></progress>
+    <span class="count quiet">${countOf(stage)}</span>
+  </li>`)}</ol>`;
+}
+
+export function choiceList(job, options) {
+  if (!options || job.kind === "calibration") return nothing;
+  const changed = describeSpec(job.spec, options);
+  if (changed.length === 0) return html`<p class="choices quiet">Usual choices</p>`;
+  return html`<p class="choices">${changed.map(({ label, value }) => html`<span class="chip"><span class="unseen">${label}: </span>${value}</span>`)}</p>`;
+}
+
+// Problem of a failed job, with the camera and the stage that it concerns.
+export function errorBox(job) {
+  if (!job.error) return nothing;
+  const stage = job.stages.find(({ name }) => name === job.error.stage)?.label;
+  const where = [job.error.camera && `camera ${job.error.camera}`, stage].filter(Boolean).join(", ");
+  const advice = job.error.hint ?? (job.links.retry ? "Retry it." : null);
+  return problemBox({ message: where ? `${job.error.detail} (${where})` : job.error.detail, hint: advice });
+}
+
+export function jobRow(view, job) {
+  const { words, tone } = stateOf(job);
+  const name = job.session_name;
+  const act = (path, method, said) => view.act(job.id, async () => {
+    const answer = await call(path, { method });
+    if (answer) feed.put(answer); else feed.remove(job.id);
+    announce(said);
+    if (!answer) view.focusList();
+    else requestAnimationFrame(() => { if (document.activeElement === document.body) view.place.querySelector(`#job-${job.id}`)?.focus(); });
+  });
+  const remove = async () => {
+    const question = { title: `Delete this job of ${name}?`, text: "Its results are deleted for good. The videos stay.", action: "Delete the job" };
+    if (await confirm(question)) await act(job.links.self, "DELETE", `The job of ${name} is deleted.`);
+  };
+  const isOpenable = job.kind === "reconstruction";
+  return html`<li class="job" id="job-${job.id}" tabindex="-1" data-tone=${tone}>
+    <div class="line">
+      <span class="state" data-tone=${tone}>${words}</span>
+      ${choiceList(job, view.options)}
+      <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
+      <div class="actions">
+        ${isOpenable && job.state === "succeeded" ? html`<a class="button small primary" href=${address("jobs", job.id)} aria-label="Look at ${name}">Look</a>
+          <a class="button small" href=${job.links.results_zip} download aria-label="Download all files of ${name} as ZIP">All as ZIP</a>` : nothing}
+        ${isOpenable && job.state !== "succeeded" ? html`<a class="button small" href=${address("jobs", job.id)} aria-label="Details of ${name}">Details</a>` : nothing}
+        ${view.canWrite && job.links.cancel ? html`<button type="button" class="button small" aria-label="Cancel ${name}" @click=${() => act(job.links.cancel, "POST", `${name} is being canceled.`)}>Cancel</button>` : nothing}
+        ${view.canWrite && job.links.retry ? html`<button type="button" class="button small" aria-label="Retry ${name}" @click=${() => act(job.links.retry, "POST", `${name} waits for another attempt.`)}>Retry</button>` : nothing}
+        ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label="Delete the job of ${name}" @click=${remove}>Delete job</button>` : nothing}
+      </div>
+    </div>
+    ${hasEnded(job) ? nothing : stageList(job)}
+    ${errorBox(job)}
+    ${problemBox(view.problems.get(job.id))}
+    ${warningList(job.warnings, `Warnings of ${name}`)}
+  </li>`;
+}

@@ -1,0 +1,40 @@
+// Form for another run of a capture with other choices; nothing is uploaded.
+
+import { announce } from "../shared/announce.js";
+import { call } from "../shared/api.js";
+import { feed } from "../shared/feed.js";
+import { html } from "../shared/lit.js";
+import { choicesForm } from "../send/choices.js";
+
+// Choices of a job that differ from the defaults; none without a job.
+export function specOf(job, options) {
+  const differs = ({ name, default: usual }) => JSON.stringify(job.spec[name] ?? null) !== JSON.stringify(usual ?? null);
+  return job ? Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, job.spec[name]])) : {};
+}
+
+export function runAgainForm(view, session) {
+  const spec = view.opened.get(session.id);
+  const close = () => {
+    view.opened.delete(session.id);
+    view.draw();
+    view.place.querySelector(`[aria-label="Run ${CSS.escape(session.name)} again with other choices"]`)?.focus();
+  };
+  const change = (name, value) => {
+    if (value === undefined) delete spec[name]; else spec[name] = value;
+    view.draw();
+  };
+  const submit = (event) => {
+    event.preventDefault();
+    return view.act(session.id, async () => {
+      const job = await call(session.links.jobs, { method: "POST", body: spec });
+      feed.put(job);
+      close();
+      announce(`Another job of ${session.name} waits.`);
+    });
+  };
+  return html`<form class="again" id="again-${session.id}" aria-label="Run ${session.name} again" @submit=${submit}>
+    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change })}
+    <div class="actions"><button class="button primary">Reconstruct without uploading</button>
+      <button type="button" class="button" @click=${close}>Close</button></div>
+  </form>`;
+}
