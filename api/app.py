@@ -28,7 +28,20 @@ from api.metrics import RequestMetrics
 from api.requests import validation
 from api.requests.fair_threads import FairThreads
 from api.requests.preflight import PreflightProgram
-from api.routes import calibrations, callers, events, health, jobs, motion, options, page, results, sessions, uploads
+from api.routes import (
+    calibrations,
+    callers,
+    events,
+    health,
+    jobs,
+    motion,
+    options,
+    page,
+    results,
+    sessions,
+    uploads,
+    videos,
+)
 from api.settings import Settings
 from api.tus.files import UploadSpool
 from pipeline.stages.code import stage_codes
@@ -72,6 +85,7 @@ def create_app(settings: Settings) -> FastAPI:
             calibrations.router,
             sessions.router,
             sessions.small,
+            videos.router,
             jobs.router,
             jobs.small,
             events.router,

@@ -20,6 +20,7 @@ PATH_PARAMETERS = {
     "upload_id": UPLOAD_IDS[0],
     "name": "person-1.bvh",
     "sample_file": "cam01.mp4",
+    "camera": "cam_0",
 }
 
 REQUEST_HEADERS = {
@@ -37,7 +38,7 @@ ANSWER_HEADERS = {
     "Retry-After": "1",
     "ETag": f'"{_SHA256}"',
     "Accept-Ranges": "bytes",
-    "Content-Disposition": "attachment; filename*=utf-8''person-1.bvh",
+    "Content-Disposition": "attachment; filename=\"person-1.bvh\"; filename*=utf-8''person-1.bvh",
     "Set-Cookie": "multicap_session=...; HttpOnly; Max-Age=43200; Path=/; SameSite=strict",
     "Tus-Resumable": "1.0.0",
     "Upload-Offset": "1048576",
@@ -81,6 +82,9 @@ _PREFLIGHT: dict[str, Any] = {
             "frame_rate_hz": 25.0,
             "num_frames": 300,
             "start_time_s": 0.0,
+            "plays_in_browsers": True,
+            "video_link": f"/v1/sessions/{_SESSION_ID}/videos/cam_{index}",
+            "media_start_s": 0.0,
         }
         for index in range(2)
     ],

@@ -28,7 +28,7 @@ _MAX_LOGGED_PATH = 200
 SAFE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self'; "
-        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        "media-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
     # Default of responses that set no other value: caches must not keep what only a key may read.
     "Cache-Control": "no-store",

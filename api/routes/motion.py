@@ -12,10 +12,10 @@ from fastapi import APIRouter, Header, Query, Response
 from api.auth import RecordsDep
 from api.contract.description import answer, problems
 from api.dependencies import JobId, Services, ServicesDep
+from api.downloads import Download, Stream, opened
 from api.errors import ApiError
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch
-from api.routes.results import Stream, opened
 from api.schemas.motion import MotionDescription
 from pipeline.stages.output import DESCRIPTION, MOTION
 from worker.jobs.errors import NotFound
@@ -76,7 +76,7 @@ def get_motion_description(
     """Describe a job's motion: people, joints, cameras, heat strips, and the structure of a frame's record."""
     result = _result(records, job_id, DESCRIPTION)
     headers = _headers(f'"{result.sha256}"')
-    with opened(services, result) as file:
+    with opened(services, Download.of(result)) as file:
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
         return Response(file.read(), headers=headers, media_type="application/json")
@@ -122,7 +122,7 @@ def get_motion(
     people = "all" if wanted is None else "-".join(map(str, sorted(wanted)))
     headers = _headers(f'"{result.sha256}.{first}.{last}.{people}"') | {"Accept-Ranges": "bytes"}
     with contextlib.ExitStack() as stack:
-        file = stack.enter_context(opened(services, result))
+        file = stack.enter_context(opened(services, Download.of(result)))
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
         try:
@@ -154,7 +154,7 @@ def _headers(etag: str) -> dict[str, str]:
 
 
 def _read_index(services: Services, description: Result) -> _Index:
-    with opened(services, description) as file:
+    with opened(services, Download.of(description)) as file:
         document = json.load(file)
     people = tuple(
         _Person(one["id"], one["start_frame"], one["num_frames"], one["offset_bytes"]) for one in document["people"]

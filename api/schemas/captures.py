@@ -3,13 +3,15 @@
 import json
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import quote
 from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from api.schemas.common import Id, NextCursor, ResponseModel, fields_of, printable_name
-from worker.jobs.model import Capture, JobState
+from pipeline.capture.preflight_record import PreflightCamera
+from worker.jobs.model import Capture, JobState, Session
 from worker.jobs.spec import JobSpec
 
 
@@ -153,14 +155,30 @@ class FileOut(ResponseModel):
 
 
 class CameraOut(ResponseModel):
-    """Camera of the calibration with its video or its keypoints."""
+    """Camera of the calibration with its video or its keypoints.
+
+    A player shows the frame of the session's time t at ``t - start_time_s + media_start_s``.
+    """
 
     name: str = Field(description="Name of the camera in the calibration.")
     file: str = Field(description="Name of the file with the camera's video or keypoints.")
     size_px: tuple[int, int] = Field(description="Width and height of the frames.")
     frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
     num_frames: int = Field(description="Number of frames in the file.")
-    start_time_s: float = Field(default=0.0, description="Time of the camera's first frame on the session's clock.")
+    start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.")
+    plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.")
+    video_link: str | None = Field(description="Path of a video that browsers play; null if there is none.")
+    media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
+
+    @classmethod
+    def of(cls, session_id: str, camera: PreflightCamera) -> Self:
+        """Build the response from a camera of a session."""
+        plays = camera.media_type is not None
+        return cls(
+            **fields_of(camera, cls, without=("plays_in_browsers", "video_link")),
+            plays_in_browsers=plays,
+            video_link=f"/v1/sessions/{session_id}/videos/{quote(camera.name, safe='')}" if plays else None,
+        )
 
 
 class TimebaseOut(ResponseModel):
@@ -177,6 +195,16 @@ class PreflightOut(ResponseModel):
     cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
     timebase: TimebaseOut = Field(description="Clock of the output frames.")
     warnings: tuple[str, ...] = Field(description="Warnings about the files.")
+
+    @classmethod
+    def of(cls, session: Session) -> Self:
+        """Build the response from a session."""
+        preflight = session.preflight
+        return cls(
+            cameras=tuple(CameraOut.of(session.id, camera) for camera in preflight.cameras),
+            timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
+            warnings=preflight.warnings,
+        )
 
 
 class SessionLinks(ResponseModel):
@@ -230,7 +258,7 @@ class SessionOut(ResponseModel):
             duration_s=session.preflight.duration_s,
             num_jobs=capture.num_jobs,
             newest_job=None if newest is None else NewestJobOut(id=newest.id, state=newest.state),
-            preflight=PreflightOut.model_validate(session.preflight.to_json()),
+            preflight=PreflightOut.of(session),
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )

@@ -16,7 +16,7 @@ import json
 import math
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ def report(
     session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
 ) -> Preflight:
     """Build the preflight record of a session."""
+    media = _media(session, recordings)
     starts_s = {name: float(one.time_s[0]) if len(one.time_s) else 0.0 for name, one in session.times.items()}
     return Preflight(
         cameras=tuple(
@@ -51,6 +52,8 @@ def report(
                 frame_rate_hz=_camera_rate_hz(session, camera.name),
                 num_frames=len(session.times[camera.name].time_s),
                 start_time_s=starts_s[camera.name],
+                media_type=media[camera.name][0],
+                media_start_s=media[camera.name][1],
             )
             for camera, file in zip(session.cameras, files, strict=True)
         ),
@@ -60,6 +63,23 @@ def report(
         recordings=tuple(PreflightRecording(**asdict(one)) for one in recordings),
         units=units,
     )
+
+
+def _media(
+    session: CaptureSession | KeypointSession, recordings: Sequence[Recording]
+) -> Mapping[str, tuple[str | None, float]]:
+    """Media type for browsers and time of the first frame in the file, by camera."""
+    if isinstance(session, KeypointSession):
+        return {camera.name: (None, 0.0) for camera in session.cameras}
+    # Players would show a video with wrong times at these.
+    corrected = {recording.camera for recording in recordings if recording.frame_rate_hz is not None}
+    return {
+        camera.name: (
+            None if corrected & {camera.name, camera.section} else video.browser_media_type,
+            video.media_start_s,
+        )
+        for camera, video in zip(session.cameras, session.videos, strict=True)
+    }
 
 
 def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> float:

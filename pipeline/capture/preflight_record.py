@@ -24,6 +24,11 @@ class PreflightCamera:
         Number of its own frames, as against the output frames of the session.
     start_time_s
         Time of its first frame on the session's clock.
+    media_type
+        Media type as which browsers play the video, at the times that the session uses; ``None`` if some don't, and for
+        keypoints and sessions of older versions.
+    media_start_s
+        Time of the first frame on the clock of the video file, which players show.
     """
 
     name: str
@@ -32,6 +37,8 @@ class PreflightCamera:
     frame_rate_hz: float
     num_frames: int
     start_time_s: float = 0.0
+    media_type: str | None = None
+    media_start_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

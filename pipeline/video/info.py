@@ -37,6 +37,10 @@ class VideoInfo:
         Width of the stored picture if its pixels are not square; ``None``: they are.
     warnings
         What a user should know about the file, each with a stable code.
+    browser_media_type
+        Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.playback.browsers``.
+    media_start_s
+        Time of the first frame on the clock of the file, which players show.
     """
 
     path: Path
@@ -50,6 +54,8 @@ class VideoInfo:
     num_repeated: int = 0
     stored_width_px: int | None = None
     warnings: tuple[Problem, ...] = ()
+    browser_media_type: str | None = None
+    media_start_s: float = 0.0
 
     @property
     def unrotated_size_px(self) -> tuple[int, int]:

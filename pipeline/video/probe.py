@@ -32,7 +32,8 @@ from pipeline.video.container import (
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.pictures import interlaced, square_pixels
-from pipeline.video.signatures import is_container
+from pipeline.video.playback.browsers import VideoFormat, browser_media_type
+from pipeline.video.signatures import document_type, is_container
 
 MAX_FRAMES = 2_000_000
 # Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.
@@ -117,6 +118,14 @@ def _probe(path: Path) -> VideoInfo:
         if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
             raise _too_large()
         announced, time_base, pixel_aspect = _announced(container, stream), stream.time_base, stream.sample_aspect_ratio
+        video_format = VideoFormat(
+            container=container.format.name,
+            brand=container.metadata.get("major_brand", "") or document_type(path),
+            codec=codec,
+            profile=stream.codec_context.profile,
+            pixel_format=stream.codec_context.pix_fmt,
+            size_px=(stream.codec_context.width, stream.codec_context.height),
+        )
         stored_pts, keyframe_pts, num_read = _read_packets(container, stream)
     if time_base is None or not len(stored_pts):
         raise _UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
@@ -152,6 +161,8 @@ def _probe(path: Path) -> VideoInfo:
         num_repeated=len(stored_pts) - len(pts),
         stored_width_px=width if width != square_width else None,
         warnings=tuple(replace(one, file=path.name) for one in warnings),
+        browser_media_type=browser_media_type(video_format),
+        media_start_s=float(pts[0] * time_base),
     )
 
 

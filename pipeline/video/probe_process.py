@@ -89,4 +89,6 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
         num_repeated=answer["num_repeated"],
         stored_width_px=answer["stored_width_px"],
         warnings=tuple(Problem(**warning) for warning in answer["warnings"]),
+        browser_media_type=answer["browser_media_type"],
+        media_start_s=answer["media_start_s"],
     )

@@ -9,6 +9,8 @@ _ATOMS = frozenset(
     b"ftyp moov moof mdat styp sidx free skip wide uuid udta meta pnot ediw junk pict prfl emsg prft".split()
 )
 _MATROSKA = b"\x1aE\xdf\xa3"
+_DOC_TYPE = b"\x42\x82"  # id of the element DocType of the header
+_MAX_EBML_HEADER_BYTES = 128
 _AVI_FORMS = frozenset({b"AVI ", b"AVIX", b"AVI\x19"})
 _MPEG_PACK = b"\x00\x00\x01\xba"
 
@@ -28,6 +30,19 @@ def is_container(path: Path) -> bool:
         or _MPEG_PACK in head
         or any(_is_transport_stream(head, packet_bytes) for packet_bytes in _PACKET_BYTES)
     )
+
+
+def document_type(path: Path) -> str:
+    """Type of document that a Matroska file states, such as "webm"; empty for other files."""
+    with path.open("rb") as file:
+        head = file.read(_MAX_EBML_HEADER_BYTES)
+    start = head.find(_DOC_TYPE)
+    if not head.startswith(_MATROSKA) or start < 0 or len(head) <= start + len(_DOC_TYPE):
+        return ""
+    begin = start + len(_DOC_TYPE) + 1
+    # The size of a short element is one byte with the highest bit set.
+    length = head[begin - 1] & 0x7F
+    return head[begin : begin + length].rstrip(b"\0").decode("ascii", "replace")
 
 
 def _is_transport_stream(head: bytes, packet_bytes: int) -> bool:

@@ -60,7 +60,8 @@ if problems:
     sys.exit(2)
 pathlib.Path(arguments[arguments.index("--record") + 1]).write_bytes(b"record")
 recordings = [said for one in arguments if one.startswith("--recordings=") for said in json.loads(one[13:])]
-cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60}
+cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
+            "media_type": None if video.suffix == ".avi" else "video/mp4", "media_start_s": 0.08}
            for video in videos]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
                   "warnings": ["The cameras are close together."],

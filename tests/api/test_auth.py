@@ -66,6 +66,8 @@ class Guarded:
         address = re.sub(r"\{(\w+)\}", lambda found: self.ids[found[1]], path)
         if (method, path) in {("POST", "/v1/calibrations"), ("POST", "/v1/sessions"), ("POST", "/v1/jobs")}:
             options.setdefault("files", form())
+        if (method, path) == ("PATCH", "/v1/sessions/{session_id}"):
+            options.setdefault("json", {"name": "walk"})
         if path.startswith("/v1/uploads"):
             headers |= TUS
             options |= {"content": b"video"} if method == "PATCH" else {}
@@ -100,6 +102,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
             "session_id": session_id,
             "job_id": job_id,
             "name": "person-1.bvh",
+            "camera": "cam_0",
             "upload_id": upload.rpartition("/")[2],
         }
         yield Guarded(live, ids, theirs, mine)

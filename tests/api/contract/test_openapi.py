@@ -56,7 +56,8 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
         "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession", "deleteUpload",
         "describeUploads", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller", "getHealth", "getJob",
         "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSession",
-        "getUpload", "listAttempts", "listCalibrations", "listJobs", "listResults", "listSessionJobs", "listSessions",
+        "getSessionVideo", "getUpload", "listAttempts", "listCalibrations", "listJobs", "listResults",
+        "listSessionJobs", "listSessions",
         "openBrowserSession", "renameSession", "retryJob", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))

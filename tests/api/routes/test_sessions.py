@@ -36,7 +36,8 @@ def test_session_says_what_was_found(live: Live) -> None:
     assert session["preflight"]["timebase"] == {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60}
     assert session["preflight"]["cameras"][1] == {
         "name": "cam_1", "file": "cam_1.mp4", "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
-        "start_time_s": 0.0,
+        "start_time_s": 0.0, "plays_in_browsers": True, "media_start_s": 0.08,
+        "video_link": f"/v1/sessions/{session['id']}/videos/cam_1",
     }  # fmt: skip
     assert session["preflight"]["warnings"] == ["The cameras are close together."]
     assert live.client.get(session["links"]["self"]).json() == session

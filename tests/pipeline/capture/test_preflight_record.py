@@ -9,8 +9,10 @@ from pipeline.capture.preflight_record import Preflight
 # As a version before this record printed it.
 PRINTED = (
     '{"cameras": [{"name": "cam_0", "file": "GX01.mp4", "size_px": [1280, 720], "frame_rate_hz": 25.0, '
-    '"num_frames": 300, "start_time_s": -0.48}, {"name": "cam \\u00e4", "file": "b.zip", "size_px": [640, 480], '
-    '"frame_rate_hz": 29.97002997002997, "num_frames": 1, "start_time_s": 0.0}], '
+    '"num_frames": 300, "start_time_s": -0.48, "media_type": "video/mp4", "media_start_s": 0.04}, '
+    '{"name": "cam \\u00e4", "file": "b.zip", "size_px": [640, 480], '
+    '"frame_rate_hz": 29.97002997002997, "num_frames": 1, "start_time_s": 0.0, "media_type": null, '
+    '"media_start_s": 0.0}], '
     '"timebase": {"start_time_s": 0.04, "frame_rate_hz": 29.97002997002997, "num_frames": 300}, '
     '"stretches": [[0, 100], [200, 300]], "warnings": ["The clocks drift."], '
     '"recordings": [{"camera": "cam_0", "file": null, "offset_s": 0.48, "frame_rate_hz": null}], "units": "mm"}'
@@ -38,7 +40,8 @@ def test_rows_of_the_first_versions_can_be_read() -> None:
     for key in ("stretches", "recordings", "units"):
         del document[key]
     for camera in document["cameras"]:
-        del camera["start_time_s"]
+        for key in ("start_time_s", "media_type", "media_start_s"):
+            del camera[key]
     preflight = Preflight.from_json(document)
     assert preflight.stretches == (range(300),)
     assert (preflight.recordings, preflight.units, preflight.cameras[0].start_time_s) == ((), "m", 0.0)

@@ -1,0 +1,1 @@
+"""Videos for players: formats that browsers play, and proxies of the others."""
