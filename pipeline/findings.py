@@ -1,18 +1,22 @@
-"""Findings of checks that a user asks for before a take: the shape that all checks share."""
+"""Findings of checks, before and after a reconstruction: the shape that all checks share. Standard library only.
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+A finding refuses nothing, whatever its severity: files that can't be used at all raise ``InputError``.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
 
 from pipeline.errors import Problem, printable
 
-Severity = Literal["error", "warning"]
+Severity = Literal["error", "warning", "info"]
+_SEVERITIES: tuple[Severity, ...] = get_args(Severity)
 _DECIMALS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that a check found to be wrong or doubtful.
+    """One thing that a check found to be wrong, doubtful or worth knowing.
 
     Parameters
     ----------
@@ -23,11 +27,13 @@ class Finding:
     camera
         Name of the camera; ``None`` if the finding is not about a single one.
     severity
-        ``error``: a reconstruction would fail or be wrong. ``warning``: it may be worse than it could be.
+        ``error``: a reconstruction would fail or be wrong. ``warning``: it may be worse than it could be. ``info``:
+        something to know.
     hint
         What to do; ``None`` if there is nothing to say.
     evidence
-        Measured number, in the unit that the message names; ``None`` if there is none.
+        What was measured, by name: numbers with their units in the names, ``file`` for the name of a file,
+        ``other_camera`` for a second camera. JSON values.
     """
 
     code: str
@@ -35,29 +41,47 @@ class Finding:
     camera: str | None = None
     severity: Severity = "warning"
     hint: str | None = None
-    evidence: float | None = None
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> "Finding":
+        """Read what ``to_json`` made."""
+        return cls(**document)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON object; names from files are made printable, and numbers are rounded."""
+        return {
+            "code": self.code,
+            "message": printable(self.message),
+            "camera": None if self.camera is None else printable(self.camera),
+            "severity": self.severity,
+            "hint": None if self.hint is None else printable(self.hint),
+            "evidence": {name: _shown(value) for name, value in self.evidence.items()},
+        }
+
+
+def _shown(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    return round(value, _DECIMALS) if isinstance(value, float) else value
 
 
 def from_problem(problem: Problem) -> Finding:
-    """Finding of a problem of the input: an error, which names the file and the field."""
-    parts = ((kind, value) for kind, value in (("file", problem.file), ("field", problem.field)) if value)
-    where = ", ".join(f"{kind} {value}" for kind, value in parts)
+    """Finding of a problem of the input: an error, whose evidence are the file and the field."""
+    parts = {kind: value for kind, value in (("file", problem.file), ("field", problem.field)) if value}
+    where = ", ".join(f"{kind} {value}" for kind, value in parts.items())
     message = f"{where}: {problem.message}" if where else problem.message
-    return Finding(problem.code, message, problem.camera, "error", problem.hint)
+    return Finding(problem.code, message, problem.camera, "error", problem.hint, parts)
+
+
+def worst_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Findings by severity, errors first; those of a severity keep their order."""
+    return sorted(findings, key=lambda one: _SEVERITIES.index(one.severity))
 
 
 def documents(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """Findings as JSON objects, errors first; names from files are made printable."""
-    ordered = sorted(findings, key=lambda one: one.severity != "error")
-    return [
-        {
-            **asdict(one),
-            "camera": None if one.camera is None else printable(one.camera),
-            "message": printable(one.message),
-            "evidence": None if one.evidence is None else round(one.evidence, _DECIMALS),
-        }
-        for one in ordered
-    ]
+    """Findings as JSON objects, errors first."""
+    return [one.to_json() for one in worst_first(findings)]
 
 
 def has_error(findings: Iterable[Finding]) -> bool:

@@ -16,7 +16,7 @@ from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.files.interim import read_interim, write_interim
-from worker.jobs.model import Claim, MadeCalibration, Result, ResultWarning
+from worker.jobs.model import Claim, MadeCalibration, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.problems import problem_of
@@ -172,7 +172,7 @@ class Runner:
             _sha256(output.content),
             len(output.content),
             results=results,
-            warnings=[ResultWarning(**warning) for warning in output.warnings],
+            warnings=output.warnings,
             calibration=None if output.calibration is None else MadeCalibration(**output.calibration),
         )
 

@@ -89,7 +89,17 @@ _PREFLIGHT: dict[str, Any] = {
         for index in range(2)
     ],
     "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 300},
-    "warnings": [],
+    "warnings": ["cam_0.mp4: 1 frame is left out, because another frame has the same timestamp."],
+    "findings": [
+        {
+            "code": "frames_repeated",
+            "camera": "cam_0",
+            "severity": "warning",
+            "message": "cam_0.mp4: 1 frame is left out, because another frame has the same timestamp.",
+            "hint": "Export the video again at a constant frame rate.",
+            "evidence": {"file": "cam_0.mp4", "num_frames": 1},
+        }
+    ],
 }
 
 _SESSION: dict[str, Any] = {

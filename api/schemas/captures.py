@@ -9,7 +9,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from api.schemas.common import Id, NextCursor, ResponseModel, fields_of, printable_name
+from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
 from pipeline.capture.preflight_record import PreflightCamera
 from worker.jobs.model import Capture, JobState, Session
 from worker.jobs.spec import JobSpec
@@ -194,7 +194,10 @@ class PreflightOut(ResponseModel):
 
     cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
     timebase: TimebaseOut = Field(description="Clock of the output frames.")
-    warnings: tuple[str, ...] = Field(description="Warnings about the files.")
+    warnings: tuple[str, ...] = Field(description="Sentences of the findings.")
+    findings: tuple[FindingOut, ...] = Field(
+        default=(), description="Findings of the check; none for sessions of versions that had sentences only."
+    )
 
     @classmethod
     def of(cls, session: Session) -> Self:
@@ -204,6 +207,7 @@ class PreflightOut(ResponseModel):
             cameras=tuple(CameraOut.of(session.id, camera) for camera in preflight.cameras),
             timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
             warnings=preflight.warnings,
+            findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
         )
 
 

@@ -6,6 +6,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
+from pipeline.findings import Severity
+
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]
 NextCursor = Annotated[str | None, Field(description="Cursor of the next page; null on the last page.")]
@@ -22,6 +24,22 @@ class ResponseModel(BaseModel):
     """Base of the bodies of responses."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+
+class FindingOut(ResponseModel):
+    """Finding of a check: what is wrong or odd, how it was measured, and how to mend it."""
+
+    code: str = Field(description="Stable code, such as `same_video`; docs/problems.md lists all codes.")
+    camera: str | None = Field(default=None, description="Name of the camera; null if it is not about one camera.")
+    severity: Severity = Field(
+        default="warning",
+        description="`error`: the result will be wrong or empty; `warning`: it may be; `info`: something to know.",
+    )
+    message: str = Field(description="Sentence for people.")
+    hint: str | None = Field(default=None, description="Remedy; null if there is nothing to mend.")
+    evidence: dict[str, Any] = Field(
+        default_factory=dict, description="What was measured, by name; docs/preflight.md describes it for each code."
+    )
 
 
 def fields_of(record: object, model: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
-from api.schemas.common import Id, NextCursor, ResponseModel, fields_of
+from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.model import (
     CANCELABLE,
@@ -110,11 +110,8 @@ class AttemptList(ResponseModel):
     attempts: tuple[AttemptOut, ...]
 
 
-class WarningOut(ResponseModel):
+class WarningOut(FindingOut):
     """Warning about a result."""
-
-    code: str = Field(description="Stable code, such as `few_views`; docs/problems.md lists all codes.")
-    message: str = Field(description="Sentence for people.")
 
 
 class JobLinks(ResponseModel):

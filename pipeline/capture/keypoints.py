@@ -21,6 +21,7 @@ from pipeline.capture.keypoint_files.timestamps import times_from_file, times_fr
 from pipeline.capture.pairing import pair_by_name
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
+from pipeline.findings import Finding
 from pipeline.joints import JointSet
 from pipeline.video.timeline import recorded_stretches
 
@@ -50,8 +51,8 @@ class KeypointSession:
         Joint set of the detections.
     folders
         Name of the folder of each camera, by camera name.
-    warnings
-        Sentences for the user.
+    findings
+        What the user should know of the files.
     """
 
     cameras: tuple[Camera, ...]
@@ -60,7 +61,12 @@ class KeypointSession:
     detections: Mapping[str, Detections]
     joints: JointSet
     folders: Mapping[str, str]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(finding.message for finding in self.findings)
 
     @property
     def stretches(self) -> tuple[range, ...]:
@@ -101,25 +107,26 @@ def open_keypoints(
         With all problems of all files.
     """
     problems: list[Problem] = []
-    warnings: list[str] = []
+    findings: list[Finding] = []
     cameras: tuple[Camera, ...] = ()
     try:
         contents = read_contents(calibration, units)
-        cameras, warnings = contents.cameras, list(contents.notes)
+        cameras = contents.cameras
+        findings += [Finding("calibration_note", note, severity="info") for note in contents.notes]
         problems += [_unknown_size(camera, calibration) for camera in cameras if camera.size_px == UNKNOWN_SIZE]
     except InputError as error:
         problems.extend(error.problems)
-    folders = camera_folders(folder, warnings, problems)
+    folders = camera_folders(folder, findings, problems)
     pairs: Mapping[str, str] = {}
     if cameras and folders:
-        pairs, unpaired, pairing_warnings = pair_by_name(cameras, list(folders), "folder")
+        pairs, unpaired, pairing_findings = pair_by_name(cameras, list(folders), "folder")
         problems += unpaired
-        warnings += pairing_warnings
+        findings += pairing_findings
     camera_of = {name: camera for camera, name in pairs.items()}
     frames: dict[str, dict[int, People]] = {}
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
-        frames[name], num_joints = read_folder(path, camera_of.get(name, name), left_joints, warnings, problems)
+        frames[name], num_joints = read_folder(path, camera_of.get(name, name), left_joints, findings, problems)
         left_joints -= num_joints
         if left_joints < 0:
             message = f"With this camera's files the session has more than {max_joints:,} joints."
@@ -136,14 +143,14 @@ def open_keypoints(
             Problem("two_clocks", "There are both timestamps and a frame rate.", hint="Provide only one of them.")
         )
     times, timebase = (
-        times_from_rate(people_by_camera, pairs, frame_rate_hz, warnings, problems)
+        times_from_rate(people_by_camera, pairs, frame_rate_hz, findings, problems)
         if timestamps is None
         else times_from_file(people_by_camera, timestamps, problems)
     )
     if problems or joints is None or timebase is None:
         raise InputError(problems)
-    warnings += [
-        f"Camera {camera} saw nobody."
+    findings += [
+        Finding("camera_saw_nobody", f"Camera {camera} saw nobody.", camera, hint="Check the detector's output.")
         for camera, by_frame in people_by_camera.items()
         if not sum(map(len, by_frame.values()))
     ]
@@ -157,7 +164,7 @@ def open_keypoints(
         },
         joints=joints,
         folders=pairs,
-        warnings=tuple(warnings),
+        findings=tuple(findings),
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 
 from pipeline.data import Camera
 from pipeline.errors import Problem
+from pipeline.findings import Finding
 
 MIN_CAMERAS = 2
 # Names that a warning lists.
@@ -12,7 +13,7 @@ _MAX_SHOWN = 12
 
 def pair_by_name(
     cameras: Sequence[Camera], names: Sequence[str], thing: str, required: Collection[str] = ()
-) -> tuple[dict[str, str], list[Problem], list[str]]:
+) -> tuple[dict[str, str], list[Problem], list[Finding]]:
     """Pair cameras and inputs, either all by exact name or all in sorted order.
 
     Parameters
@@ -33,7 +34,7 @@ def pair_by_name(
     problems
         Inputs without camera, second inputs of a camera, and required cameras without input; all cameras without
         input, if there is another problem, or if fewer than two cameras have one.
-    warnings
+    findings
         List of the pairs, if they were paired in sorted order; list of the cameras that are left out.
     """
     known = {camera.section: camera.name for camera in cameras} | {camera.name: camera.name for camera in cameras}
@@ -41,7 +42,7 @@ def pair_by_name(
     if not known.keys() & set(names) and len(called) == len(names):
         pairs = dict(zip(sorted(called), sorted(names), strict=True))
         shown = ", ".join(f"{camera}: {name}" for camera, name in pairs.items())
-        return pairs, [], [f"No {thing} has the name of a camera. They were paired in sorted order: {shown}."]
+        return pairs, [], [_sorted(thing, shown)]
     pairs = {}
     problems: list[Problem] = []
     for name in sorted(set(names)):
@@ -83,8 +84,23 @@ def pair_by_name(
     return pairs, problems, [_left_out(left_out, thing)] if left_out else []
 
 
-def _left_out(cameras: Sequence[str], thing: str) -> str:
+def _sorted(thing: str, pairs: str) -> Finding:
+    message = f"No {thing} has the name of a camera. They were paired in sorted order: {pairs}."
+    hint = f"Check the pairs; give each {thing} the name of its camera."
+    return Finding("paired_in_sorted_order", message, hint=hint)
+
+
+def _left_out(cameras: Sequence[str], thing: str) -> Finding:
     shown = ", ".join(cameras[:_MAX_SHOWN]) + (", ..." if len(cameras) > _MAX_SHOWN else "")
+    message = f"{len(cameras)} cameras of the calibration have no {thing}: {shown}. They are left out."
     if len(cameras) == 1:
-        return f"The camera {shown} of the calibration has no {thing}: it is left out."
-    return f"{len(cameras)} cameras of the calibration have no {thing}: {shown}. They are left out."
+        message = f"The camera {shown} of the calibration has no {thing}: it is left out."
+    hint = f"If a {thing} is missing, add it."
+    return Finding(
+        "camera_left_out",
+        message,
+        cameras[0] if len(cameras) == 1 else None,
+        "info",
+        hint,
+        {"num_cameras": len(cameras)},
+    )

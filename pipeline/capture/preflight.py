@@ -62,6 +62,7 @@ def report(
         warnings=tuple(printable(warning) for warning in session.warnings),
         recordings=tuple(PreflightRecording(**asdict(one)) for one in recordings),
         units=units,
+        findings=tuple(session.findings),
     )
 
 

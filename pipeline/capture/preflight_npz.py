@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointSet
 from pipeline.runtime.npz import decode_arrays, encode_arrays
@@ -52,6 +53,12 @@ def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.n
     )
 
 
+def _decode_findings(head: Mapping[str, Any]) -> tuple[Finding, ...]:
+    # Records of earlier versions have sentences only.
+    older = tuple(Finding("session_warning", sentence) for sentence in head.get("warnings", ()))
+    return (*older, *map(Finding.from_json, head.get("findings", ())))
+
+
 def encode_session(session: CaptureSession) -> bytes:
     """Write the cameras and videos of a session; of the videos' paths only the names."""
     cameras, arrays = _cameras(session.cameras)
@@ -68,7 +75,7 @@ def encode_session(session: CaptureSession) -> bytes:
             }
             for video in session.videos
         ],
-        "warnings": session.warnings,
+        "findings": [finding.to_json() for finding in session.findings],
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
@@ -104,7 +111,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
             for k, one in enumerate(head["videos"])
         ),
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
-        warnings=tuple(head["warnings"]),
+        findings=_decode_findings(head),
     )
 
 
@@ -116,7 +123,7 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         "folders": dict(session.folders),
         "joints": asdict(session.joints),
         "timebase": asdict(session.timebase),
-        "warnings": session.warnings,
+        "findings": [finding.to_json() for finding in session.findings],
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, camera in enumerate(session.cameras):
@@ -141,5 +148,5 @@ def decode_keypoints(content: bytes) -> KeypointSession:
         },
         joints=JointSet(tuple(head["joints"]["names"]), tuple((one, other) for one, other in head["joints"]["bones"])),
         folders=head["folders"],
-        warnings=tuple(head["warnings"]),
+        findings=_decode_findings(head),
     )

@@ -7,6 +7,8 @@ workers read it. So this module needs nothing but the standard library.
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pipeline.findings import Finding
+
 
 @dataclass(frozen=True, slots=True)
 class PreflightCamera:
@@ -62,18 +64,20 @@ class PreflightRecording:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """Cameras and clock of a session, and warnings about its files.
+    """Cameras and clock of a session, and findings about its files.
 
     Parameters
     ----------
     stretches
         Output frames that have to be worked on, ascending; pauses lie between them.
     warnings
-        Sentences for the client.
+        Sentences of the findings.
     recordings
         Facts about videos that the client stated.
     units
         Unit of lengths in the calibration: "m", "cm" or "mm".
+    findings
+        What the client should know of the files; none in records of earlier versions, which have sentences only.
     """
 
     cameras: tuple[PreflightCamera, ...]
@@ -82,6 +86,7 @@ class Preflight:
     warnings: tuple[str, ...] = ()
     recordings: tuple[PreflightRecording, ...] = ()
     units: str = "m"
+    findings: tuple[Finding, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -109,6 +114,7 @@ class Preflight:
                 warnings=tuple(document.get("warnings", ())),
                 recordings=tuple(PreflightRecording(**one) for one in document.get("recordings", ())),
                 units=document.get("units", "m"),
+                findings=tuple(Finding.from_json(one) for one in document.get("findings", ())),
             )
         except (KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -122,4 +128,5 @@ class Preflight:
             "warnings": list(self.warnings),
             "recordings": [asdict(one) for one in self.recordings],
             "units": self.units,
+            "findings": [one.to_json() for one in self.findings],
         }

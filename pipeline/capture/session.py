@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
+from pipeline.findings import Finding
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
@@ -35,8 +36,8 @@ class CaptureSession:
         One of each for a view, in the order of the calibration.
     times
         Frame times of each camera on the session's clock, by camera name.
-    warnings
-        Sentences for the user.
+    findings
+        What the user should know of the files.
     frames
         Range of the output frames to reconstruct; ``None``: all.
     """
@@ -44,7 +45,7 @@ class CaptureSession:
     cameras: tuple[Camera, ...]
     videos: tuple[VideoInfo, ...]
     times: Mapping[str, FrameTimes]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     frames: range | None = None
 
     @property
@@ -52,6 +53,11 @@ class CaptureSession:
         """Output frames to reconstruct, numbered from 0."""
         whole = session_timebase(self.times)
         return whole if self.frames is None else cut_timebase(whole, self.frames)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(finding.message for finding in self.findings)
 
     @property
     def stretches(self) -> tuple[range, ...]:
@@ -108,12 +114,13 @@ def open_session(
     InputError
         With all problems of all files.
     """
-    paths, warnings, problems = _find_videos(videos, 1 if calibration is None else MIN_CAMERAS)
+    paths, findings, problems = _find_videos(videos, 1 if calibration is None else MIN_CAMERAS)
     cameras: tuple[Camera, ...] = ()
     if calibration is not None:
         try:
             contents = read_contents(calibration, units)
-            cameras, warnings = contents.cameras, [*warnings, *contents.notes]
+            cameras = contents.cameras
+            findings += [Finding("calibration_note", note, severity="info") for note in contents.notes]
         except InputError as error:
             problems.extend(error.problems)
 
@@ -146,20 +153,20 @@ def open_session(
     ]
     infos = {name: result for name, result in zip(names, probed, strict=True) if isinstance(result, VideoInfo)}
     if cameras and not recording_problems:
-        pairs, unpaired, pairing_warnings = pair_by_name(cameras, names, "video", recording_of_camera.keys())
+        pairs, unpaired, pairing_findings = pair_by_name(cameras, names, "video", recording_of_camera.keys())
         problems += unpaired
-        warnings += pairing_warnings
+        findings += pairing_findings
         videos_of = {camera: infos[name] for camera, name in pairs.items() if name in infos}
-        cameras = _fitted([camera for camera in cameras if camera.name in pairs], videos_of, warnings, problems)
+        cameras = _fitted([camera for camera in cameras if camera.name in pairs], videos_of, findings, problems)
     if problems:
         raise InputError(problems)
     paired = {camera.name: videos_of[camera.name] for camera in cameras}
     times = {name: _times(video, recording_of_camera.get(name)) for name, video in paired.items()}
     if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
         raise InputError(problems)
-    warnings += [_repeated_times(video) for video in paired.values() if video.num_repeated]
-    warnings += [str(warning) for video in paired.values() for warning in video.warnings]
-    return CaptureSession(cameras, tuple(paired.values()), times, tuple(warnings))
+    findings += [_repeated_times(name, video) for name, video in paired.items() if video.num_repeated]
+    findings += [_of_video(name, doubt) for name, video in paired.items() for doubt in video.warnings]
+    return CaptureSession(cameras, tuple(paired.values()), times, tuple(findings))
 
 
 def _range_problems(recordings: Sequence[Recording]) -> list[Problem]:
@@ -267,14 +274,18 @@ def _guessed(videos: Sequence[VideoInfo], recordings: Sequence[Recording]) -> tu
     return tuple(guessed_camera(named.get(video.path.name, video.path.stem), video.size_px) for video in videos)
 
 
-def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[Path], list[str], list[Problem]]:
-    """List the video files; warn of ignored files, and report missing videos and equal names."""
-    warnings: list[str] = []
+def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[Path], list[Finding], list[Problem]]:
+    """List the video files; tell of ignored files, and report missing videos and equal names."""
+    findings: list[Finding] = []
     problems: list[Problem] = []
     if isinstance(videos, Path) and videos.is_dir():
         files = sorted(path for path in videos.iterdir() if path.is_file() and not path.name.startswith("."))
         paths = [path for path in files if path.suffix.lower() in _VIDEO_ENDINGS]
-        warnings.extend(f"{path.name} is ignored: it is not a video." for path in files if path not in paths)
+        findings += [
+            Finding("file_ignored", f"{path.name} is ignored: it is not a video.", severity="info")
+            for path in files
+            if path not in paths
+        ]
     else:
         paths = [videos] if isinstance(videos, Path) else list(videos)
     if len(paths) < min_videos:
@@ -291,18 +302,30 @@ def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[P
             problems.append(
                 Problem("duplicate_video", f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
             )
-    return paths, warnings, problems
+    return paths, findings, problems
 
 
-def _repeated_times(video: VideoInfo) -> str:
+def _of_video(camera: str, doubt: Problem) -> Finding:
+    """Finding of what is doubtful about a video's file."""
+    message = str(replace(doubt, hint=None))
+    return Finding(doubt.code, message, camera, hint=doubt.hint, evidence={"file": doubt.file})
+
+
+def _repeated_times(camera: str, video: VideoInfo) -> Finding:
     frames = "1 frame is" if video.num_repeated == 1 else f"{video.num_repeated} frames are"
-    return f"{video.path.name}: {frames} left out, because another frame has the same timestamp."
+    return Finding(
+        "frames_repeated",
+        f"{video.path.name}: {frames} left out, because another frame has the same timestamp.",
+        camera,
+        hint="Export the video again at a constant frame rate.",
+        evidence={"file": video.path.name, "num_frames": video.num_repeated},
+    )
 
 
 def _fitted(
-    cameras: Sequence[Camera], videos: Mapping[str, VideoInfo], warnings: list[str], problems: list[Problem]
+    cameras: Sequence[Camera], videos: Mapping[str, VideoInfo], findings: list[Finding], problems: list[Problem]
 ) -> tuple[Camera, ...]:
-    """Adapt cameras to the pictures of their videos; warn of each adapted camera, report those that don't fit."""
+    """Adapt cameras to the pictures of their videos; tell of each adapted camera, report those that don't fit."""
     fitted = []
     for camera in cameras:
         video = videos.get(camera.name)
@@ -312,7 +335,19 @@ def _fitted(
             problems.append(_size_problem(camera, video))
         else:
             fitted.append(found[0])
-            warnings.append(f"{camera.name}: {_sizes(camera, video)}; {found[1]}.")
+            findings.append(
+                Finding(
+                    "calibration_adapted",
+                    f"{camera.name}: {_sizes(camera, video)}; {found[1]}.",
+                    camera.name,
+                    hint="Calibrate at the size of the videos if the guess is wrong.",
+                    evidence={
+                        "file": video.path.name,
+                        "video_size_px": list(video.size_px),
+                        "calibration_size_px": list(camera.size_px),
+                    },
+                )
+            )
     return tuple(fitted)
 
 

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.findings import Finding
+from pipeline.quality.report import all_checks
 
-# Checks of the capture that tell of the calibration, and their severity and hint; others are about the take.
+# Checks of the capture that tell of the calibration; others are about the take.
 _NOBODY = "nobody_found"
 _OF_CAPTURE = frozenset({_NOBODY, "camera_without_people"})
-_ERRORS = frozenset({_NOBODY, "upside_down", "mirrored_world"})
 # Checks that people decide better than the cameras alone.
 _BY_PEOPLE = frozenset({"upside_down", "not_upright", "camera_below_floor"})
 
@@ -21,18 +21,8 @@ def people_findings(report: Mapping[str, Any]) -> list[Finding]:
     report
         Report of ``pipeline.quality.report.quality_report``.
     """
-    found = [one for one in report["capture_checks"] if one["code"] in _OF_CAPTURE] + report["world_checks"]
-    return [
-        Finding(
-            one["code"],
-            one["message"],
-            one.get("camera"),
-            "error" if one["code"] in _ERRORS else "warning",
-            one.get("hint"),
-            one.get("evidence"),
-        )
-        for one in found
-    ]
+    of_world = {one["code"] for one in report["world_checks"]}
+    return [one for one in all_checks(report) if one.code in _OF_CAPTURE | of_world]
 
 
 def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> list[Finding]:

@@ -34,10 +34,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.data import Camera, Doubt, Floor, FootContact, Observations, Reconstruction, Refinement, Source, Track3D
+from pipeline.findings import Finding, Severity
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, LIMBS, SIDES, JointSet, finger_joints
 from pipeline.quality.capture_checks import capture_checks
-from pipeline.quality.world_checks import world_checks
+from pipeline.quality.world_checks import EVIDENCE, world_checks
 from pipeline.skeleton.fitting.fit import MAX_GAP_S
 from pipeline.skeleton.fitting.windows import windows
 from pipeline.skeleton.marks import has_torso, marks_from_centers
@@ -49,6 +50,8 @@ MIN_SCORE = 0.2
 _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 # Share of the joints of its fingers that make a hand measured.
 _HAND_SHARE = 0.5
+# Failed checks with which the result is empty or wrong; with others it may be.
+_ERRORS = frozenset({"nobody_found", "upside_down", "mirrored_world"})
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 
 PositionsOf = Callable[[slice], Float[np.ndarray, "rows joints 3"]]
@@ -166,10 +169,28 @@ def _describe_identity(doubts: Sequence[Doubt]) -> dict[str, Any]:
     }
 
 
-def all_checks(report: Mapping[str, Any]) -> list[dict[str, str]]:
-    """List all failed checks of a report, each with ``code`` and ``message``."""
-    checks = (*report["capture_checks"], *report["world_checks"])
-    return [{"code": check["code"], "message": check["message"]} for check in checks]
+def all_checks(report: Mapping[str, Any]) -> list[Finding]:
+    """Findings of all failed checks of a report."""
+    of_capture = (
+        Finding(check["code"], check["message"], severity=_severity(check["code"]))
+        for check in report["capture_checks"]
+    )
+    of_world = (
+        Finding(
+            check["code"],
+            check["message"],
+            check["camera"],
+            _severity(check["code"]),
+            check["hint"],
+            {EVIDENCE[check["code"]]: check["evidence"]},
+        )
+        for check in report["world_checks"]
+    )
+    return [*of_capture, *of_world]
+
+
+def _severity(code: str) -> Severity:
+    return "error" if code in _ERRORS else "warning"
 
 
 def encode(report: dict[str, Any]) -> bytes:

@@ -33,6 +33,18 @@ _MIRRORED_SHARE, _MIRRORED_FRAMES = 0.75, 20
 # Largest median epipolar distance of a camera, at the people: 1.3 to 1.8 cm on Shelf.
 _MAX_EPIPOLAR_M = 0.025
 
+EVIDENCE: Mapping[str, str] = {
+    "upside_down": "lean_deg",
+    "not_upright": "lean_deg",
+    "floor_not_at_zero": "height_m",
+    "floor_tilted": "tilt_deg",
+    "stature_out_of_range": "stature_m",
+    "camera_below_floor": "height_m",
+    "mirrored_world": "share",
+    "camera_disagrees": "distance_m",
+}
+"""What the evidence of a check is, by its code."""
+
 _Found = tuple[str, str, str | None, float, str]
 """Code, message, camera, evidence and hint."""
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.findings import Finding
+
 VIEWER = "viewer"
 """Kind of the files that viewers read; lists of downloads leave them out."""
 MOTION, DESCRIPTION = "motion.bin", "motion.json"
@@ -33,7 +35,7 @@ class Output:
     files
         Result files, of the last stage only.
     warnings
-        Warnings about the results, ``code`` and ``message``.
+        Findings about the results, for the last stage only.
     interim
         Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
     calibration
@@ -42,6 +44,6 @@ class Output:
 
     content: bytes
     files: tuple[ResultFile, ...] = ()
-    warnings: tuple[Mapping[str, str], ...] = ()
+    warnings: tuple[Finding, ...] = ()
     interim: bytes | None = None
     calibration: Mapping[str, Any] | None = None

@@ -28,6 +28,7 @@ from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
 from pipeline.errors import PipelineError, listed
 from pipeline.export.results import METRICS, write_results
+from pipeline.findings import Finding
 from pipeline.hands.attach import has_hands, without_fingers
 from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, in_units
@@ -276,7 +277,7 @@ def _calibrated(made: MadeCalibration, context: Context) -> Output:
     for name, text in written.items():
         (context.scratch / name).write_text(text, encoding="utf-8")
     files = tuple(_result_file(context.scratch / name) for name in written)
-    warnings = tuple({"code": one.code, "message": str(one)} for one in listed(made.warnings))
+    warnings = tuple(Finding(one.code, str(one), one.camera, hint=one.hint) for one in listed(made.warnings))
     return Output(texts["multicap"].encode(), files, warnings, calibration={"files": texts, "report": report})
 
 

@@ -23,8 +23,9 @@ from api.app import create_app
 from api.dependencies import Services
 from api.http.server import server_config
 from api.settings import Settings
+from pipeline.findings import Finding
 from worker.jobs.files.artifacts import result_key
-from worker.jobs.model import Result, ResultWarning
+from worker.jobs.model import Result
 
 # Replaces the real preflight: the first bytes of a video choose the behaviour.
 PREFLIGHT = """
@@ -108,7 +109,7 @@ class Live:
         self,
         job_id: str,
         content: bytes = RESULT,
-        warnings: Sequence[ResultWarning] = (),
+        warnings: Sequence[Finding] = (),
         motion: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
         """Finish a job as a worker would; ``motion`` are the files for viewers by name."""

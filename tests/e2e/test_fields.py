@@ -98,7 +98,7 @@ def test_the_service_gives_the_same_files(
     ]
     assert all(stage["done"] == stage["total"] for stage in job["stages"])
     metrics = json.loads((tmp_path / "metrics.json").read_bytes())
-    assert job["warnings"] == [check["message"] for check in all_checks(metrics)]
+    assert job["warnings"] == [check.message for check in all_checks(metrics)]
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 

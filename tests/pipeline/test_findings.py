@@ -1,19 +1,22 @@
+import json
+
 from pipeline.errors import Problem
 from pipeline.findings import Finding, documents, from_problem, has_error
 
-DOUBT = Finding("focal_length", "Odd.", "cam\x1b_1", evidence=1.23456)
+DOUBT = Finding("focal_length", "Odd.", "cam\x1b_1", evidence={"angle_deg": 1.23456, "file": "a\x00.mp4", "views": 3})
+NOTE = Finding("file_ignored", "Ignored.", severity="info")
 
 
 def test_errors_come_first_and_names_are_printable() -> None:
     problem = Problem("invalid_matrix", "The matrix is missing.", "rig.toml", "cam_2", "matrix", "Add it.")
-    assert documents([DOUBT, from_problem(problem)]) == [
+    assert documents([NOTE, DOUBT, from_problem(problem)])[:2] == [
         {
             "code": "invalid_matrix",
             "message": "file rig.toml, field matrix: The matrix is missing.",
             "camera": "cam_2",
             "severity": "error",
             "hint": "Add it.",
-            "evidence": None,
+            "evidence": {"file": "rig.toml", "field": "matrix"},
         },
         {
             "code": "focal_length",
@@ -21,11 +24,16 @@ def test_errors_come_first_and_names_are_printable() -> None:
             "camera": "cam\N{REPLACEMENT CHARACTER}_1",
             "severity": "warning",
             "hint": None,
-            "evidence": 1.2346,
+            "evidence": {"angle_deg": 1.2346, "file": "a\N{REPLACEMENT CHARACTER}.mp4", "views": 3},
         },
     ]
 
 
+def test_json_is_read_back() -> None:
+    dark = Finding("video_dark", "The video is dark.", "left", "error", "Open the aperture.", {"luma": 0.02})
+    assert Finding.from_json(json.loads(json.dumps(dark.to_json()))) == dark
+
+
 def test_only_errors_are_errors() -> None:
-    assert not has_error([DOUBT])
+    assert not has_error([DOUBT, NOTE])
     assert has_error([DOUBT, from_problem(Problem("invalid_name", "Wrong."))])

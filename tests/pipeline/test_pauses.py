@@ -34,7 +34,7 @@ def two_takes(pause_s: float) -> KeypointSession:
         },
         joints=once.joints,
         folders={},
-        warnings=(),
+        findings=(),
     )
 
 

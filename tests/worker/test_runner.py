@@ -4,7 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,13 @@ import pytest
 
 from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
+from pipeline.findings import Finding
 from pipeline.stages.output import Output
 from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
-from worker.jobs.model import ChunkState, Job, JobState, ResultWarning
+from worker.jobs.model import ChunkState, Job, JobState
 from worker.jobs.repositories.work.leases import MAX_ATTEMPTS
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job
@@ -463,8 +464,8 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: Bench, tmp_path: P
 
 
 def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Bench) -> None:
-    warning = ResultWarning("nobody_found", "Nobody was found.")
-    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(asdict(warning),))
+    warning = Finding("nobody_found", "Nobody was found.")
+    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
     spec = JobSpec(callback_url="https://example.com/hook")
     job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec, CHUNK_FRAMES))
     bench.runner().work(60.0)

@@ -23,6 +23,7 @@ from typing import Any, Literal
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import ReconstructionConfig
+from pipeline.findings import Finding
 from worker.jobs.spec import JobSpec
 
 
@@ -225,14 +226,6 @@ def is_worth_a_retry(state: JobState, problem: Problem | None) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultWarning:
-    """Warning about the results of a job: a stable code, and a sentence."""
-
-    code: str
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
 class Stage:
     """Progress of a stage; ``done`` and ``total`` are in the units of its chunks."""
 
@@ -326,7 +319,7 @@ class Job:
     eta_s: float | None
     problem: Problem | None
     warnings: tuple[str, ...]
-    result_warnings: tuple[ResultWarning, ...]
+    result_warnings: tuple[Finding, ...]
     making: CalibrationChoices | None = None
 
 

@@ -99,7 +99,7 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
         ((name, shown(before, unit, 2), shown(after, unit, 2)) for name, unit, before, after in before_and_after),
     )
     for check in all_checks(metrics):
-        warn(check["message"])
+        warn(check.message)
 
 
 def _users_cache() -> Path | None:

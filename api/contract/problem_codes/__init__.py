@@ -7,6 +7,7 @@ code that raises problems.
 from collections.abc import Mapping
 
 from api.contract.problem_codes.commands import COMMANDS, FINDINGS
+from api.contract.problem_codes.findings import FILES
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from api.contract.problem_codes.requests import ANSWERS, FIELDS, PARTS
 from api.contract.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
@@ -23,6 +24,7 @@ GROUPS: tuple[CodeGroup, ...] = (
     VIDEOS,
     KEYPOINTS,
     TIMES,
+    FILES,
     JOBS,
     READINESS,
     WARNINGS,

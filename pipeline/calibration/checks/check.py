@@ -39,4 +39,4 @@ def _check_number(cameras: Sequence[Camera]) -> list[Finding]:
         return []
     message = f"The calibration has {len(cameras)} camera{'s' * (len(cameras) != 1)}: nobody can be located."
     hint = "Give a calibration of at least two cameras."
-    return [Finding("too_few_cameras", message, None, "error", hint, float(len(cameras)))]
+    return [Finding("too_few_cameras", message, None, "error", hint, {"num_cameras": len(cameras)})]

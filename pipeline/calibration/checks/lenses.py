@@ -44,12 +44,12 @@ def _check_focal_length(camera: Camera) -> Iterator[Finding]:
             f"{angle_deg:.3g} degrees."
         )
         hint = "Check that the camera matrix belongs to this size of the picture, in pixels."
-        yield Finding("focal_length", message, camera.name, "warning", hint, angle_deg)
+        yield Finding("focal_length", message, camera.name, "warning", hint, {"angle_deg": angle_deg})
     aspect = float(focal_px[1] / focal_px[0])
     if abs(np.log(aspect)) > _MAX_ASPECT:
         message = f"The focal lengths along x and y, {focal_px[0]:.0f} and {focal_px[1]:.0f} px, differ."
         hint = "Check the camera matrix: pixels are square, unless the picture was stretched."
-        yield Finding("pixels_not_square", message, camera.name, "warning", hint, aspect)
+        yield Finding("pixels_not_square", message, camera.name, "warning", hint, {"aspect": aspect})
 
 
 def _check_principal_point(camera: Camera) -> Iterator[Finding]:
@@ -62,7 +62,7 @@ def _check_principal_point(camera: Camera) -> Iterator[Finding]:
             f"({size_px[0] / 2:.0f}, {size_px[1] / 2:.0f}) px."
         )
         hint = "Check that the camera matrix belongs to this size of the picture, and that the picture was not cropped."
-        yield Finding("principal_point", message, camera.name, "warning", hint, share)
+        yield Finding("principal_point", message, camera.name, "warning", hint, {"share": share})
 
 
 def _check_distortion(camera: Camera) -> Iterator[Finding]:
@@ -77,7 +77,9 @@ def _check_distortion(camera: Camera) -> Iterator[Finding]:
         "corner it has no inverse."
     )
     hint = "Calibrate the lens again with views of the board near the edges, or with fewer coefficients."
-    yield Finding("distortion_folds", message, camera.name, "error" if limit < inner else "warning", hint, share)
+    yield Finding(
+        "distortion_folds", message, camera.name, "error" if limit < inner else "warning", hint, {"share": share}
+    )
 
 
 def picture_radii(camera: Camera) -> tuple[float, float]:

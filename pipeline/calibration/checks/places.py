@@ -56,15 +56,15 @@ def _same_places(
         if not len(near):
             continue
         first = int(near[0])
-        distance_m = float(apart_m[later, first])
+        evidence = {"distance_m": float(apart_m[later, first]), "other_camera": cameras[first].name}
         if turn_deg[later, first] < _SAME_TURN_DEG:
             message = f"The camera has the same pose as {cameras[first].name}."
             hint = "Check whether one camera stands twice in the file."
-            yield Finding("same_place", message, camera.name, "error", hint, distance_m)
+            yield Finding("same_place", message, camera.name, "error", hint, evidence)
         else:
             message = f"The camera is at the same place as {cameras[first].name}: the two alone can't locate anybody."
             hint = "Check the positions, or let other cameras see the same people."
-            yield Finding("same_place", message, camera.name, "warning", hint, distance_m)
+            yield Finding("same_place", message, camera.name, "warning", hint, evidence)
 
 
 def _unit(extent_m: float) -> Iterator[Finding]:
@@ -72,7 +72,7 @@ def _unit(extent_m: float) -> Iterator[Finding]:
     if lowest_m <= extent_m <= highest_m:
         return
     message = f"The cameras are up to {extent_m:,.3g} m apart: the unit of the calibration may not be the metre."
-    yield Finding("world_unit", message, None, "error", _hint_of_unit(extent_m), extent_m)
+    yield Finding("world_unit", message, None, "error", _hint_of_unit(extent_m), {"extent_m": extent_m})
 
 
 def _hint_of_unit(extent_m: float) -> str:
@@ -97,13 +97,14 @@ def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
     angle_deg = float(np.degrees(np.arccos(np.clip(up[2] / length, -1.0, 1.0))))
     if angle_deg > 180.0 - _MAX_ANGLE_DEG:
         message = "The cameras are upside down: the calibration's Z axis points down."
-        yield Finding("upside_down", message, None, "error", "Turn the calibration: Z must point up.", angle_deg)
+        hint = "Turn the calibration: Z must point up."
+        yield Finding("upside_down", message, None, "error", hint, {"angle_deg": angle_deg})
     elif angle_deg > _MAX_ANGLE_DEG:
         message = (
             f"The cameras' up direction is {angle_deg:.0f} degrees from Z: the calibration's up axis may not be Z."
         )
         hint = "Check that the calibration's up axis is Z, and not the axes of a camera."
-        yield Finding("not_upright", message, None, "warning", hint, angle_deg)
+        yield Finding("not_upright", message, None, "warning", hint, {"angle_deg": angle_deg})
 
 
 def _below_floor(cameras: Sequence[Camera], centers_m: Float[np.ndarray, "cameras 3"]) -> list[Finding]:
@@ -115,7 +116,7 @@ def _below_floor(cameras: Sequence[Camera], centers_m: Float[np.ndarray, "camera
             camera.name,
             "warning",
             hint,
-            height_m,
+            {"height_m": height_m},
         )
         for camera, height_m in zip(cameras, centers_m[:, 2].tolist(), strict=True)
         if height_m < -_MAX_DEPTH_M

@@ -36,7 +36,7 @@ def check_views(cameras: Sequence[Camera]) -> list[Finding]:
         if others and not any(sees(cameras[other], places_m).any() for other in others):
             message = "No other camera sees any place that the camera sees: people there can't be located."
             hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
-            findings.append(Finding("no_common_view", message, camera.name, "error", hint, 0.0))
+            findings.append(Finding("no_common_view", message, camera.name, "error", hint))
     return findings
 
 

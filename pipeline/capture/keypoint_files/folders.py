@@ -12,6 +12,7 @@ from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, Keypo
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.parsing import UnreadableError, read_json
 from pipeline.errors import Problem
+from pipeline.findings import Finding
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _MAX_FRAME_BYTES = 4 * 2**20
@@ -27,13 +28,17 @@ _FILE_HINT = "Write the file again."
 _Value = TypeVar("_Value")
 
 
-def camera_folders(folder: Path, warnings: list[str], problems: list[Problem]) -> dict[str, Path]:
-    """List the folders by name; report if there are too few, and warn of ignored files."""
+def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem]) -> dict[str, Path]:
+    """List the folders by name; report if there are too few, and tell of ignored files."""
     if not folder.is_dir():
         problems.append(Problem("keypoints_missing", "The folder does not exist.", file=folder.name))
         return {}
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    warnings.extend(f"{path.name} is ignored: it is not a folder." for path in entries if not path.is_dir())
+    findings += [
+        Finding("file_ignored", f"{path.name} is ignored: it is not a folder.", severity="info")
+        for path in entries
+        if not path.is_dir()
+    ]
     folders = {path.name: path for path in entries if path.is_dir()}
     if len(folders) < MIN_CAMERAS:
         problems.append(
@@ -48,7 +53,7 @@ def camera_folders(folder: Path, warnings: list[str], problems: list[Problem]) -
 
 
 def read_folder(
-    folder: Path, camera: str, max_joints: int, warnings: list[str], problems: list[Problem]
+    folder: Path, camera: str, max_joints: int, findings: list[Finding], problems: list[Problem]
 ) -> tuple[dict[int, People], int]:
     """Read people by frame number, in ascending order, and count their joints; stop above ``max_joints``.
 
@@ -73,7 +78,8 @@ def read_folder(
         others.remove(captures[0])
     if others:
         some = ", ".join(path.name for path in others[:3]) + (", ..." if len(others) > 3 else "")
-        warnings.append(f"{len(others)} other files in {folder.name} are ignored: {some}.")
+        message = f"{len(others)} other files in {folder.name} are ignored: {some}."
+        findings.append(Finding("file_ignored", message, severity="info", evidence={"num_files": len(others)}))
     if not numbered and not is_capture:
         hint = "Name the files like frame_000000000123_keypoints.json, or provide one JSON file of all frames."
         folder_problems.append(

@@ -12,6 +12,7 @@ from pipeline.capture.keypoint_files.people import People
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
 from pipeline.data import FrameTimes, Timebase
 from pipeline.errors import Problem
+from pipeline.findings import Finding
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
 DEFAULT_FRAME_RATE_HZ = float(DEFAULT_RATE)
@@ -32,13 +33,15 @@ def times_from_rate(
     frames: Mapping[str, Mapping[int, People]],
     folders: Mapping[str, str],
     frame_rate_hz: float | None,
-    warnings: list[str],
+    findings: list[Finding],
     problems: list[Problem],
 ) -> tuple[dict[str, FrameTimes], Timebase | None]:
     """Times from frame numbers: frame k of all cameras is at k over the frame rate."""
     rate_hz = DEFAULT_FRAME_RATE_HZ if frame_rate_hz is None else frame_rate_hz
     if frame_rate_hz is None:
-        warnings.append(f"No frame rate was given: {rate_hz:g} Hz is assumed.")
+        message = f"No frame rate was given: {rate_hz:g} Hz is assumed."
+        hint = "State the frame rate, or give timestamps."
+        findings.append(Finding("frame_rate_assumed", message, hint=hint, evidence={"frame_rate_hz": rate_hz}))
     if not FRAME_RATE_HZ.holds(rate_hz):
         problems.append(
             Problem("frame_rate", f"A frame rate of {rate_hz:g} Hz is not allowed.", hint=f"Use {FRAME_RATE_HZ}.")

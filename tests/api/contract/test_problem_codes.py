@@ -45,7 +45,9 @@ PASSED_ON = {
     ("api/routes/health.py", "_database_check"),  # that of database_damaged
     ("pipeline/capture/session.py", "_range_problems"),
     ("pipeline/findings.py", "from_problem"),  # those of the problem
-    ("pipeline/quality/findings.py", "people_findings"),  # those of the checks of a take
+    ("pipeline/quality/report.py", "all_checks"),  # those of the checks of a take
+    ("pipeline/stages/run.py", "_calibrated"),  # those of problems
+    ("pipeline/capture/session.py", "_of_video"),  # those of problems
     ("pipeline/video/probe.py", "problem"),
     ("worker/problems.py", "problem_of"),  # those of the pipeline
 }

@@ -6,8 +6,9 @@ from datetime import UTC, datetime
 
 import pytest
 
+from pipeline.findings import Finding
 from tests.api.conftest import Live, form, problem_of
-from worker.jobs.model import Problem, ResultWarning
+from worker.jobs.model import Problem
 from worker.jobs.repositories.jobs import Jobs
 
 
@@ -268,11 +269,11 @@ def test_warnings_of_a_result_are_wherever_the_job_is(live: Live) -> None:
     job_id = live.job_id()
     before = live.client.get(f"/v1/jobs/{job_id}").json()
     assert (before["warnings"], before["result_warnings"]) == (["The cameras are close together."], [])
-    live.finish(job_id, warnings=[ResultWarning("nobody_found", "Nobody was found.")])
+    live.finish(job_id, warnings=[Finding("nobody_found", "Nobody was found.")])
     listed = live.client.get("/v1/jobs").json()["jobs"][0]
     with live.client.stream("GET", f"/v1/jobs/{job_id}/events") as stream:
         (data,) = [line.removeprefix("data: ") for line in stream.iter_lines() if line.startswith("data: ")]
     for job in (live.client.get(f"/v1/jobs/{job_id}").json(), listed, json.loads(data)):
         assert job["state"] == "succeeded"
         assert job["warnings"] == ["The cameras are close together.", "Nobody was found."]
-        assert job["result_warnings"] == [{"code": "nobody_found", "message": "Nobody was found."}]
+        assert job["result_warnings"] == [Finding("nobody_found", "Nobody was found.").to_json()]

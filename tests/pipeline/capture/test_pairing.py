@@ -24,15 +24,15 @@ def test_a_name_goes_before_a_section() -> None:
 
 
 def test_never_half_by_name_and_half_by_order() -> None:
-    pairs, problems, warnings = pair_by_name(CAMERAS, ["cam_0", "b"], "video")
-    assert (pairs, warnings) == ({"left": "cam_0"}, [])
+    pairs, problems, findings = pair_by_name(CAMERAS, ["cam_0", "b"], "video")
+    assert (pairs, findings) == ({"left": "cam_0"}, [])
     assert [(one.code, one.camera or one.file) for one in problems] == [
         ("camera_without_video", "right"),
         ("video_without_camera", "b"),
     ]
-    pairs, problems, warnings = pair_by_name(CAMERAS, ["b", "a"], "video")
+    pairs, problems, findings = pair_by_name(CAMERAS, ["b", "a"], "video")
     assert (pairs, problems) == ({"left": "a", "right": "b"}, [])
-    assert "left: a, right: b" in warnings[0]
+    assert "left: a, right: b" in findings[0].message
 
 
 def test_two_of_one_camera() -> None:
@@ -42,20 +42,20 @@ def test_two_of_one_camera() -> None:
 
 def test_cameras_without_input_are_left_out_if_two_have_one() -> None:
     cameras = [*CAMERAS, *(camera(f"ceiling {k:02}") for k in range(20))]
-    pairs, problems, (warning,) = pair_by_name(cameras, ["right", "left"], "folder")
+    pairs, problems, (finding,) = pair_by_name(cameras, ["right", "left"], "folder")
     assert (pairs, problems) == ({"left": "left", "right": "right"}, [])
-    assert warning.startswith("20 cameras of the calibration have no folder: ceiling 00, ceiling 01,")
-    assert warning.endswith("ceiling 11, .... They are left out.")
+    assert finding.message.startswith("20 cameras of the calibration have no folder: ceiling 00, ceiling 01,")
+    assert finding.message.endswith("ceiling 11, .... They are left out.")
 
 
 def test_a_required_camera_is_not_left_out() -> None:
     cameras = [*CAMERAS, camera("ceiling"), camera("door")]
-    _, problems, (warning,) = pair_by_name(cameras, ["left", "right"], "video", required={"door"})
+    _, problems, (finding,) = pair_by_name(cameras, ["left", "right"], "video", required={"door"})
     assert [(one.code, one.camera) for one in problems] == [("camera_without_video", "door")]
-    assert "ceiling" in warning
-    assert "door" not in warning
+    assert "ceiling" in finding.message
+    assert "door" not in finding.message
 
 
 def test_one_pair_is_not_enough() -> None:
-    _, problems, warnings = pair_by_name(CAMERAS, ["left"], "video")
-    assert ([(one.code, one.camera) for one in problems], warnings) == ([("camera_without_video", "right")], [])
+    _, problems, findings = pair_by_name(CAMERAS, ["left"], "video")
+    assert ([(one.code, one.camera) for one in problems], findings) == ([("camera_without_video", "right")], [])

@@ -15,7 +15,9 @@ PRINTED = (
     '"media_start_s": 0.0}], '
     '"timebase": {"start_time_s": 0.04, "frame_rate_hz": 29.97002997002997, "num_frames": 300}, '
     '"stretches": [[0, 100], [200, 300]], "warnings": ["The clocks drift."], '
-    '"recordings": [{"camera": "cam_0", "file": null, "offset_s": 0.48, "frame_rate_hz": null}], "units": "mm"}'
+    '"recordings": [{"camera": "cam_0", "file": null, "offset_s": 0.48, "frame_rate_hz": null}], "units": "mm", '
+    '"findings": [{"code": "clock_drift", "message": "The clocks drift.", "camera": null, "severity": "warning", '
+    '"hint": null, "evidence": {"drift_ppm": 100.0}}]}'
 )
 
 
@@ -37,7 +39,7 @@ def test_fields_are_those_of_the_json() -> None:
 
 def test_rows_of_the_first_versions_can_be_read() -> None:
     document = json.loads(PRINTED)
-    for key in ("stretches", "recordings", "units"):
+    for key in ("stretches", "recordings", "units", "findings"):
         del document[key]
     for camera in document["cameras"]:
         for key in ("start_time_s", "media_type", "media_start_s"):
@@ -45,6 +47,7 @@ def test_rows_of_the_first_versions_can_be_read() -> None:
     preflight = Preflight.from_json(document)
     assert preflight.stretches == (range(300),)
     assert (preflight.recordings, preflight.units, preflight.cameras[0].start_time_s) == ((), "m", 0.0)
+    assert preflight.findings == ()
 
 
 @pytest.mark.parametrize("document", [{}, {"problems": []}, {"cameras": 1, "timebase": {}}, [], "text", None])

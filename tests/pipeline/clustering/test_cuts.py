@@ -29,7 +29,7 @@ def session() -> KeypointSession:
         detections=simulation.detections,
         joints=simulation.joints,
         folders={},
-        warnings=(),
+        findings=(),
     )
 
 

@@ -20,7 +20,9 @@ def unseen(observations: Observations, frames: slice, *cameras: int) -> Observat
 
 def checks(observations: Observations, cameras: tuple[Camera, ...] = CAMERAS) -> list[tuple[str, str]]:
     report = quality_report(reconstruction(TRACK, observations=(observations,), cameras=cameras))
-    assert all_checks(report) == report["capture_checks"]
+    assert [(one.code, one.message) for one in all_checks(report)] == [
+        tuple(check.values()) for check in report["capture_checks"]
+    ]
     return [(check["code"], check["message"]) for check in report["capture_checks"]]
 
 
@@ -30,7 +32,7 @@ def test_nothing_is_wrong_with_somebody_whom_three_cameras_see() -> None:
 
 def test_an_empty_result_says_so() -> None:
     report = quality_report(reconstruction())
-    assert [check["code"] for check in all_checks(report)] == ["nobody_found"]
+    assert [check.code for check in all_checks(report)] == ["nobody_found"]
 
 
 def test_two_cameras_are_few() -> None:
@@ -78,8 +80,8 @@ def test_many_cameras_that_were_matched_with_nobody_are_one_check() -> None:
 def test_frames_with_approximate_association_are_counted() -> None:
     crowded = replace(reconstruction(TRACK, observations=(observe(TRACK),)), num_approximate_frames=7)
     (check,) = all_checks(quality_report(crowded))
-    assert check["code"] == "approximate_association"
-    assert check["message"].startswith("In 7 of 100 frames ")
+    assert check.code == "approximate_association"
+    assert check.message.startswith("In 7 of 100 frames ")
 
 
 def test_damaged_videos_are_named_with_what_is_damaged() -> None:
@@ -96,7 +98,7 @@ def test_only_people_whose_identity_is_uncertain_are_named() -> None:
     certain = replace(reconstruction(TRACK, observations=(observe(TRACK),)), doubts=[(Doubt(5, 0.95, 0),)])
     assert all_checks(quality_report(certain)) == []
     uncertain = replace(certain, doubts=[(Doubt(5, 0.95, 0), Doubt(20, 0.6, 2))])
-    ((code, message),) = ((check["code"], check["message"]) for check in all_checks(quality_report(uncertain)))
+    ((code, message),) = ((check.code, check.message) for check in all_checks(quality_report(uncertain)))
     assert code == "uncertain_identity"
     assert f"person-{TRACK.track_id} (frame 20)" in message
 

@@ -14,7 +14,7 @@ def test_a_mirrored_world_is_an_error_and_a_wrong_floor_a_warning() -> None:
         ("floor_not_at_zero", "warning"),
         ("mirrored_world", "error"),
     ]
-    assert found[1].evidence == 1.0
+    assert found[1].evidence == {"share": 1.0}
     assert found[1].hint is not None
 
 

@@ -25,6 +25,7 @@ from pipeline.data import (
     Track3D,
     no_detections,
 )
+from pipeline.findings import Finding
 from pipeline.geometry.rigid import Rigid3
 from pipeline.stages.outputs_npz import (
     decode_animation,
@@ -63,12 +64,12 @@ def test_session_comes_back_with_its_videos_where_they_are_now(tmp_path: Path) -
         cameras=(camera("left"), camera("Käm 2")),
         videos=(video("left.mp4", 30), video("Käm 2.mp4", 20)),
         times={"left": FrameTimes(np.arange(30) / 30.0), "Käm 2": FrameTimes(np.arange(20) / 30.0 + 0.1)},
-        warnings=("They are near.",),
+        findings=(Finding("calibration_note", "They are near."),),
     )
     content = encode_session(session)
     assert encode_session(session) == content
     back = decode_session(content, tmp_path)
-    assert back.warnings == session.warnings
+    assert back.findings == session.findings
     for ours, theirs in zip(session.cameras, back.cameras, strict=True):
         assert (theirs.name, theirs.size_px) == (ours.name, ours.size_px)
         np.testing.assert_array_equal(theirs.matrix, ours.matrix)

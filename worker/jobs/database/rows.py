@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, 
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
+from pipeline.findings import Finding
 from pipeline.stages.plan import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
@@ -21,7 +22,6 @@ from worker.jobs.model import (
     JobState,
     Problem,
     Result,
-    ResultWarning,
     Session,
     Stage,
 )
@@ -94,7 +94,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
     spec = JobSpec.model_validate(row.spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
-    found = tuple(ResultWarning(**warning) for warning in row.warnings)
+    found = tuple(Finding(**warning) for warning in row.warnings)
     return Job(
         id=row.id,
         session_id=row.session_id,

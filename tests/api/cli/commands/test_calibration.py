@@ -137,4 +137,4 @@ def test_people_tell_a_turned_camera_and_a_wrong_floor(room: Path) -> None:
     lift_m = np.array([0.0, 0.0, 0.5])
     lifted = [replace(one, cam_from_world=one.cam_from_world @ Rigid3(np.eye(3), -lift_m)) for one in cameras]
     (high,) = findings("lifted.json", lifted)
-    assert (high["code"], high["evidence"]) == ("floor_not_at_zero", pytest.approx(0.5, abs=0.05))
+    assert (high["code"], high["evidence"]) == ("floor_not_at_zero", {"height_m": pytest.approx(0.5, abs=0.05)})

@@ -97,7 +97,7 @@ def test_a_wrong_world_is_one_finding(rig: Sequence[Camera], expected: tuple[str
     found = [one for one in check_cameras(rig) if one.code != "same_place"]
     (finding,) = found
     assert (finding.code, finding.severity, finding.camera) == (*expected, None)
-    assert finding.evidence == pytest.approx(evidence, rel=0.05)
+    assert list(finding.evidence.values()) == pytest.approx([evidence], rel=0.05)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1000.0, "mm"), (100.0, "cm")])
@@ -133,4 +133,4 @@ def test_folding_radius_of_one_coefficient() -> None:
     corner, inner = picture_radii(camera)
     assert inner < on_picture < corner
     (finding,) = [one for one in check_cameras((camera, *RING[1:])) if one.code == "distortion_folds"]
-    assert finding.evidence == pytest.approx(4 / 9 / corner, rel=1e-5)
+    assert finding.evidence == {"share": pytest.approx(4 / 9 / corner, rel=1e-5)}

@@ -11,6 +11,7 @@ import pytest
 from pipeline.capture.keypoint_files.folders import read_folder
 from pipeline.capture.keypoint_files.people import JOINT_SETS, People, joint_set_of
 from pipeline.errors import Problem
+from pipeline.findings import Finding
 from pipeline.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
 from pipeline.layouts import LAYOUTS
 
@@ -26,16 +27,16 @@ def landmarks(count: int, start: int = 0, **more: float) -> list[dict[str, float
     return [{"x": 10.0 * k, "y": 10.0 * k + 1.0, "z": 0.0, **more} for k in range(start, start + count)]
 
 
-def read(folder: Path, **contents: Any) -> tuple[dict[int, People], list[Problem], list[str]]:
+def read(folder: Path, **contents: Any) -> tuple[dict[int, People], list[Problem], list[Finding]]:
     """Read a folder with files of these names, without the ending, and contents."""
     folder = folder / "cam"
     folder.mkdir()
     for name, content in contents.items():
         (folder / f"{name}.json").write_text(content if isinstance(content, str) else json.dumps(content))
     problems: list[Problem] = []
-    warnings: list[str] = []
-    frames, _ = read_folder(folder, "left", 10**9, warnings, problems)
-    return frames, problems, warnings
+    findings: list[Finding] = []
+    frames, _ = read_folder(folder, "left", 10**9, findings, problems)
+    return frames, problems, findings
 
 
 def positions(people: People, joints: JointSet) -> dict[str, tuple[float, ...]]:
@@ -106,9 +107,9 @@ def wholebody(form: str) -> dict[str, Any]:
 @pytest.mark.parametrize("file", ["frame_3_keypoints", "results"])
 @pytest.mark.parametrize("wrap", [list, lambda people: {"images": [{"id": 3}, {"id": 4}], "annotations": people}])
 def test_coco_wholebody(tmp_path: Path, form: str, file: str, wrap: Callable[[Any], Any]) -> None:
-    frames, problems, warnings = read(tmp_path, **{file: wrap([wholebody(form), wholebody(form)])})
+    frames, problems, findings = read(tmp_path, **{file: wrap([wholebody(form), wholebody(form)])})
     assert not problems
-    assert not warnings
+    assert not findings
     assert frames[3].shape == (2, 61, 3)
     found = positions(frames[3], WHOLE_BODY)
     assert found["right_ankle"] == at(16)
@@ -246,10 +247,10 @@ def test_every_wrong_frame_of_a_file_is_named(tmp_path: Path) -> None:
 
 
 def test_two_files_that_are_no_frames_are_ignored(tmp_path: Path) -> None:
-    frames, problems, warnings = read(tmp_path, one=[], other=[])
+    frames, problems, findings = read(tmp_path, one=[], other=[])
     assert not frames
     assert [problem.code for problem in problems] == ["keypoints_none"]
-    assert "2 other files" in warnings[0]
+    assert "2 other files" in findings[0].message
 
 
 def test_layouts_give_the_joints_of_the_readers() -> None:

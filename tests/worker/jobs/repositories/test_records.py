@@ -6,10 +6,11 @@ import pytest
 import sqlalchemy as sa
 import uuid_utils
 
+from pipeline.findings import Finding
 from tests.worker.jobs.conftest import PREFLIGHT, UNITS, Bench, new_session, result, stages
 from worker.jobs.database import tables
 from worker.jobs.errors import Conflict, NoResults, NotFinished, NotFound
-from worker.jobs.model import ChunkState, InputFile, JobState, Problem, ResultWarning
+from worker.jobs.model import ChunkState, InputFile, JobState, Problem
 from worker.jobs.spec import JobSpec
 from worker.jobs.store import JobStore
 
@@ -336,7 +337,7 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: Bench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     jobs.finish(jobs.claim())
     claim = jobs.claim()
-    warning = ResultWarning("few_views", "person-1 was seen by two cameras.")
+    warning = Finding("few_views", "person-1 was seen by two cameras.")
     jobs.store.leases.finish(
         claim.chunk_id, claim.lease_token, "5" * 64, 7, results=[result(job_id)], warnings=[warning]
     )

@@ -7,6 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
+from pipeline.findings import Finding
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.rows import making_of
 from worker.jobs.database.tables import artifacts, chunks, jobs, results
@@ -21,7 +22,6 @@ from worker.jobs.model import (
     MadeCalibration,
     Problem,
     Result,
-    ResultWarning,
 )
 from worker.jobs.repositories.attempts import note_failure
 from worker.jobs.repositories.calibrations import complete
@@ -133,7 +133,7 @@ class Leases:
         num_bytes: int,
         reused: bool = False,
         results: Sequence[Result] = (),
-        warnings: Sequence[ResultWarning] = (),
+        warnings: Sequence[Finding] = (),
         calibration: MadeCalibration | None = None,
     ) -> bool:
         """Record the output of a chunk, and what it has of its job: result files, their warnings, a calibration.
@@ -323,9 +323,7 @@ def _output_damaged(chunk: Row[Any]) -> Problem:
     )
 
 
-def _record_results(
-    connection: Connection, job_id: str, found: Sequence[Result], warnings: Sequence[ResultWarning]
-) -> None:
+def _record_results(connection: Connection, job_id: str, found: Sequence[Result], warnings: Sequence[Finding]) -> None:
     if found:
         connection.execute(insert(results), [{"job_id": job_id, **asdict(result)} for result in found])
     if warnings:
