@@ -533,6 +533,22 @@ class CameraBump:
 
 
 @dataclass(frozen=True, slots=True)
+class WorldMove:
+    """Move of the world that put the floor to z = 0.
+
+    Parameters
+    ----------
+    tilt_deg
+        Angle by which the world turned: the tilt of the floor before.
+    height_m
+        Height of the floor before, in the middle of the people.
+    """
+
+    tilt_deg: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Refinement:
     """Report of the refinement of a calibration.
 
@@ -546,9 +562,11 @@ class Refinement:
     num_points
         Number of joints that the cameras were compared with.
     moved
-        Refined cameras that differ from the given ones, in the cameras' order.
+        Refined cameras that differ from the given ones in the given world, in the cameras' order.
     bumped
         Cameras that were moved in the middle of the take, in order of time.
+    world
+        Move of the world, in which all cameras moved alike; ``None`` if the world is the given one.
     """
 
     refined: bool
@@ -557,6 +575,12 @@ class Refinement:
     num_points: int
     moved: tuple[CameraMove, ...] = ()
     bumped: tuple[CameraBump, ...] = ()
+    world: WorldMove | None = None
+
+    @property
+    def has_new_cameras(self) -> bool:
+        """Whether the cameras of the reconstruction are not the given ones."""
+        return self.refined or self.world is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -123,7 +123,7 @@ def write_results(
                 far_mm[export].append(_furthest_mm(path, expected_m, found_m, on_read))
             yield path
     check = {export: {"max_distance_mm": _largest(everybody)} for export, everybody in far_mm.items()}
-    if reconstruction.refinement is not None and reconstruction.refinement.refined:
+    if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
         with _replacing(path, [encode_calibration(reconstruction.cameras)]):
             pass

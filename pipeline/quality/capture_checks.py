@@ -141,6 +141,13 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
             f"{refinement.error_after_px:.1f} px, and turned {first_names(moves)}. Use calibration.json for takes of "
             "the same cameras.",
         )
+    if refinement.world is not None:
+        yield (
+            "world_leveled",
+            f"The floor was tilted by {refinement.world.tilt_deg:.1f} degrees and at a height of "
+            f"{refinement.world.height_m:.2f} m. The world was levelled: feet stand at z = 0. Use calibration.json for "
+            "takes of the same cameras.",
+        )
     if refinement.bumped:
         bumps = [
             f"{bump.camera} from {_minutes(bump.time_s)} on ({bump.rotation_deg:.1f} degrees)"

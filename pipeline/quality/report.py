@@ -156,6 +156,9 @@ def _describe_refinement(refinement: Refinement | None) -> dict[str, Any] | None
             {"camera": bump.camera, "time_s": round(bump.time_s, 3), "rotation_deg": round(bump.rotation_deg, 2)}
             for bump in refinement.bumped
         ],
+        "world": None
+        if refinement.world is None
+        else {"tilt_deg": round(refinement.world.tilt_deg, 3), "height_m": round(refinement.world.height_m, 4)},
     }
 
 

@@ -15,15 +15,13 @@ from pipeline.geometry.camera import center_in_world
 from pipeline.joints import JointSet
 from pipeline.quality.epipolar_distances import epipolar_distances_m
 from pipeline.quality.names import first_names
-from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
+from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
 
 # Limit on the median angle from upright: people stand, walk or sit most of the time.
 _MAX_LEAN_DEG = 45.0
 _STATURE_RANGE_M = (1.0, 2.3)
-# Limits on height and tilt of the floor that was estimated from the feet.
-_MAX_FLOOR_M = 0.15
-_MAX_TILT_DEG = 3.0
 
+_LEVEL = "Level the calibration: `refine_calibration` does it if people walk all over the place."
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _ANKLES = ("left_ankle", "right_ankle")
 
@@ -64,11 +62,16 @@ def _feet_to_head_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "fram
     return _mean_m(_points_m(track, joints, _HEAD)) - _mean_m(_points_m(track, joints, _ANKLES))
 
 
-def _floor_m(tracks: Sequence[Track3D], joints: JointSet) -> float:
-    """Height of the floor: a low percentile of the ankles' heights, minus the height of an ankle; NaN if unknown."""
-    heights_m = np.concatenate([np.zeros(0), *(_points_m(track, joints, _ANKLES)[..., 2].ravel() for track in tracks)])
-    heights_m = heights_m[np.isfinite(heights_m)]
-    return float(np.percentile(heights_m, 10)) - ANKLE_HEIGHT_M if len(heights_m) else np.nan
+def _floor_m(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -> float:
+    """Height of the floor under the middle of the feet; NaN if unknown."""
+    places_m = np.concatenate(
+        [np.zeros((0, 2)), *(_points_m(track, joints, _ANKLES)[..., :2].reshape(-1, 2) for track in tracks)]
+    )
+    places_m = places_m[np.isfinite(places_m).all(-1)]
+    if floor is None or not len(places_m):
+        return np.nan
+    x_m, y_m = np.median(places_m, axis=0)
+    return floor.z_m + floor.slope_x * float(x_m) + floor.slope_y * float(y_m)
 
 
 def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]) -> list[dict[str, Any]]:
@@ -83,11 +86,13 @@ def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]
         Stature in metres by track; NaN where unknown.
     """
     tracks, joints = reconstruction.tracks, reconstruction.joints
+    floor = reconstruction.animation.floor
+    floor_m = _floor_m(tracks, joints, floor)
     checks = (
         _check_upright(tracks, joints),
-        _check_floor(tracks, joints, reconstruction.animation.floor),
+        _check_floor(floor, floor_m),
         _check_statures(statures_m),
-        _check_cameras(reconstruction.cameras, _floor_m(tracks, joints)),
+        _check_cameras(reconstruction.cameras, floor_m),
         _check_handedness(tracks, joints),
         _check_pairs(reconstruction),
     )
@@ -111,14 +116,14 @@ def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Fou
         yield "not_upright", message, None, lean_deg, "Check that the calibration's up axis is Z."
 
 
-def _check_floor(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -> Iterator[_Found]:
-    floor_m = _floor_m(tracks, joints)
-    if abs(floor_m) > _MAX_FLOOR_M:
+def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:
+    if abs(floor_m) > MAX_HEIGHT_M:
         message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
-        yield "floor_not_at_zero", message, None, floor_m, f"Move the calibration's origin by {floor_m:.2f} m along Z."
-    if floor is not None and floor.tilt_deg > _MAX_TILT_DEG:
+        hint = f"Move the calibration's origin by {floor_m:.2f} m along Z, or level it (`refine_calibration`)."
+        yield "floor_not_at_zero", message, None, floor_m, hint
+    if floor is not None and floor.tilt_deg > MAX_TILT_DEG:
         message = f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
-        yield "floor_tilted", message, None, floor.tilt_deg, "Level the calibration."
+        yield "floor_tilted", message, None, floor.tilt_deg, _LEVEL
 
 
 def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
@@ -158,7 +163,7 @@ def _hint_of_unit(stature_m: float) -> str:
 
 
 def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Found]:
-    lowest_m = (floor_m if np.isfinite(floor_m) else 0.0) - _MAX_FLOOR_M
+    lowest_m = (floor_m if np.isfinite(floor_m) else 0.0) - MAX_HEIGHT_M
     heights_m = {camera.name: float(center_in_world(camera)[2]) for camera in cameras}
     below = [name for name, height_m in heights_m.items() if height_m < lowest_m]
     if below:

@@ -29,6 +29,7 @@ from pipeline.data import (
     Refinement,
     SkeletonMotion,
     Track3D,
+    WorldMove,
     no_detections,
     no_frames,
     read_only,
@@ -133,6 +134,7 @@ def decode_refinement(cameras: Sequence[Camera], content: bytes) -> tuple[tuple[
     report = json.loads(str(arrays["report"]))
     report["moved"] = tuple(CameraMove(**move) for move in report["moved"])
     report["bumped"] = tuple(CameraBump(**bump) for bump in report["bumped"])
+    report["world"] = None if report["world"] is None else WorldMove(**report["world"])
     return refined, Refinement(**report)
 
 

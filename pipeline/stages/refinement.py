@@ -8,12 +8,13 @@ import numpy as np
 
 from pipeline.calibration.refinement.bumps import Step
 from pipeline.calibration.refinement.gauge import shift_m, turn_deg
+from pipeline.calibration.refinement.level import Level, find_level, level_cameras
 from pipeline.calibration.refinement.refine import RefinedCameras, refine
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
 from pipeline.clustering.bone_lengths import unknown_lengths
 from pipeline.clustering.skeleton import skeleton_of
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, CameraBump, CameraMove, Detections, Poses3D, Refinement
+from pipeline.data import Camera, CameraBump, CameraMove, Detections, Poses3D, Refinement, WorldMove
 from pipeline.hands.attach import without_fingers
 from pipeline.joints import JointSet, without_hands
 from pipeline.progress import OnShare, ignore, split
@@ -89,21 +90,23 @@ def refine_from_fields(
 def _refine(session: Session, associate: _Associate, joints: JointSet, on_share: OnShare) -> RefinedCalibration:
     given = session.cameras
 
-    def refine_from(start: tuple[Camera, ...], on_round: OnShare) -> RefinedCameras:
-        poses = associate(replace(session, cameras=start), on_round)
-        return refine(given, start, choose_sightings(poses, joints, session.timebase))
+    def refine_from(start: tuple[Camera, ...], on_round: OnShare) -> tuple[RefinedCameras, list[Poses3D]]:
+        poses = list(associate(replace(session, cameras=start), on_round))
+        return refine(given, start, choose_sightings(poses, joints, session.timebase)), poses
 
     on_first, on_second = split(on_share, (1, 1))
-    found = refine_from(given, on_first)
+    found, poses = refine_from(given, on_first)
     if found.is_refined:
         # Association with refined cameras matches people that the given ones missed.
-        again = refine_from(found.cameras, on_second)
+        again, poses = refine_from(found.cameras, on_second)
         found = again if again.is_refined else found
+    level = find_level(found.cameras, poses, joints)
     on_share(1.0)
-    return found.cameras, _report(given, found)
+    cameras = found.cameras if level is None else level_cameras(found.cameras, level)
+    return cameras, _report(given, found, level)
 
 
-def _report(given: Sequence[Camera], found: RefinedCameras) -> Refinement:
+def _report(given: Sequence[Camera], found: RefinedCameras, level: Level | None) -> Refinement:
     pairs = zip(given, found.cameras, strict=True) if found.is_refined else ()
     return Refinement(
         refined=found.is_refined,
@@ -112,6 +115,7 @@ def _report(given: Sequence[Camera], found: RefinedCameras) -> Refinement:
         num_points=found.num_points,
         moved=tuple(move for then, now in pairs if _is_moved(move := _move(then, now))),
         bumped=tuple(_bump(given, step) for step in sorted(found.steps, key=lambda step: step.time_s)),
+        world=None if level is None else WorldMove(level.tilt_deg, level.height_m),
     )
 
 

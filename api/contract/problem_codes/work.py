@@ -176,6 +176,12 @@ WARNINGS = CodeGroup(
             "Use the result calibration.json for other takes; see [refinement](calibration.md#refinement).",
         ),
         ProblemCode(
+            "world_leveled",
+            _WARNING,
+            "The floor was tilted or not at z = 0, and the world was moved so that feet stand at z = 0.",
+            "Use the result calibration.json for other takes; see [refinement](calibration.md#refinement).",
+        ),
+        ProblemCode(
             "camera_bumped",
             _WARNING,
             "A camera was moved during the take.",

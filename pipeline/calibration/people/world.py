@@ -9,14 +9,12 @@ from jaxtyping import Float
 from pipeline.calibration.people.bodies import Bodies
 from pipeline.calibration.people.stature import scale_from, statures
 from pipeline.calibration.people.tracklets import JOINTS
+from pipeline.calibration.vertical import turn_upright, upright_direction
 from pipeline.data import Camera, Floor, read_only
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
 from pipeline.skeleton.feet.floor import estimate_floor
 
-# Distance from ankles to shoulders, as a share of its largest values, at which somebody stands upright.
-_UPRIGHT, _LARGEST = 0.97, 95
-_ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
 # Feet that reach less far than this along some direction don't determine the slope of the floor.
 _MIN_REACH_M = 0.4
 _ANKLES = [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]
@@ -59,14 +57,14 @@ def find_world(
     """
     xyz = bodies.triangulated(cameras)
     found, weights = statures(xyz, bodies.group)
-    up = _up(xyz)
+    up = upright_direction(xyz[:, _SHOULDERS], xyz[:, _ANKLES])
     if up is None or not len(found):
         return None
     scale = scale_from(found, weights, stature_m)
-    rotation = _level(up)
+    rotation = turn_upright(up)
     floor = _floor(bodies, scale * xyz @ rotation.T, rate_hz)
     if floor is not None:
-        rotation = _level(np.array([-floor.slope_x, -floor.slope_y, 1.0])) @ rotation
+        rotation = turn_upright(np.array([-floor.slope_x, -floor.slope_y, 1.0])) @ rotation
         floor = _floor(bodies, scale * xyz @ rotation.T, rate_hz)
     centers_m = scale * np.array([center_in_world(camera) for camera in cameras]) @ rotation.T
     xyz_m = scale * xyz @ rotation.T
@@ -103,33 +101,6 @@ def _reach_m(xyz_m: Float[np.ndarray, "n joints 3"]) -> float:
     if len(ankles_m) < 2:
         return 0.0
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(ankles_m.T))[0])))
-
-
-def _up(xyz: Float[np.ndarray, "n joints 3"]) -> Float[np.ndarray, " 3"] | None:
-    """Direction from ankles to shoulders of people who stand upright: a robust mean."""
-    axis = xyz[:, _SHOULDERS].mean(1) - xyz[:, _ANKLES].mean(1)
-    axis = axis[np.isfinite(axis).all(-1)]
-    length = np.linalg.norm(axis, axis=-1)
-    if not len(length):
-        return None
-    unit = axis[length > _UPRIGHT * np.percentile(length, _LARGEST)]
-    unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
-    up = np.median(unit, axis=0)
-    for _ in range(_ITERATIONS):
-        up = up / np.linalg.norm(up)
-        angle = np.arccos(np.clip(unit @ up, -1.0, 1.0))
-        up = (unit / (1.0 + (angle / _LEAN_RAD) ** 2)[:, None] ** 2).sum(0)
-    direction: np.ndarray = up / np.linalg.norm(up)
-    return direction
-
-
-def _level(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation that turns a direction up, by the shortest way."""
-    up = up / np.linalg.norm(up)
-    side = np.eye(3)[int(np.argmin(np.abs(up)))]
-    x = np.cross(side, up)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
 
 
 def _floor(bodies: Bodies, xyz_m: Float[np.ndarray, "n joints 3"], rate_hz: float) -> Floor | None:

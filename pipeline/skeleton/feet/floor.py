@@ -12,6 +12,9 @@ SIDES: tuple[Side, Side] = ("left", "right")
 ANKLE_HEIGHT_M = 0.065
 """Height of a standing adult's ankle above the floor (0.039 of stature)."""
 
+MAX_HEIGHT_M, MAX_TILT_DEG = 0.15, 3.0
+"""Largest height and tilt of a floor that counts as level at z = 0."""
+
 # Smoothing time of the speed: faster movements are noise.
 _SMOOTH_S = 0.03
 # Resting foot: largest speed and shortest time.
@@ -52,6 +55,11 @@ def estimate_floor(
             return None
         lowest = points_m[:, 2] <= np.quantile(points_m[:, 2], _LOWEST_SHARE)
         points_m = points_m[lowest]
+    return fit_floor(points_m)
+
+
+def fit_floor(points_m: Float[np.ndarray, "points 3"]) -> Floor:
+    """Fit a plane to the lowest of some positions of ankles, robustly; a weak prior keeps it level."""
     center_m = points_m.mean(0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - center_m[:2]])
     plane = np.array([np.quantile(points_m[:, 2], _LOWEST_SHARE), 0.0, 0.0])

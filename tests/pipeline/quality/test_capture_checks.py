@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data import Camera, CameraBump, CameraMove, DamagedVideo, Doubt, Observations, Refinement
+from pipeline.data import Camera, CameraBump, CameraMove, DamagedVideo, Doubt, Observations, Refinement, WorldMove
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
 from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
@@ -107,14 +107,23 @@ def test_refined_and_bumped_cameras_are_named_with_angles_and_times() -> None:
     one = replace(
         reconstruction(track_of(walker(40))),
         refinement=Refinement(
-            True, 7.25, 3.5, 4000, (CameraMove("c", 1.44, 0.02, 1.0),), (CameraBump("b", 134.9, 0.9),)
+            True,
+            7.25,
+            3.5,
+            4000,
+            (CameraMove("c", 1.44, 0.02, 1.0),),
+            (CameraBump("b", 134.9, 0.9),),
+            WorldMove(4.2, 0.3),
         ),
     )
-    refined, bumped = quality_report(one)["capture_checks"]
+    refined, levelled, bumped = quality_report(one)["capture_checks"]
     assert refined["code"] == "calibration_refined"
     assert "7.2 px" in refined["message"]
     assert "3.5 px" in refined["message"]
     assert "c by 1.4 degrees" in refined["message"]
+    assert levelled["code"] == "world_leveled"
+    assert "tilted by 4.2 degrees and at a height of 0.30 m" in levelled["message"]
+    assert quality_report(one)["calibration"]["world"] == {"tilt_deg": 4.2, "height_m": 0.3}
     assert bumped["code"] == "camera_bumped"
     assert "b from 02:14 on (0.9 degrees)" in bumped["message"]
     untouched = replace(one, refinement=Refinement(False, 2.0, 2.0, 4000))

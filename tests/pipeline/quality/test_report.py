@@ -20,6 +20,7 @@ from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, finger_joints
 from pipeline.quality.report import acceleration_m_s2, bone_length_std_cm, encode, estimate_stature_m, quality_report
+from pipeline.skeleton.feet.floor import estimate_floor
 from tests.pipeline.skeleton.hands.people import gesturing, landmarks_of
 from tests.pipeline.skeleton.synthetic_tracks import SHIN_M, THIGH_M, TRUNK_M, track_of, walker, without
 
@@ -50,7 +51,9 @@ def reconstruction(
     *tracks: Track3D, observations: tuple[Observations, ...] | None = None, cameras: tuple[Camera, ...] = CAMERAS
 ) -> Reconstruction:
     seen = tuple(observe(track, cameras) for track in tracks) if observations is None else observations
-    return Reconstruction(cameras, COCO_17, Timebase(0.0, RATE_HZ, 100), tracks, seen, Animation(tracks, (), None))
+    ankles_m = [track.xyz_m[:, COCO_17.indices(("left_ankle", "right_ankle"))] for track in tracks]
+    floor = estimate_floor(ankles_m, [np.isfinite(some).all(-1) for some in ankles_m], RATE_HZ)
+    return Reconstruction(cameras, COCO_17, Timebase(0.0, RATE_HZ, 100), tracks, seen, Animation(tracks, (), floor))
 
 
 def shifted(observations: Observations, camera_index: int, shift_px: tuple[float, float]) -> Observations:

@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.refinement.adjust import move_camera
 from pipeline.calibration.refinement.gauge import align_world, shift_m, turn_deg
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Camera, CameraBump, CameraMove, PafFields, Refinement
+from pipeline.data import Camera, CameraBump, CameraMove, PafFields, Refinement, WorldMove
 from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.export.results import write_results
+from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_18
 from pipeline.progress import Progress
 from pipeline.quality.report import quality_report
@@ -95,6 +97,27 @@ def test_a_good_calibration_gives_the_same_files_as_without_refinement(
     assert quality_report(auto)["calibration"]["moved"] == []
 
 
+def test_a_tilted_world_is_levelled_reported_and_written(session: KeypointSession, tmp_path: Path) -> None:
+    """Cameras agree with each other, so that none moves among them: the world alone does."""
+    turn = Rotation.from_rotvec(np.radians([0.0, 6.0, 0.0])).as_matrix()
+    tilted_from_true = Rigid3(turn, np.array([0.0, 0.0, 0.3]))
+    cameras = [replace(one, cam_from_world=one.cam_from_world @ tilted_from_true.inverse()) for one in session.cameras]
+    tilted = replace(session, cameras=tuple(cameras))
+    levelled = reconstruct(tilted, CONFIG)
+    report = quality_report(levelled)
+    assert report["world_checks"] == []
+    assert [check["code"] for check in report["capture_checks"]] == ["world_leveled"]
+    calibration = report["calibration"]
+    assert (calibration["refined"], calibration["moved"]) == (False, [])
+    assert calibration["world"]["tilt_deg"] == pytest.approx(6.0, abs=0.5)
+    assert calibration["world"]["height_m"] == pytest.approx(0.3, abs=0.05)
+    written = {path.name: path for path in write_results(levelled, tmp_path, ["csv"])}["calibration.json"]
+    for true, now in zip(session.cameras, read_calibration(written), strict=True):
+        level_from_true = now.cam_from_world.inverse() @ true.cam_from_world
+        assert np.degrees(np.arccos(level_from_true.rotation[2, 2])) < 0.5
+        assert abs(level_from_true.translation_m[2]) < 0.03
+
+
 @pytest.mark.slow
 def test_the_stage_is_reused_and_the_result_does_not_depend_on_the_cut(
     disturbed: KeypointSession, tmp_path: Path
@@ -110,7 +133,15 @@ def test_the_stage_is_reused_and_the_result_does_not_depend_on_the_cut(
 
 
 def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
-    report = Refinement(True, 7.25, 3.5, 4000, (CameraMove("a", 1.5, 0.02, 1.001),), (CameraBump("b", 134.2, 0.9),))
+    report = Refinement(
+        True,
+        7.25,
+        3.5,
+        4000,
+        (CameraMove("a", 1.5, 0.02, 1.001),),
+        (CameraBump("b", 134.2, 0.9),),
+        WorldMove(4.5, -0.26),
+    )
     content = encode_refinement(session.cameras, report)
     cameras, found = decode_refinement(session.cameras, content)
     assert found == report

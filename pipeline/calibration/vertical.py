@@ -1,0 +1,49 @@
+"""The vertical of people: the direction in which they stand upright, and rotations that turn it to Z."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+# Distance from ankles to shoulders, as a share of its largest values, at which somebody stands upright.
+_UPRIGHT, _LARGEST = 0.97, 95
+_ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
+
+
+def upright_direction(
+    shoulders_m: Float[np.ndarray, "poses 2 3"], ankles_m: Float[np.ndarray, "poses 2 3"]
+) -> Float[np.ndarray, " 3"] | None:
+    """Direction from ankles to shoulders of people who stand upright: a robust mean, of length 1.
+
+    Parameters
+    ----------
+    shoulders_m, ankles_m
+        Left and right joints of poses in any frame; NaN where unknown. Poses that lack one are left out.
+
+    Returns
+    -------
+        ``None`` if no pose has all four joints.
+    """
+    axis = shoulders_m.mean(1) - ankles_m.mean(1)
+    axis = axis[np.isfinite(axis).all(-1)]
+    length = np.linalg.norm(axis, axis=-1)
+    if not len(length):
+        return None
+    unit = axis[length > _UPRIGHT * np.percentile(length, _LARGEST)]
+    unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+    up = np.median(unit, axis=0)
+    for _ in range(_ITERATIONS):
+        up = up / np.linalg.norm(up)
+        angle = np.arccos(np.clip(unit @ up, -1.0, 1.0))
+        up = (unit / (1.0 + (angle / _LEAN_RAD) ** 2)[:, None] ** 2).sum(0)
+    direction: np.ndarray = up / np.linalg.norm(up)
+    return direction
+
+
+def turn_upright(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation that turns a direction to Z by the shortest way."""
+    up = up / np.linalg.norm(up)
+    axis = np.array([up[1], -up[0], 0.0])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-12:
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return Rotation.from_rotvec(np.arctan2(length, up[2]) * axis / length).as_matrix()
