@@ -8,9 +8,11 @@ import resource
 import signal
 import sys
 
-from pipeline.errors import ChildError
+from pipeline.errors import ChildError, printable
 
 MAX_MEMORY_BYTES = 4 * 2**30
+_MAX_LOG_BYTES = 2**20
+_MAX_OPEN_FILES = 64
 
 READY = b"ready\n"
 """First line of a child's output, before it opens the file. An earlier end of the child is not caused by the file."""
@@ -21,10 +23,16 @@ _LOGGED_CHARACTERS = 2000
 
 
 def start_child(max_cpu_s: int) -> None:
-    """Limit this process's memory and computing time, and print the line ``READY``."""
+    """Limit this process's memory, computing time and files, and print the line ``READY``.
+
+    The process opens one video. It writes nothing but its log, and no core dump when it crashes.
+    """
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     # SIGXCPU at the first limit, which is caused by the file; SIGKILL, whose cause is unknown, at the second.
     resource.setrlimit(resource.RLIMIT_CPU, (max_cpu_s, max_cpu_s + 5))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (_MAX_LOG_BYTES, _MAX_LOG_BYTES))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (_MAX_OPEN_FILES, _MAX_OPEN_FILES))
     sys.stdout.buffer.write(READY)
     sys.stdout.flush()
 
@@ -40,7 +48,7 @@ def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str)
     Parameters
     ----------
     task
-        Task of the child, such as "check of the videos".
+        Task of the child, such as "check of a.mp4".
     exit_code
         ``None`` if the child did not start within ``timeout_s``.
     errors
@@ -54,6 +62,6 @@ def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str)
     else:
         last = errors.strip().rpartition("\n")[2]
         ending, hint = f"ended with exit code {exit_code} ({last})", "If it happens again, install Multicap anew."
-    error = ChildError(f"Multicap's own {task} failed, the videos are not at fault: it {ending}. {hint}")
+    error = ChildError(f"Multicap's own {printable(task)} failed, the video is not at fault: it {ending}. {hint}")
     error.add_note(f"stderr of the {task}:\n{errors[-_LOGGED_CHARACTERS:]}")
     return error

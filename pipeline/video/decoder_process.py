@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Generator, Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import IO, NamedTuple, cast
 
 import numpy as np
@@ -120,7 +121,9 @@ def _read_frames(
     if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_caused_by_file(exit_code)):
         raise LimitError
     errors.seek(0)
-    raise child_error("decoder", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace"))
+    raise child_error(
+        f"decoder of {Path(request.path).name}", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace")
+    )
 
 
 def _read(pipe: int, num_bytes: int) -> bytes:

@@ -71,7 +71,7 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
     finally:
         running.remove(child)
     if not output.startswith(READY) or (exit_code and not is_caused_by_file(exit_code)):
-        raise child_error("check of the videos", exit_code, timeout_s, errors.decode(errors="replace"))
+        raise child_error(f"check of {path.name}", exit_code, timeout_s, errors.decode(errors="replace"))
     if exit_code != 0:
         return limits_problem(path.name)
     answer = json.loads(output.removeprefix(READY))

@@ -1,6 +1,7 @@
 """Ends of the process that decodes a range of frames: faults of the file, of Multicap, and cleanup."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -107,8 +108,45 @@ def test_a_process_that_fails_by_itself_is_not_the_file_s_fault(
     with pytest.raises(ChildError, match="not at fault") as raised:
         list(decode(video, 0, 30))
     assert words in str(raised.value)
+    assert "decoder of a.mp4" in str(raised.value)
     assert "Traceback" not in str(raised.value)
     assert "stderr" in raised.value.__notes__[0]
+
+
+LIMITED = """
+dumps = resource.getrlimit(resource.RLIMIT_CORE)
+files = []
+try:
+    while True: files.append(open(os.devnull))
+except OSError as error:
+    opened, files = len(files), []
+try:
+    while True: os.write(2, b"x" * 2**16)
+except OSError as error:
+    open(os.environ["FOUND"], "w").write(f"{dumps} {opened} {os.fstat(2).st_size}")
+    os.abort()
+"""
+
+
+def test_a_decoder_writes_no_core_dump_and_a_short_log(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FOUND", str(tmp_path / "found"))
+    in_children(tmp_path, monkeypatch, when_decoded(f"import resource; exec({LIMITED!r})"))
+    assert problem_of(video).code == "video_unreadable"
+    found = re.fullmatch(r"\(0, 0\) (\d+) 1048576", (tmp_path / "found").read_text())
+    assert found is not None
+    assert int(found[1]) < 64
+
+
+def test_a_limited_decoder_that_really_crashes_is_a_bad_file(
+    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A null pointer in native code, as in a decoder's error."""
+    in_children(tmp_path, monkeypatch, when_decoded("import ctypes; ctypes.string_at(0)"))
+    assert problem_of(video).code == "video_unreadable"
+    in_children(tmp_path, monkeypatch, when_decoded("import ctypes; ctypes.CDLL(None).abort()"))
+    assert problem_of(video).code == "video_unreadable"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

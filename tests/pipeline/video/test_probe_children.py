@@ -64,6 +64,7 @@ def test_a_child_that_fails_by_itself_is_not_the_file_s_fault(
     with pytest.raises(ChildError, match="not at fault") as raised:
         probe_in_children([write_video(tmp_path / "a.mp4", 3), write_video(tmp_path / "b.mp4", 3)])
     assert words in str(raised.value)
+    assert "check of a.mp4" in str(raised.value) or "check of b.mp4" in str(raised.value)
     assert "Traceback" not in str(raised.value)
     assert "stderr" in raised.value.__notes__[0]
 
