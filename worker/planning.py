@@ -105,5 +105,7 @@ def _inputs(session: CheckedSession) -> tuple[str, ...]:
         files.append(units)
     if not has_videos(session):
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
+    if (clock := session.preflight.clock) != "declared":
+        files.append(clock)
     recordings = sorted(json.dumps(asdict(one), sort_keys=True) for one in session.preflight.recordings)
     return (*files, *recordings)

@@ -3,11 +3,12 @@
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, cast, get_args
 
 import typer
 
 from pipeline.calibration.contents import UNITS_M, Units
+from pipeline.capture.preflight_record import Clock
 from pipeline.choices import Choice, choices_of
 from pipeline.config import (
     CHOICES,
@@ -164,6 +165,11 @@ def known_joint_centers(name: str) -> JointCenters:
 def known_units(name: str) -> Units:
     """Check the name of a unit; ``InputError`` if there is none of that name."""
     return cast(Units, _known("units", name, tuple(UNITS_M)))
+
+
+def known_clock(name: str) -> Clock:
+    """Check the name of a clock of videos; ``InputError`` if there is none of that name."""
+    return cast(Clock, _known("clock", name, get_args(Clock)))
 
 
 def _known(noun: str, name: str, names: Sequence[str]) -> str:

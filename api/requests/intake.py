@@ -371,6 +371,8 @@ def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
     if manifest.units != "m":
         arguments.append(f"--units={manifest.units}")
+    if manifest.clock != "declared":
+        arguments.append(f"--clock={manifest.clock}")
     if manifest.cameras:
         said = [
             {"camera": one.name, "file": one.file, "offset_s": one.offset_s, "frame_rate_hz": one.rate}

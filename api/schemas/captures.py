@@ -10,7 +10,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
-from pipeline.capture.preflight_record import PreflightCamera
+from pipeline.capture.preflight_record import Clock, PreflightCamera
 from worker.jobs.model import Capture, JobState, Session
 from worker.jobs.spec import JobSpec
 
@@ -84,6 +84,11 @@ class Manifest(BaseModel):
     units: Literal["m", "cm", "mm"] = Field(
         default="m",
         description="Unit of length of a calibration whose format does not state it (TOML, and JSON with K, R, t).",
+    )
+    clock: Clock = Field(
+        default="declared",
+        description="Clock of the first frames of videos: `declared` is their start plus `offset_s`; `timecode` and "
+        "`creation_time` are those that the files state, to which `offset_s` is added.",
     )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
         default={}, description="Data of the client, which every response with the session repeats."

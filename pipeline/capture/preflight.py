@@ -19,7 +19,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.contents import UNITS_M
@@ -28,7 +28,7 @@ from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
-from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
+from pipeline.capture.preflight_record import Clock, Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.video.frame_rate import measured_rate_hz
@@ -38,7 +38,11 @@ EXIT_DISK_FULL = 4
 
 
 def report(
-    session: CaptureSession | KeypointSession, files: Sequence[str], units: str, recordings: Sequence[Recording] = ()
+    session: CaptureSession | KeypointSession,
+    files: Sequence[str],
+    units: str,
+    recordings: Sequence[Recording] = (),
+    clock: Clock = "declared",
 ) -> Preflight:
     """Build the preflight record of a session."""
     media = _media(session, recordings)
@@ -63,6 +67,7 @@ def report(
         recordings=tuple(PreflightRecording(**asdict(one)) for one in recordings),
         units=units,
         findings=tuple(session.findings),
+        clock=clock,
     )
 
 
@@ -94,10 +99,10 @@ def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> f
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
-    session = open_session(arguments.videos, arguments.calibration, recordings, arguments.units)
-    return report(session, [video.path.name for video in session.videos], arguments.units, recordings), encode_session(
-        session
-    )
+    units, clock = arguments.units, arguments.clock
+    session = open_session(arguments.videos, arguments.calibration, recordings, units, clock)
+    files = [video.path.name for video in session.videos]
+    return report(session, files, units, recordings, clock), encode_session(session)
 
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
@@ -158,6 +163,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--recordings", default="[]", help="JSON list of recordings: facts about the videos.")
+    parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
     parser.add_argument("--units", choices=UNITS_M, default="m", help="Unit of lengths in the calibration.")
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."

@@ -5,9 +5,12 @@ workers read it. So this module needs nothing but the standard library.
 """
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from pipeline.findings import Finding
+
+Clock = Literal["declared", "timecode", "creation_time"]
+"""Clock of the videos' starts: stated offsets, timecode, or times of creation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +81,8 @@ class Preflight:
         Unit of lengths in the calibration: "m", "cm" or "mm".
     findings
         What the client should know of the files; none in records of earlier versions, which have sentences only.
+    clock
+        Clock of the videos' starts.
     """
 
     cameras: tuple[PreflightCamera, ...]
@@ -87,6 +92,7 @@ class Preflight:
     recordings: tuple[PreflightRecording, ...] = ()
     units: str = "m"
     findings: tuple[Finding, ...] = ()
+    clock: Clock = "declared"
 
     @property
     def duration_s(self) -> float:
@@ -115,6 +121,7 @@ class Preflight:
                 recordings=tuple(PreflightRecording(**one) for one in document.get("recordings", ())),
                 units=document.get("units", "m"),
                 findings=tuple(Finding.from_json(one) for one in document.get("findings", ())),
+                clock=document.get("clock", "declared"),
             )
         except (KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -129,4 +136,5 @@ class Preflight:
             "recordings": [asdict(one) for one in self.recordings],
             "units": self.units,
             "findings": [one.to_json() for one in self.findings],
+            "clock": self.clock,
         }

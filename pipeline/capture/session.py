@@ -14,13 +14,16 @@ from pipeline.calibration.sizes import fit_to_video
 from pipeline.calibration.validate import name_problem
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.pairing import MIN_CAMERAS, pair_by_name
+from pipeline.capture.preflight_record import Clock
 from pipeline.capture.quantities import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
+from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
+from pipeline.video.properties.regularity import OF_TIMES
 from pipeline.video.timeline import cut_timebase, recorded_stretches, session_timebase
 
 _VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})
@@ -90,7 +93,11 @@ class Recording:
 
 
 def open_session(
-    videos: Path | Sequence[Path], calibration: Path | None, recordings: Sequence[Recording] = (), units: Units = "m"
+    videos: Path | Sequence[Path],
+    calibration: Path | None,
+    recordings: Sequence[Recording] = (),
+    units: Units = "m",
+    clock: Clock = "declared",
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
@@ -108,6 +115,8 @@ def open_session(
         Facts about the videos of some cameras, at most one recording a camera.
     units
         See ``read_contents``.
+    clock
+        Clock of the videos' starts; offsets of ``recordings`` are added.
 
     Raises
     ------
@@ -161,11 +170,21 @@ def open_session(
     if problems:
         raise InputError(problems)
     paired = {camera.name: videos_of[camera.name] for camera in cameras}
-    times = {name: _times(video, recording_of_camera.get(name)) for name, video in paired.items()}
-    if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired)]:
+    start_s, without_clock = starts_s(paired, clock)
+    if without_clock:
+        raise InputError(without_clock)
+    times = {name: _times(video, start_s[name], recording_of_camera.get(name)) for name, video in paired.items()}
+    if problems := [*_rate_problems(times, paired), *_clock_problems(times, paired, clock)]:
         raise InputError(problems)
     findings += [_repeated_times(name, video) for name, video in paired.items() if video.num_repeated]
-    findings += [_of_video(name, doubt) for name, video in paired.items() for doubt in video.warnings]
+    findings += [
+        _of_video(name, doubt)
+        for name, video in paired.items()
+        for doubt in video.warnings
+        # A stated rate takes the place of the times.
+        if doubt.code not in OF_TIMES or getattr(recording_of_camera.get(name), "frame_rate_hz", None) is None
+    ]
+    findings += clock_findings(paired, clock)
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(findings))
 
 
@@ -230,12 +249,12 @@ def _known_recordings(
     return known, problems
 
 
-def _times(video: VideoInfo, recording: Recording | None) -> FrameTimes:
+def _times(video: VideoInfo, start_s: float, recording: Recording | None) -> FrameTimes:
     if recording is None:
-        return FrameTimes(video.time_s)
+        return FrameTimes(start_s + video.time_s)
     rate_hz = recording.frame_rate_hz
     own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / float(without_rounding(rate_hz))
-    return FrameTimes(recording.offset_s + own_s)
+    return FrameTimes(start_s + recording.offset_s + own_s)
 
 
 def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
@@ -255,14 +274,14 @@ def _rate_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoIn
     ]
 
 
-def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo]) -> list[Problem]:
+def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoInfo], clock: Clock) -> list[Problem]:
     start_s = min(float(camera_times.time_s[0]) for camera_times in times.values())
     rate_hz = max(measured_rate_hz(camera_times.time_s) for camera_times in times.values())
     source = TimeSource(
         files={name: video.path.name for name, video in videos.items()},
         start_field="offset_s",
         rate_field="rate",
-        start_hint="Check the offsets: seconds at which the first frames were taken.",
+        start_hint=start_hint(clock),
         rate_hint="If the timestamps of the video are wrong, state its frame rate. Or cut the session into several.",
     )
     return clock_problems(times, start_s, rate_hz, source)

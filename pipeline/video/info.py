@@ -9,6 +9,22 @@ from jaxtyping import Float, Int
 from pipeline.errors import Problem
 
 
+@dataclass(frozen=True, slots=True)
+class Timecode:
+    """Timecode of the first frame.
+
+    Parameters
+    ----------
+    time_s
+        Time since midnight.
+    rate_hz
+        Frames a second of the timecode; the video may have a multiple of it.
+    """
+
+    time_s: float
+    rate_hz: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoInfo:
     """Properties of a usable video file.
@@ -35,6 +51,10 @@ class VideoInfo:
         Number of frames that are left out because they have the timestamp of another frame.
     stored_width_px
         Width of the stored picture if its pixels are not square; ``None``: they are.
+    timecode
+        Timecode of the first frame; ``None``: the file has none.
+    created_s
+        Time of creation that the file states, in seconds since 1970; ``None``: it states none.
     warnings
         What a user should know about the file, each with a stable code.
     browser_media_type
@@ -53,6 +73,8 @@ class VideoInfo:
     frame_rate_hz: float
     num_repeated: int = 0
     stored_width_px: int | None = None
+    timecode: Timecode | None = None
+    created_s: float | None = None
     warnings: tuple[Problem, ...] = ()
     browser_media_type: str | None = None
     media_start_s: float = 0.0

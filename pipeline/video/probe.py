@@ -16,7 +16,6 @@ import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
-from jaxtyping import Int
 
 from pipeline.errors import Problem
 from pipeline.video.children import start_child
@@ -29,37 +28,21 @@ from pipeline.video.container import (
     first_video,
     open_container,
 )
-from pipeline.video.frame_rate import measured_rate_hz
+from pipeline.video.frame_rate import measured_rate, measured_rate_hz
 from pipeline.video.info import VideoInfo, seek_points
-from pipeline.video.pictures import interlaced, square_pixels
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
+from pipeline.video.properties.container_clocks import created_s, read_timecode
+from pipeline.video.properties.packets import REPAIR_TIMES, read_packets, shown_pts
+from pipeline.video.properties.pictures import interlaced, square_pixels
+from pipeline.video.properties.regularity import uneven_times
 from pipeline.video.signatures import document_type, is_container
+from pipeline.video.unusable import UnusableError
 
-MAX_FRAMES = 2_000_000
-# Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.
-_MAX_TICKS = 2**62
-
-# Decoders reorder 16 frames at most. A frame farther from its place in the order of times has a wrong timestamp.
-_MAX_REORDERED = 32
-_MAX_REPEATED_SHARE = 0.1
 _NUM_DECODED = 8
-_REPAIR_TIMES = "Export it again at a constant frame rate."
 
 # Limit on the computing time for a small file. A large file gets additional time for reading its packets.
 _MAX_CPU_S = 8
 _CPU_S_PER_BYTE = 60 / 2**30
-
-
-class _UnusableError(Exception):
-    """The file can't be used: problem code, message and hint."""
-
-    def __init__(self, code: str, message: str, hint: str | None = None) -> None:
-        super().__init__(code)
-        self.code, self.message, self.hint = code, message, hint
-
-    def problem(self, path: Path) -> Problem:
-        """Build the problem, with the name of the file."""
-        return Problem(self.code, self.message, file=path.name, hint=self.hint)
 
 
 def probe(path: Path) -> VideoInfo | Problem:
@@ -71,14 +54,14 @@ def probe(path: Path) -> VideoInfo | Problem:
     """
     try:
         return _probe(path)
-    except _UnusableError as error:
+    except UnusableError as error:
         return error.problem(path)
     except DECODE_ERRORS:
         return _unreadable().problem(path)
 
 
-def _unreadable() -> _UnusableError:
-    return _UnusableError(
+def _unreadable() -> UnusableError:
+    return UnusableError(
         "video_unreadable",
         "The file is not a readable video, or it is damaged.",
         "An interrupted recording has no index. Record or export the video again.",
@@ -86,14 +69,14 @@ def _unreadable() -> _UnusableError:
 
 
 def _check_start(path: Path) -> None:
-    """Raise ``_UnusableError`` for a missing or empty file, or one that is not a video container.
+    """Raise ``UnusableError`` for a missing or empty file, or one that is not a video container.
 
     FFmpeg does not open the file.
     """
     if not path.is_file():
-        raise _UnusableError("video_missing", "The video file does not exist.")
+        raise UnusableError("video_missing", "The video file does not exist.")
     if path.stat().st_size == 0:
-        raise _UnusableError("video_empty", "The file is empty.", "Copy it again.")
+        raise UnusableError("video_empty", "The file is empty.", "Copy it again.")
     if not is_container(path):
         raise _unreadable()
 
@@ -103,14 +86,14 @@ def _probe(path: Path) -> VideoInfo:
     with open_container(path) as container:
         stream = first_video(container)
         if stream is None:
-            raise _UnusableError(
+            raise UnusableError(
                 "no_video_stream",
                 "The file has no video stream that can be decoded.",
                 "Check that the file is not audio only.",
             )
         codec = stream.codec_context.codec.canonical_name
         if codec not in CODECS:
-            raise _UnusableError(
+            raise UnusableError(
                 "unsupported_codec",
                 f"The codec {codec} is not supported.",
                 f"Convert the video to one of {', '.join(sorted(CODECS))}.",
@@ -126,20 +109,22 @@ def _probe(path: Path) -> VideoInfo:
             pixel_format=stream.codec_context.pix_fmt,
             size_px=(stream.codec_context.width, stream.codec_context.height),
         )
-        stored_pts, keyframe_pts, num_read = _read_packets(container, stream)
+        metadata = _metadata(container)
+        packets = read_packets(container, stream)
+    stored_pts, keyframe_pts, num_read = packets.pts, packets.keyframe_pts, packets.num_read
     if time_base is None or not len(stored_pts):
-        raise _UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
+        raise UnusableError("no_frames", "The video has no frames.", "Record or export it again.")
     if not len(keyframe_pts):
-        raise _UnusableError(
+        raise UnusableError(
             "no_keyframes", "The video has no frame at which decoding can start.", "Record or export it again."
         )
     if announced > num_read + 1:
-        raise _UnusableError(
+        raise UnusableError(
             "video_truncated",
             f"The file is truncated: it has {num_read} of {announced} frames.",
             "Copy it again.",
         )
-    pts = _shown_pts(stored_pts)
+    pts = shown_pts(stored_pts)
     frames = _decode_ends(path, keyframe_pts)
     width, height = frames[0].width, frames[0].height
     square_width, warnings = square_pixels(width, pixel_aspect)
@@ -149,6 +134,7 @@ def _probe(path: Path) -> VideoInfo:
         warnings.append(interlaced())
     rotation_deg = round(frames[0].rotation / 90) * 90 % 360
     time_s = (pts - pts[0]) * float(time_base)
+    warnings += uneven_times(time_s)
     return VideoInfo(
         path=path,
         codec=codec,
@@ -160,14 +146,24 @@ def _probe(path: Path) -> VideoInfo:
         frame_rate_hz=measured_rate_hz(time_s),
         num_repeated=len(stored_pts) - len(pts),
         stored_width_px=width if width != square_width else None,
+        timecode=read_timecode(path, metadata, measured_rate(time_s)),
+        created_s=created_s(metadata),
         warnings=tuple(replace(one, file=path.name) for one in warnings),
         browser_media_type=browser_media_type(video_format),
         media_start_s=float(pts[0] * time_base),
     )
 
 
-def _too_large() -> _UnusableError:
-    return _UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
+def _too_large() -> UnusableError:
+    return UnusableError("video_too_large", f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
+
+
+def _metadata(container: InputContainer) -> dict[str, str]:
+    """Entries of the streams and of the container; those of the container have precedence."""
+    found: dict[str, str] = {}
+    for stream in container.streams:
+        found |= stream.metadata
+    return found | container.metadata
 
 
 def _announced(container: InputContainer, stream: VideoStream) -> int:
@@ -180,80 +176,25 @@ def _announced(container: InputContainer, stream: VideoStream) -> int:
     return stream.frames
 
 
-def _read_packets(
-    container: InputContainer, stream: VideoStream
-) -> tuple[Int[np.ndarray, " frames"], Int[np.ndarray, " keyframes"], int]:
-    """Read the timestamps of all frames to show, in stored order, and of the keyframes; nothing is decoded.
-
-    The third value is the number of packets, also of frames that are not shown.
-    """
-    pts: list[int] = []
-    keyframes: list[int] = []
-    is_corrupt = False
-    num_read = 0
-    for packet in container.demux(stream):
-        num_read += packet.size > 0
-        if packet.size == 0 or packet.is_discard or _is_hidden(stream.codec_context.name, bytes(packet)):
-            continue
-        stamp = packet.dts if packet.pts is None else packet.pts
-        is_corrupt = packet.is_corrupt
-        if stamp is None:
-            raise _UnusableError("video_times", f"Frame {len(pts)} has no timestamp.", _REPAIR_TIMES)
-        pts.append(stamp)
-        if packet.is_keyframe:
-            keyframes.append(stamp)
-        if len(pts) > MAX_FRAMES:
-            raise _UnusableError("video_too_long", f"The video has more than {MAX_FRAMES} frames.", "Cut it.")
-    # Only the last packet counts: the decoder marks damaged frames before it.
-    if is_corrupt:
-        raise _UnusableError("video_truncated", f"The file is truncated after {len(pts) - 1} frames.", "Copy it again.")
-    return np.array(pts, np.int64), np.unique(np.array(keyframes, np.int64)), num_read
-
-
-def _is_hidden(codec: str, content: bytes) -> bool:
-    """Return whether a packet is a VP8 frame without the bit ``show_frame`` (RFC 6386, section 9.1)."""
-    return codec == "vp8" and not content[0] & 0x10
-
-
-def _shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " shown"]:
-    """Sort timestamps in the order of display and remove repeated ones; raise if they are not plausible."""
-    shown_pts = np.unique(stored_pts)
-    if int(shown_pts[-1]) - int(shown_pts[0]) > _MAX_TICKS:
-        raise _UnusableError("video_times", "The timestamps of the frames are too far apart.", _REPAIR_TIMES)
-    num_repeated = len(stored_pts) - len(shown_pts)
-    if num_repeated > _MAX_REPEATED_SHARE * len(stored_pts):
-        raise _UnusableError(
-            "video_times",
-            f"{num_repeated} of {len(stored_pts)} frames have the timestamp of another frame.",
-            _REPAIR_TIMES,
-        )
-    order = np.argsort(stored_pts, kind="stable")
-    misplaced = np.flatnonzero(np.abs(order - np.arange(len(order))) > _MAX_REORDERED)
-    if len(misplaced):
-        message = f"The timestamps go backwards near frame {misplaced[0]}."
-        raise _UnusableError("video_times", message, _REPAIR_TIMES)
-    return shown_pts
-
-
 def _decode_ends(path: Path, keyframe_pts: np.ndarray) -> list[VideoFrame]:
     """Decode the first pictures and one near the end, all of one size; raise if decoding fails."""
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
-        raise _UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
+        raise UnusableError("no_frames", "No frame of the video can be decoded.", "Record or export it again.")
     times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
     if times != sorted(times):
-        raise _UnusableError("video_times", "The timestamps of the first frames go backwards.", _REPAIR_TIMES)
+        raise UnusableError("video_times", "The timestamps of the first frames go backwards.", REPAIR_TIMES)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
         last = next((frame for frame in later if (display_pts(frame) or 0) >= last_pts), None)
         if last is None:
-            raise _UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
+            raise UnusableError("video_truncated", "The end of the video can't be decoded.", "Copy it again.")
         frames.append(last)
     first = frames[0]
     for frame in frames:
         if (frame.width, frame.height) != (first.width, first.height):
-            raise _UnusableError(
+            raise UnusableError(
                 "video_changes_size",
                 f"The pictures change their size from {first.width} x {first.height} to "
                 f"{frame.width} x {frame.height} pixels.",
@@ -266,7 +207,7 @@ def problem_before_opening(path: Path) -> Problem | None:
     """Return the problem of a missing or empty file, or of one that is not a video container; else ``None``."""
     try:
         _check_start(path)
-    except _UnusableError as error:
+    except UnusableError as error:
         return error.problem(path)
     except OSError:
         return _unreadable().problem(path)

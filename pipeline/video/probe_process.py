@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.errors import Problem
 from pipeline.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, child_error, is_caused_by_file
-from pipeline.video.info import VideoInfo
+from pipeline.video.info import Timecode, VideoInfo
 from pipeline.video.probe import limits_problem, problem_before_opening, reading_s
 
 _TIMEOUT_S = 120.0
@@ -88,6 +88,8 @@ def _probe_in_child(path: Path, running: set[subprocess.Popen[bytes]]) -> VideoI
         frame_rate_hz=answer["frame_rate_hz"],
         num_repeated=answer["num_repeated"],
         stored_width_px=answer["stored_width_px"],
+        timecode=Timecode(**answer["timecode"]) if answer["timecode"] else None,
+        created_s=answer["created_s"],
         warnings=tuple(Problem(**warning) for warning in answer["warnings"]),
         browser_media_type=answer["browser_media_type"],
         media_start_s=answer["media_start_s"],

@@ -5,14 +5,15 @@ import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
 from api.cli.console import StageBars, emit, print_table, reporting, warn
-from api.cli.options import checked, known_units, with_choices
+from api.cli.options import checked, known_clock, known_units, with_choices
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
+from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import Recording, open_session
 from pipeline.config import Export, Preset, ReconstructionConfig
 from pipeline.data import Reconstruction
@@ -163,6 +164,13 @@ def command(
             help="Time of a video's first frame on the common clock; repeatable.",
         ),
     ] = None,
+    clock: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(get_args(Clock)),
+            help="Clock of the videos' first frames: --offset, or what the files state, to which it is added.",
+        ),
+    ] = "declared",
     units: Annotated[
         str,
         typer.Option(
@@ -220,7 +228,8 @@ def command(
         else:
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
-            session = open_session(named[0] if len(named) == 1 else named, calibration, recordings, known_units(units))
+            files = named[0] if len(named) == 1 else named
+            session = open_session(files, calibration, recordings, known_units(units), known_clock(clock))
         check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)

@@ -27,6 +27,7 @@ COMMANDS = CodeGroup(
             for choice in CHOICES.values()
             if choice.is_checked_by_name
         ),
+        ProblemCode("unknown_clock", _COMMAND, "There is no such clock of videos.", "Use a name that `hint` lists."),
         ProblemCode("unknown_units", _COMMAND, "There is no such unit.", "Use a name that `hint` lists."),
         ProblemCode("unknown_scene", _COMMAND, "There is no such simulated scene.", "Use a name that `hint` lists."),
         ProblemCode(

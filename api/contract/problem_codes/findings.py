@@ -43,6 +43,42 @@ FILES = CodeGroup(
         ProblemCode(
             "camera_saw_nobody", _FINDING, "Keypoints of a camera show nobody.", "Check the detector's output."
         ),
+        ProblemCode(
+            "frames_dropped",
+            _FINDING,
+            "Frames of a video are missing: its times have gaps.",
+            "Nothing is to be done for slow motion; else record with a camera that keeps its rate.",
+        ),
+        ProblemCode(
+            "frames_too_close",
+            _FINDING,
+            "Frames of a video follow the one before at once.",
+            "Check what wrote the times of the video.",
+        ),
+        ProblemCode(
+            "frame_rate_varies",
+            _FINDING,
+            "The frame rate of a video varies.",
+            "Record at a constant rate for fast motion.",
+        ),
+        ProblemCode(
+            "coarse_clock",
+            _FINDING,
+            "The clock of the videos' starts is coarser than their frames.",
+            "State offsets, or synchronise by the people.",
+        ),
+        ProblemCode(
+            "interlaced_video",
+            _FINDING,
+            "A video is interlaced: each picture shows two instants.",
+            "Record progressively, or deinterlace the video before.",
+        ),
+        ProblemCode(
+            "pixel_aspect",
+            _FINDING,
+            "The pixels of a video are not square; its pictures are scaled.",
+            "See [formats](formats.md#videos); check that the calibration is of one of the two sizes.",
+        ),
         ProblemCode("session_warning", _FINDING, "A warning of a version that had sentences only.", "Read `message`."),
     ),
 )

@@ -258,6 +258,13 @@ TIMES = CodeGroup(
             "An offset is too far from the start of the capture.",
             "Count from the start of the capture.",
         ),
+        ProblemCode("no_timecode", _FILES, "`clock` is `timecode`, but a video has none.", "State offsets instead."),
+        ProblemCode(
+            "no_creation_time",
+            _FILES,
+            "`clock` is `creation_time`, but a video states none.",
+            "State offsets instead.",
+        ),
         ProblemCode(
             "no_overlap", _FILES, "The camera recorded while no other camera did.", "Check offsets and timestamps."
         ),

@@ -137,18 +137,6 @@ WARNINGS = CodeGroup(
             "Copy the files again; see [formats](formats.md#videos).",
         ),
         ProblemCode(
-            "interlaced_video",
-            _WARNING,
-            "A video is interlaced: each picture shows two instants.",
-            "Record progressively, or deinterlace the video before.",
-        ),
-        ProblemCode(
-            "pixel_aspect",
-            _WARNING,
-            "The pixels of a video are not square; its pictures are scaled.",
-            "See [formats](formats.md#videos); check that the calibration is of one of the two sizes.",
-        ),
-        ProblemCode(
             "camera_without_people",
             _WARNING_AND_FINDING,
             "A camera was matched with no person.",

@@ -48,12 +48,13 @@ PASSED_ON = {
     ("pipeline/quality/report.py", "all_checks"),  # those of the checks of a take
     ("pipeline/stages/run.py", "_calibrated"),  # those of problems
     ("pipeline/capture/session.py", "_of_video"),  # those of problems
-    ("pipeline/video/probe.py", "problem"),
+    ("pipeline/video/unusable.py", "problem"),
     ("worker/problems.py", "problem_of"),  # those of the pipeline
 }
 # Codes that are composed of values that no call states as a constant.
 TEMPLATES = {
-    "unknown_{noun}": {"unknown_units"} | {f"unknown_{one.noun}" for one in CHOICES.values() if one.is_checked_by_name},
+    "unknown_{noun}": {"unknown_clock", "unknown_units"}
+    | {f"unknown_{one.noun}" for one in CHOICES.values() if one.is_checked_by_name},
     "too_long_for_{export}": {f"too_long_for_{name}" for name, one in FILE_FORMATS.items() if one.max_frames},
     "invalid_{field}": {
         f"invalid_{field}" for field in ("name", "size", "matrix", "distortion", "rotation", "translation")

@@ -22,7 +22,8 @@ PRINTED = (
 
 
 def test_json_is_the_same_after_reading() -> None:
-    assert json.dumps(Preflight.from_json(json.loads(PRINTED)).to_json()) == PRINTED
+    again = json.dumps(Preflight.from_json(json.loads(PRINTED)).to_json())
+    assert again == PRINTED[:-1] + ', "clock": "declared"}'
 
 
 def test_fields_are_those_of_the_json() -> None:

@@ -68,7 +68,9 @@ def test_frames_that_repeat_a_time_are_said(folder: Path, tmp_path: Path) -> Non
     rewrite_packets(good, folder / "a.mkv", repeat)
     shutil.copy(good, folder / "b.mkv")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
-    assert session.warnings == ("a.mkv: 1 frame is left out, because another frame has the same timestamp.",)
+    left_out, missing = session.warnings
+    assert left_out == "a.mkv: 1 frame is left out, because another frame has the same timestamp."
+    assert "1 frame is missing, at 0.24 s" in missing
 
 
 def test_pixels_that_are_not_square_and_fields_are_said(tmp_path: Path) -> None:

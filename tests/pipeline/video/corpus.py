@@ -33,6 +33,8 @@ class Clip:
         Counterclockwise turn for display.
     stamps
         Times of the frames in 1/1000 s; ``None``: a constant rate.
+    gaps
+        Whether the times have gaps.
     shown
         Numbers of the pictures that are shown; ``None``: all.
     """
@@ -50,6 +52,7 @@ class Clip:
     rate_hz: int | Fraction = 25
     stamps: Sequence[int] | None = None
     shown: Sequence[int] | None = None
+    gaps: bool = False
 
     @property
     def expected_px(self) -> tuple[int, int]:
@@ -94,8 +97,8 @@ CLIPS: Mapping[str, Clip] = {
     "h264-29.97.mp4": Clip(rate_hz=Fraction(30000, 1001), options={"g": "15", "bf": "2"}),
     "h264-59.94.mov": Clip(rate_hz=Fraction(60000, 1001), options={"g": "15", "bf": "2"}),
     "h264-23.976.mkv": Clip(rate_hz=Fraction(24000, 1001), options={"g": "15", "bf": "2"}),
-    "h264-variable.mp4": Clip(stamps=_VFR, options={"g": "9", "bf": "2"}),
-    "h264-variable.mkv": Clip(stamps=_VFR, options={"g": "9", "bf": "2"}),
+    "h264-variable.mp4": Clip(stamps=_VFR, gaps=True, options={"g": "9", "bf": "2"}),
+    "h264-variable.mkv": Clip(stamps=_VFR, gaps=True, options={"g": "9", "bf": "2"}),
     "h264-rotated-90.mp4": Clip(rotation_deg=90, shown_px=(64, 96), options={"g": "9", "bf": "2"}),
     "h264-rotated-180.mov": Clip(rotation_deg=180, options={"g": "9", "bf": "2"}),
     "hevc-rotated-270.mp4": Clip("libx265", rotation_deg=270, shown_px=(64, 96), options=_hevc(keyint=12, bframes=3)),

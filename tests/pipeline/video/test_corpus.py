@@ -51,7 +51,7 @@ def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: tuple[Clip, Vid
     # Properties as shown.
     assert (video.size_px, video.rotation_deg) == (about.expected_px, about.rotation_deg)
     assert {image_rgb.shape for _, image_rgb in whole} == {(video.size_px[1], video.size_px[0], 3)}
-    said = {"pixel_aspect": about.pixel_aspect, "interlaced_video": about.is_interlaced}
+    said = {"pixel_aspect": about.pixel_aspect, "interlaced_video": about.is_interlaced, "frames_dropped": about.gaps}
     assert {warning.code for warning in video.warnings} == {code for code, is_so in said.items() if is_so}
 
     # Times as recorded. Matroska and MP4 with rounded stamps have ticks of a millisecond.

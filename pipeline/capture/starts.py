@@ -1,0 +1,107 @@
+"""Starts of a session's videos by the clock that the client chose: stated offsets, timecode, or times of creation."""
+
+from collections.abc import Mapping
+
+from pipeline.capture.preflight_record import Clock
+from pipeline.errors import Problem
+from pipeline.findings import Finding
+from pipeline.video.info import VideoInfo
+
+_DAY_S = 86_400.0
+_DECLARED = "Omit the clock and state the offsets of the videos."
+# A clock whose frames are this much longer than the video's leaves the start within a frame unknown.
+_MIN_COARSE = 1.5
+
+
+def starts_s(videos: Mapping[str, VideoInfo], clock: Clock) -> tuple[Mapping[str, float], list[Problem]]:
+    """Times of the videos' first frames on a clock that starts with the earliest video.
+
+    Parameters
+    ----------
+    videos
+        Videos by camera name, at least one.
+    clock
+        With ``declared`` all videos start together.
+
+    Returns
+    -------
+    starts_s
+        Times by camera name; of a session across midnight, timecodes after it count as of the next day.
+    problems
+        Videos without such a clock.
+    """
+    if clock == "declared":
+        return dict.fromkeys(videos, 0.0), []
+    stated_s = {camera: _stated_s(video, clock) for camera, video in videos.items()}
+    known_s = {camera: time_s for camera, time_s in stated_s.items() if time_s is not None}
+    if len(known_s) < len(stated_s):
+        return dict.fromkeys(videos, 0.0), [
+            _without(camera, videos[camera], clock) for camera, time_s in stated_s.items() if time_s is None
+        ]
+    if clock == "timecode":
+        known_s = dict(_across_midnight(known_s))
+    begin_s = min(known_s.values())
+    return {camera: time_s - begin_s for camera, time_s in known_s.items()}, []
+
+
+def clock_findings(videos: Mapping[str, VideoInfo], clock: Clock) -> list[Finding]:
+    """Tell of clocks that are coarser than a frame."""
+    if clock == "creation_time":
+        message = (
+            "The videos are placed by their times of creation, which most cameras state in whole seconds: the cameras "
+            "may be off from each other by a second."
+        )
+        return [Finding("coarse_clock", message, hint="Use timecode, state offsets, or synchronise by the people.")]
+    if clock == "declared":
+        return []
+    return [
+        Finding(
+            "coarse_clock",
+            f"The timecode counts {video.timecode.rate_hz:.6g} frames a second, the video has "
+            f"{video.frame_rate_hz:.6g}: its start is known to {1000 / video.timecode.rate_hz:.0f} ms.",
+            camera,
+            evidence={
+                "file": video.path.name,
+                "timecode_rate_hz": video.timecode.rate_hz,
+                "frame_rate_hz": video.frame_rate_hz,
+            },
+            hint="State an offset of this camera beside the timecode if its people lag behind.",
+        )
+        for camera, video in videos.items()
+        if video.timecode is not None and video.frame_rate_hz > _MIN_COARSE * video.timecode.rate_hz
+    ]
+
+
+def start_hint(clock: Clock) -> str:
+    """Remedy of videos that do not overlap."""
+    if clock == "declared":
+        return "Check the offsets: seconds at which the first frames were taken."
+    kind = "timecodes" if clock == "timecode" else "times of creation"
+    return f"Check the cameras' clocks: the {kind} of the videos lie too far apart. {_DECLARED}"
+
+
+def _stated_s(video: VideoInfo, clock: Clock) -> float | None:
+    if clock == "creation_time":
+        return video.created_s
+    return None if video.timecode is None else video.timecode.time_s
+
+
+def _across_midnight(times_s: Mapping[str, float]) -> Mapping[str, float]:
+    """Add a day to the times after midnight if others are late in the day before."""
+    ordered = sorted(times_s.values())
+    # The largest pause between two times, also from the last to the first, is where the session did not record.
+    pauses_s = [after - before for before, after in zip(ordered, [*ordered[1:], ordered[0] + _DAY_S], strict=True)]
+    last = pauses_s.index(max(pauses_s))
+    return {camera: time_s + _DAY_S * (time_s <= ordered[last]) for camera, time_s in times_s.items()}
+
+
+def _without(camera: str, video: VideoInfo, clock: Clock) -> Problem:
+    if clock == "timecode":
+        return Problem(
+            "no_timecode", "The video has no timecode.", file=video.path.name, camera=camera, field="clock",
+            hint=_DECLARED,
+        )  # fmt: skip
+    return Problem(
+        "no_creation_time", "The video states no time of creation.", file=video.path.name, camera=camera, field="clock",
+        hint=_DECLARED,
+    )  # fmt: skip

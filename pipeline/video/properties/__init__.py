@@ -1,0 +1,1 @@
+"""Properties of a video that its file states: packets, pixels, regularity of its times, clocks."""

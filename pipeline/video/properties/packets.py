@@ -1,0 +1,89 @@
+"""Packets of a video stream: times and keyframes of the frames, without decoding them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from av.container import InputContainer
+from av.packet import Packet
+from av.video.stream import VideoStream
+from jaxtyping import Int
+
+from pipeline.video.unusable import UnusableError
+
+MAX_FRAMES = 2_000_000
+# Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.
+_MAX_TICKS = 2**62
+
+# Decoders reorder 16 frames at most. A frame farther from its place in the order of times has a wrong timestamp.
+_MAX_REORDERED = 32
+_MAX_REPEATED_SHARE = 0.1
+REPAIR_TIMES = "Export it again at a constant frame rate."
+
+
+class Packets(NamedTuple):
+    """Frames of a stream in stored order.
+
+    Parameters
+    ----------
+    pts
+        Timestamps of all frames to show, in ticks of the stream's time base.
+    keyframe_pts
+        Timestamps of the keyframes, ascending.
+    num_read
+        Number of packets, also of those of frames that are not shown.
+    """
+
+    pts: Int[np.ndarray, " frames"]
+    keyframe_pts: Int[np.ndarray, " keyframes"]
+    num_read: int
+
+
+def read_packets(container: InputContainer, stream: VideoStream) -> Packets:
+    """Read all packets; raise ``UnusableError`` if one has no timestamp or the last one is cut off."""
+    codec = stream.codec_context.codec.canonical_name
+    pts: list[int] = []
+    keyframes: list[int] = []
+    is_corrupt = False
+    num_read = 0
+    for packet in container.demux(stream):
+        num_read += packet.size > 0
+        if packet.size == 0 or packet.is_discard or _is_hidden(codec, packet):
+            continue
+        stamp = packet.dts if packet.pts is None else packet.pts
+        is_corrupt = packet.is_corrupt
+        if stamp is None:
+            raise UnusableError("video_times", f"Frame {len(pts)} has no timestamp.", REPAIR_TIMES)
+        pts.append(stamp)
+        if packet.is_keyframe:
+            keyframes.append(stamp)
+        if len(pts) > MAX_FRAMES:
+            raise UnusableError("video_too_long", f"The video has more than {MAX_FRAMES} frames.", "Cut it.")
+    # Only the last packet counts: the decoder marks damaged frames before it.
+    if is_corrupt:
+        raise UnusableError("video_truncated", f"The file is truncated after {len(pts) - 1} frames.", "Copy it again.")
+    return Packets(np.array(pts, np.int64), np.unique(np.array(keyframes, np.int64)), num_read)
+
+
+def _is_hidden(codec: str, packet: "Packet[Any]") -> bool:
+    """Return whether a packet is a VP8 frame without the bit ``show_frame`` (RFC 6386, section 9.1)."""
+    return codec == "vp8" and not memoryview(packet)[0] & 0x10
+
+
+def shown_pts(stored_pts: Int[np.ndarray, " frames"]) -> Int[np.ndarray, " shown"]:
+    """Sort timestamps in the order of display and remove repeated ones; raise if they are not plausible."""
+    shown = np.unique(stored_pts)
+    if int(shown[-1]) - int(shown[0]) > _MAX_TICKS:
+        raise UnusableError("video_times", "The timestamps of the frames are too far apart.", REPAIR_TIMES)
+    num_repeated = len(stored_pts) - len(shown)
+    if num_repeated > _MAX_REPEATED_SHARE * len(stored_pts):
+        raise UnusableError(
+            "video_times",
+            f"{num_repeated} of {len(stored_pts)} frames have the timestamp of another frame.",
+            REPAIR_TIMES,
+        )
+    order = np.argsort(stored_pts, kind="stable")
+    misplaced = np.flatnonzero(np.abs(order - np.arange(len(order))) > _MAX_REORDERED)
+    if len(misplaced):
+        message = f"The timestamps go backwards near frame {misplaced[0]}."
+        raise UnusableError("video_times", message, REPAIR_TIMES)
+    return shown

@@ -1,0 +1,115 @@
+"""Sessions by timecode and by times of creation."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from pipeline.capture import preflight
+from pipeline.capture.preflight_record import Clock, Preflight
+from pipeline.capture.session import Recording, open_session
+from pipeline.capture.starts import starts_s
+from pipeline.errors import InputError
+from pipeline.video.info import Timecode, VideoInfo
+from pipeline.video.probe import probe
+from tests.pipeline.capture.test_session import calibration
+from tests.pipeline.media import write_video
+from tests.pipeline.video.properties.test_container_clocks import NTSC, write
+
+CREATED = "2024-05-01T10:00:03Z"
+
+
+@pytest.fixture(scope="module")
+def any_video(tmp_path_factory: pytest.TempPathFactory) -> VideoInfo:
+    found = probe(write_video(tmp_path_factory.mktemp("video") / "a.mp4", 3))
+    assert isinstance(found, VideoInfo)
+    return found
+
+
+def of_times(video: VideoInfo, times_s: Mapping[str, float]) -> dict[str, VideoInfo]:
+    return {camera: replace(video, timecode=Timecode(one, 25.0), created_s=one) for camera, one in times_s.items()}
+
+
+def test_starts_count_from_the_earliest_video(any_video: VideoInfo) -> None:
+    videos = of_times(any_video, {"a": 3600.4, "b": 3600.0, "c": 3661.0})
+    for clock in ("timecode", "creation_time"):
+        found, problems = starts_s(videos, clock)
+        assert problems == []
+        assert found == pytest.approx({"a": 0.4, "b": 0.0, "c": 61.0})
+    assert starts_s(videos, "declared")[0] == {"a": 0.0, "b": 0.0, "c": 0.0}
+
+
+def test_timecode_passes_midnight(any_video: VideoInfo) -> None:
+    videos = of_times(any_video, {"a": 86_399.0, "b": 2.0, "c": 86_390.0})
+    assert starts_s(videos, "timecode")[0] == pytest.approx({"a": 9.0, "b": 12.0, "c": 0.0})
+    assert starts_s(videos, "creation_time")[0]["a"] == pytest.approx(86_397.0)
+    assert starts_s(of_times(any_video, {"a": 5.0}), "timecode")[0] == {"a": 0.0}
+
+
+def videos(folder: Path, **changes: str) -> list[Path]:
+    """Videos of 29.97, 25 and 59.94 Hz, jam-synchronised: the second starts 0.2 s after the first."""
+    stated = {"a": "10:00:00;00", "b": "10:00:00:04", "c": "10:00:00;06"} | changes
+    rates = {"a": NTSC, "b": Fraction(25), "c": Fraction(60000, 1001)}
+    for name, rate in rates.items():
+        write(folder / f"{name}.mov", rate, timecode=stated[name], creation_time=CREATED)
+    return [folder / f"{name}.mov" for name in rates]
+
+
+def test_rates_of_several_cameras_meet_on_the_clock_of_their_timecode(tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b", "c"])
+    session = open_session(videos(tmp_path), cameras, [Recording("c", offset_s=0.01)], clock="timecode")
+    # Drop-frame timecode is 3.6 ms an hour behind the time of day.
+    begin_s = (36_000 * 30 - 10 * 108) * 1001 / 30_000
+    starts = {name: float(times.time_s[0]) for name, times in session.times.items()}
+    assert starts["a"] == 0.0
+    assert starts["b"] == pytest.approx(36_000.16 - begin_s, abs=1e-6)
+    assert starts["c"] == pytest.approx(6 * 1001 / 60_000 + 0.01, abs=1e-6)
+    np.testing.assert_allclose(np.diff(session.times["c"].time_s), 1001 / 60_000, atol=1e-6)
+    assert session.timebase.frame_rate_hz == float(Fraction(60000, 1001))
+    assert session.warnings == ()
+
+
+def test_times_of_creation_are_said_to_be_coarse(tmp_path: Path) -> None:
+    cameras = calibration(tmp_path / "c.json", ["a", "b", "c"])
+    session = open_session(videos(tmp_path), cameras, clock="creation_time")
+    assert {float(times.time_s[0]) for times in session.times.values()} == {0.0}
+    (warning,) = session.warnings
+    assert "may be off from each other by a second" in warning
+
+
+@pytest.mark.parametrize("clock", ["timecode", "creation_time"])
+def test_videos_without_the_clock_are_all_named(tmp_path: Path, clock: Clock) -> None:
+    paths = videos(tmp_path)
+    for path in paths[1:]:
+        path.unlink()
+        write(path, Fraction(25))
+    with pytest.raises(InputError) as raised:
+        open_session(paths, calibration(tmp_path / "c.json", ["a", "b", "c"]), clock=clock)
+    assert [(one.code, one.file, one.camera) for one in raised.value.problems] == [
+        (f"no_{clock}", "b.mov", "b"),
+        (f"no_{clock}", "c.mov", "c"),
+    ]
+
+
+def test_timecodes_that_do_not_overlap_are_named_as_such(tmp_path: Path) -> None:
+    paths = videos(tmp_path, b="11:00:00:00")
+    with pytest.raises(InputError, match="timecodes of the videos lie too far apart") as raised:
+        open_session(paths, calibration(tmp_path / "c.json", ["a", "b", "c"]), clock="timecode")
+    (problem,) = raised.value.problems
+    assert (problem.code, problem.camera) == ("no_overlap", "b")
+
+
+def test_the_check_of_a_session_records_its_clock(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--videos", *map(str, videos(tmp_path)), "--calibration"]
+    words += [str(calibration(tmp_path / "c.json", ["a", "b", "c"])), "--clock", "timecode"]
+    assert preflight.main(words) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert document["clock"] == "timecode"
+    assert document["cameras"][0]["start_time_s"] == 0.0
+    assert Preflight.from_json(document).clock == "timecode"
+    assert set(get_args(Clock)) == {"declared", "timecode", "creation_time"}
