@@ -40,8 +40,8 @@ from api.routes import (
     results,
     sessions,
     uploads,
-    videos,
 )
+from api.routes.viewing import links, videos
 from api.settings import Settings
 from api.tus.files import UploadSpool
 from pipeline.stages.code import stage_codes
@@ -89,6 +89,7 @@ def create_app(settings: Settings) -> FastAPI:
             jobs.router,
             jobs.small,
             events.router,
+            links.router,
             results.router,
         ),
         motion.router,

@@ -1,24 +1,31 @@
-"""Authentication and authorization: API keys, browser sessions, scopes, and the caller's own records.
+"""Authentication and authorization: API keys, browser sessions, links, scopes, and the caller's own records.
 
 A service without keys serves all clients as the default tenant.
 """
 
+import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends, Request, Security
-from fastapi.security import APIKeyCookie, HTTPBearer
+from fastapi.security import APIKeyCookie, APIKeyQuery, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
 
 from api.dependencies import Services, ServicesDep
 from api.errors import ApiError
 from api.http.clients import client_network
+from api.http.keys_in_use import Credential
 from worker.jobs.database.tables import DEFAULT_TENANT
-from worker.jobs.model import Actor, Key, Scope
+from worker.jobs.errors import NotFound
+from worker.jobs.model import Actor, Key, Link, LinkScope, Scope
 from worker.jobs.tenant_records import TenantRecords
 
 COOKIE = "multicap_session"
+LINK = "link"
+"""Parameter of an address with the secret of a link."""
+ALL_RESULTS = "results.zip"
+"""Name of all result files together, in links."""
 
 _READING = frozenset({"GET", "HEAD", "OPTIONS"})
 
@@ -26,11 +33,17 @@ _bearer = HTTPBearer(auto_error=False, scheme_name="key", description="A key, `m
 _cookie = APIKeyCookie(
     name=COOKIE, auto_error=False, scheme_name="browser", description="Session of a browser that signed in with a key."
 )
+_link = APIKeyQuery(
+    name=LINK,
+    auto_error=False,
+    scheme_name="link",
+    description="Secret of a link, `mcl_...`, for `<video>`, `<a>` and `EventSource`, which send no headers.",
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Caller of a request: tenant, scopes, key and network.
+    """Caller of a request: tenant, scopes, key or link, and network.
 
     Parameters
     ----------
@@ -38,17 +51,32 @@ class Caller:
         ``None`` as long as the service has no keys.
     network
         Network that the request comes from (``api.http.clients``).
+    link
+        Link that the request brings in place of a key; ``None`` without one.
     """
 
     tenant: str
     scopes: frozenset[Scope]
     key: Key | None
     network: str
+    link: Link | None = None
 
     @property
     def owner(self) -> str:
-        """Name under which requests share threads and streams: the tenant, or the network if there are no keys."""
+        """Name under which requests share threads and streams.
+
+        The tenant, the link, or the network if there are no keys.
+        """
+        if self.link is not None:
+            return f"link {self.link.id}"
         return f"tenant {self.tenant}" if self.key else f"network {self.network}"
+
+    @property
+    def credential(self) -> Credential:
+        """Key or link on whose validity the request depends."""
+        if self.link is not None:
+            return Credential("link", self.link.id)
+        return Credential("key", self.key.id if self.key else None)
 
 
 def wrong_key(request: Request, services: Services) -> ApiError:
@@ -128,6 +156,81 @@ def _records_of(
     return services.store.of(caller.tenant, services.quotas, actor)
 
 
+def _find_viewer(
+    request: Request,
+    services: ServicesDep,
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
+    cookie: Annotated[str | None, Security(_cookie)],
+    secret: Annotated[str | None, Security(_link)],
+) -> Caller:
+    """Identify the caller of a route that links may open. With a link, its rights alone count."""
+    if secret is None:
+        return _authorize(request, _find_caller(request, services, bearer, cookie))
+    link = services.store.link_secrets.find(secret)
+    if link is None:
+        raise _unknown_link(request, services)
+    caller = Caller(link.tenant, frozenset({Scope.READ}), None, client_network(request), link)
+    request.state.caller = caller
+    # Strangers must not use up the requests of the tenant.
+    request.state.rate_limit = services.rates.count(caller.owner)
+    return caller
+
+
+def _unknown_link(request: Request, services: Services) -> ApiError:
+    """Count a wrong link like a wrong key; return the error to raise."""
+    error = wrong_key(request, services)
+    if error.status != 401:
+        return error
+    hint = "Ask for a new link."
+    return ApiError(
+        "link_unknown", "This link is not known, has ended or was revoked.", hint=hint, headers=error.headers
+    )
+
+
+class Viewing:
+    """Dependency of a route that links may open: records of the caller's tenant.
+
+    Parameters
+    ----------
+    scope
+        Scope of the links that open the route, beside those to look at the whole job.
+    """
+
+    def __init__(self, scope: LinkScope) -> None:
+        self._scope = scope
+
+    def __call__(
+        self, request: Request, services: ServicesDep, caller: Annotated[Caller, Depends(_find_viewer)]
+    ) -> TenantRecords:
+        """Return the records; raise 404 for everything that the caller's link does not open."""
+        if caller.link is not None and not self._is_opened(caller.link, request.path_params):
+            raise NotFound("The link does not open this.")
+        actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
+        return services.store.of(caller.tenant, services.quotas, actor)
+
+    def _is_opened(self, link: Link, path: Mapping[str, str]) -> bool:
+        ids = {"job_id": link.job_id, "session_id": link.session_id}
+        named = {name: value for name, value in path.items() if name in ids}
+        if not named or any(_canonical(value) != ids[name] for name, value in named.items()):
+            return False
+        if link.scope is LinkScope.JOB:
+            return True
+        name = path.get("camera", path.get("name", ALL_RESULTS))
+        return link.scope is self._scope and (link.name is None or link.name == name)
+
+
+def _canonical(value: str) -> str | None:
+    try:
+        return str(uuid.UUID(value))
+    except ValueError:
+        return None
+
+
+ViewerDep = Annotated[Caller, Depends(_find_viewer)]
+JobViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.JOB))]
+FileViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.FILE))]
+VideoViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.VIDEO))]
+EventsViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.EVENTS))]
 AnyCallerDep = Annotated[Caller, Depends(_find_caller)]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.

@@ -74,15 +74,15 @@ def services_of(request: Request) -> Services:
 
 
 def _session_id(session_id: Annotated[str, Path(description="Id of a session.", json_schema_extra=_UUID)]) -> str:
-    return _canonical(session_id, "session")
+    return canonical_id(session_id, "session")
 
 
 def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_extra=_UUID)]) -> str:
-    return _canonical(job_id, "job")
+    return canonical_id(job_id, "job")
 
 
-def _canonical(value: str, kind: str) -> str:
-    # A malformed id is treated as unknown.
+def canonical_id(value: str, kind: str) -> str:
+    """Id in lower case; a malformed id is treated as unknown."""
     try:
         return str(uuid.UUID(value))
     except ValueError:
@@ -90,13 +90,13 @@ def _canonical(value: str, kind: str) -> str:
 
 
 def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", json_schema_extra=_UUID)]) -> str:
-    return _canonical(upload_id, "upload")
+    return canonical_id(upload_id, "upload")
 
 
 def _calibration_id(
     calibration_id: Annotated[str, Path(description="Id of a calibration.", json_schema_extra=_UUID)],
 ) -> str:
-    return _canonical(calibration_id, "calibration")
+    return canonical_id(calibration_id, "calibration")
 
 
 ServicesDep = Annotated[Services, Depends(services_of)]

@@ -132,6 +132,7 @@ class Settings(StorageSettings):
     max_tenant_streams: int = Field(
         default=200, gt=0, description="Largest number of a tenant's open event streams, at each API process."
     )
+    max_link_days: float = Field(default=30.0, gt=0, le=3650, description="Longest lifetime of a link.")
     idempotency_lease_s: float = Field(
         default=30.0,
         gt=0,

@@ -41,6 +41,7 @@ _TAGS = {
     "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
     "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
     "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
+    "links": "Links that open a job, or something of it, without a key, for a while.",
     "callers": "Caller of a request, and signing browsers in and out.",
     "health": "Liveness, readiness and metrics of the service.",
 }

@@ -9,6 +9,7 @@ from pipeline.stages.plan import ASSOCIATE, CALIBRATE, DETECT, EXPORT, FIND_BOAR
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 _JOB_ID = "01890a5e-1f3b-7d52-9c41-5a6f0b1c2d3e"
 _CALIBRATION_ID = "01890a5b-9d2c-7f10-8a11-2b3c4d5e6f70"
+_LINK_ID = "01890a66-3b8e-7a60-9d11-7c8d9e0f1a2b"
 _SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 UPLOAD_IDS = [f"01890a5c-7c1e-7a4b-8f00-00000000000{index}" for index in range(3)]
@@ -17,6 +18,7 @@ PATH_PARAMETERS = {
     "calibration_id": _CALIBRATION_ID,
     "session_id": _SESSION_ID,
     "job_id": _JOB_ID,
+    "link_id": _LINK_ID,
     "upload_id": UPLOAD_IDS[0],
     "name": "person-1.bvh",
     "sample_file": "cam01.mp4",
@@ -69,6 +71,7 @@ DOCUMENTS: dict[str, Any] = {
         "people": "auto",
         "exports": ["bvh"],
     },
+    "link": {"scope": "file", "name": "person-1.bvh", "expires_in_s": 900.0},
     "rename": {"name": "Handshake, take 4"},
     "calibration_spec": {"method": "board", "name": "Studio B", "board": "charuco:7x5:0.06:0.045:DICT_4X4_50"},
 }
@@ -222,6 +225,15 @@ _RESULTS: dict[str, Any] = {
     ]
 }
 
+_LINK: dict[str, Any] = {
+    "id": _LINK_ID,
+    "job_id": _JOB_ID,
+    "scope": "file",
+    "name": "person-1.bvh",
+    "created_at": "2026-03-01T09:40:00Z",
+    "expires_at": "2026-03-01T09:55:00Z",
+}
+
 _ATTEMPTS: dict[str, Any] = {
     "attempts": [
         {
@@ -347,6 +359,8 @@ ANSWERS: dict[str, dict[str, Any]] = {
     "JobPage": {"jobs": [_JOB], "next_cursor": None},
     "AttemptList": _ATTEMPTS,
     "ResultList": _RESULTS,
+    "NewLink": _LINK | {"url": f"/v1/jobs/{_JOB_ID}/results/person-1.bvh?link=mcl_..."},
+    "LinkList": {"links": [_LINK]},
     "Caller": {
         "tenant": "studio-a",
         "name": "portal",

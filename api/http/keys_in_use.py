@@ -1,4 +1,4 @@
-"""Keys of running requests: a request ends when its key is revoked or expires.
+"""Keys and links of running requests: a request ends when its key or its link is revoked or expires.
 
 Event streams and downloads may run for hours after their key was checked.
 """
@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 from collections import defaultdict
 from collections.abc import Iterator
+from typing import Literal, NamedTuple
 
 import structlog
 from starlette.concurrency import run_in_threadpool
@@ -20,40 +21,47 @@ _log = structlog.get_logger(__name__)
 _INTERVAL_S = 0.25
 
 
-class KeysInUse:
-    """Polls the validity of the keys of running requests, with one query for all keys.
+class Credential(NamedTuple):
+    """Key or link of a request.
 
-    Other processes revoke keys too, so the database is polled.
+    Parameters
+    ----------
+    id
+        ``None`` for a request without a key, which is allowed as long as the service has no keys.
+    """
+
+    kind: Literal["key", "link"]
+    id: str | None
+
+
+class KeysInUse:
+    """Polls the validity of the keys and links of running requests, with one query for all of a kind.
+
+    Other processes revoke them too, so the database is polled.
 
     Parameters
     ----------
     store
-        Job store with the keys.
+        Job store with the keys and the links.
     """
 
     def __init__(self, store: JobStore) -> None:
         self._store = store
-        self._requests: defaultdict[str | None, set[asyncio.Event]] = defaultdict(set)
+        self._requests: defaultdict[Credential, set[asyncio.Event]] = defaultdict(set)
         self._in_use = asyncio.Event()
 
     @contextlib.contextmanager
-    def watching(self, key_id: str | None) -> Iterator[asyncio.Event]:
-        """Watch a key during the block; the event is set when the key is no longer valid.
-
-        Parameters
-        ----------
-        key_id
-            ``None`` for a request without a key, which is allowed as long as the service has no keys.
-        """
+    def watching(self, credential: Credential) -> Iterator[asyncio.Event]:
+        """Watch a key or link during the block; the event is set when it is no longer valid."""
         ended = asyncio.Event()
-        self._requests[key_id].add(ended)
+        self._requests[credential].add(ended)
         self._in_use.set()
         try:
             yield ended
         finally:
-            self._requests[key_id].discard(ended)
-            if not self._requests[key_id]:
-                del self._requests[key_id]
+            self._requests[credential].discard(ended)
+            if not self._requests[credential]:
+                del self._requests[credential]
 
     async def poll(self) -> None:
         """Poll the database as long as a key is in use; runs until it is canceled."""
@@ -71,21 +79,23 @@ class KeysInUse:
     async def _poll_once(self) -> None:
         watched = set(self._requests)
         valid = await run_in_threadpool(self._valid, watched)
-        for key_id in watched - valid:
-            for ended in self._requests.get(key_id, ()):
+        for credential in watched - valid:
+            for ended in self._requests.get(credential, ()):
                 ended.set()
 
-    def _valid(self, watched: set[str | None]) -> set[str | None]:
-        valid: set[str | None] = set()
-        if named := {key_id for key_id in watched if key_id is not None}:
-            valid |= self._store.keys.valid(named)
-        if None in watched and not self._store.keys.exist():
-            valid.add(None)
+    def _valid(self, watched: set[Credential]) -> set[Credential]:
+        valid = set[Credential]()
+        if keys := {one.id for one in watched if one.kind == "key" and one.id is not None}:
+            valid |= {Credential("key", key_id) for key_id in self._store.keys.valid(keys)}
+        if links := {one.id for one in watched if one.kind == "link" and one.id is not None}:
+            valid |= {Credential("link", link_id) for link_id in self._store.link_secrets.valid(links)}
+        if Credential("key", None) in watched and not self._store.keys.exist():
+            valid.add(Credential("key", None))
         return valid
 
 
 class RevokedKeyGuard(HttpMiddleware):
-    """Report the client as disconnected to a request whose key is no longer valid.
+    """Report the client as disconnected to a request whose key or link is no longer valid.
 
     The request's body is not read any further, its response breaks off, and the connection is closed.
     """
@@ -98,7 +108,7 @@ class RevokedKeyGuard(HttpMiddleware):
         async def receive_while_valid() -> Message:
             nonlocal ended, complete
             if ended is None and (caller := scope["state"].get("caller")) is not None:
-                ended = watches.enter_context(keys_in_use.watching(caller.key.id if caller.key else None))
+                ended = watches.enter_context(keys_in_use.watching(caller.credential))
             if ended is None or not complete:
                 # The next piece of a body arrives soon: `SlowClientGuard` ends the request otherwise.
                 message = await receive()

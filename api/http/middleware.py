@@ -52,6 +52,10 @@ class RequestContext(HttpMiddleware):
         started_s = time.monotonic()
         status = 0
 
+        def is_by_link() -> bool:
+            caller = scope["state"].get("caller")
+            return caller is not None and caller.link is not None
+
         async def send_with_headers(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
@@ -59,6 +63,9 @@ class RequestContext(HttpMiddleware):
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = request_id
                 headers.update(scope["state"].get("rate_limit", {}))
+                if is_by_link():
+                    # Pages of other origins may show what their link opens; the link is no right of the browser's.
+                    headers["Cross-Origin-Resource-Policy"] = "cross-origin"
                 for name, value in SAFE_HEADERS.items():
                     headers.setdefault(name, value)
             await send(message)
@@ -74,10 +81,12 @@ class RequestContext(HttpMiddleware):
             _log.info(
                 "request",
                 method=scope["method"],
+                # Without the query, which may have the secret of a link.
                 path=scope["path"][:_MAX_LOGGED_PATH],
                 status=status,
                 seconds=round(seconds, 4),
                 **({"tenant": key.tenant, "key": key.id} if key else {}),
+                **({"tenant": caller.tenant, "link": caller.link.id} if caller and caller.link else {}),
             )
 
 

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Header, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from api.auth import AnyCallerDep, RecordsDep
+from api.auth import Caller, EventsViewDep, ViewerDep
 from api.contract.description import problems
 from api.contract.examples import EVENT
 from api.dependencies import JobId, Services, ServicesDep
@@ -53,8 +53,8 @@ _STREAM: dict[str, Any] = {"text/event-stream": {"schema": _EVENT, "example": EV
 async def stream_job_events(
     job_id: JobId,
     services: ServicesDep,
-    records: RecordsDep,
-    caller: AnyCallerDep,
+    records: EventsViewDep,
+    caller: ViewerDep,
     last_event_id: Annotated[str | None, Header(description="Id of the last event that the client has seen.")] = None,
 ) -> Response:
     """Follow a job. An event `job` holds the whole job: at the start, after every change, and at the end.
@@ -70,16 +70,19 @@ async def stream_job_events(
     seen_all = last_event_id == str(change.event)
     if seen_all and (await run_in_threadpool(records.jobs.get, job_id)).state in FINISHED:
         return Response(status_code=204)
-    events = _events(services, owner, job_id, change if seen_all else None)
+    events = _events(services, caller, job_id, change if seen_all else None)
     return EventSourceResponse(
         events, ping=_PING_S, send_timeout=_SEND_TIMEOUT_S, headers={"Cache-Control": "no-store"}
     )
 
 
-async def _events(services: Services, owner: str, job_id: str, known: Change | None) -> AsyncIterator[ServerSentEvent]:
-    async for update in services.changes.follow(owner, job_id, known):
+async def _events(
+    services: Services, caller: Caller, job_id: str, known: Change | None
+) -> AsyncIterator[ServerSentEvent]:
+    async for update in services.changes.follow(caller.owner, job_id, known):
         if update.job is None:
             yield ServerSentEvent(event="gone", data="{}")
         else:
-            document = JobOut.of(update.job).model_dump_json()
+            job = JobOut.of(update.job)
+            document = (job.for_link() if caller.link else job).model_dump_json()
             yield ServerSentEvent(event="job", id=str(update.event), data=document, retry=_RETRY_MS)

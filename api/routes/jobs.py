@@ -7,7 +7,7 @@ import structlog
 from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
-from api.auth import RecordsDep
+from api.auth import JobViewDep, RecordsDep, ViewerDep
 from api.contract import examples
 from api.contract.description import (
     RETRY_AFTER,
@@ -154,9 +154,10 @@ def list_session_jobs(
     response_model=JobOut,
     responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
-def get_job(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
+def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a job: its state, its stages, how far they are."""
-    return conditional(JobOut.of(records.jobs.get(job_id)), if_none_match)
+    job = JobOut.of(records.jobs.get(job_id))
+    return conditional(job.for_link() if viewer.link else job, if_none_match)
 
 
 @small.get(

@@ -9,7 +9,7 @@ from typing import Annotated, Any, BinaryIO
 
 from fastapi import APIRouter, Header, Query, Response
 
-from api.auth import RecordsDep
+from api.auth import JobViewDep
 from api.contract.description import answer, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.downloads import Download, Stream, opened
@@ -71,7 +71,7 @@ class _Part:
     responses={200: answer("MotionDescription") | {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 410)},
 )
 def get_motion_description(
-    job_id: JobId, services: ServicesDep, records: RecordsDep, if_none_match: IfNoneMatch = None
+    job_id: JobId, services: ServicesDep, records: JobViewDep, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Describe a job's motion: people, joints, cameras, heat strips, and the structure of a frame's record."""
     result = _result(records, job_id, DESCRIPTION)
@@ -97,7 +97,7 @@ def get_motion_description(
 def get_motion(
     job_id: JobId,
     services: ServicesDep,
-    records: RecordsDep,
+    records: JobViewDep,
     first: Annotated[int, Query(alias="from", ge=0, description="First output frame.")] = 0,
     stop: Annotated[
         int | None, Query(alias="to", ge=0, description="Frame after the last one; without it all.")

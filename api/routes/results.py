@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request, Response
 from zipstream import ZIP_DEFLATED, ZipStream
 
-from api.auth import RecordsDep
+from api.auth import ALL_RESULTS, FileViewDep, JobViewDep
 from api.contract.description import answer, problems
 from api.dependencies import JobId, Services, ServicesDep
 from api.downloads import (
@@ -40,14 +40,14 @@ _FILE: dict[str, Any] = {
     summary="List a job's result files",
     responses={200: answer("ResultList"), **problems(404, 409)},
 )
-def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
+def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     """List the result files of a finished job."""
     results = records.results.of_job(job_id)
     return ResultList(results=tuple(ResultOut.of(job_id, result) for result in results))
 
 
 @router.get(
-    "/results.zip",
+    f"/{ALL_RESULTS}",
     operation_id="getAllResults",
     summary="Download all result files",
     response_class=Response,
@@ -60,7 +60,7 @@ def list_results(job_id: JobId, records: RecordsDep) -> ResultList:
         **problems(404, 409, 410),
     },
 )
-def get_all_results(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Response:
+def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) -> Response:
     """Download all result files of a job as one archive."""
     results = records.results.of_job(job_id)
     _require_whole(services, results)
@@ -106,7 +106,7 @@ def get_result(
     ],
     request: Request,
     services: ServicesDep,
-    records: RecordsDep,
+    records: FileViewDep,
     conditions: ConditionsDep,
 ) -> Response:
     """Download a result file: the whole file, or a range, such as the rest of an interrupted download."""

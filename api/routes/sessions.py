@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
-from api.auth import RecordsDep
+from api.auth import JobViewDep, RecordsDep, ViewerDep
 from api.contract import examples
 from api.contract.description import answer, location, problems, session_body
 from api.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
@@ -82,9 +82,12 @@ def list_sessions(
     response_model=SessionOut,
     responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
-def get_session(session_id: SessionId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
+def get_session(
+    session_id: SessionId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None
+) -> Response:
     """Read a session: its files, what was found in them, and the number of its jobs with the newest one."""
-    return conditional(SessionOut.of(records.sessions.capture(session_id)), if_none_match)
+    session = SessionOut.of(records.sessions.capture(session_id))
+    return conditional(session.for_link() if viewer.link else session, if_none_match)
 
 
 @small.patch(

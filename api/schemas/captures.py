@@ -272,6 +272,10 @@ class SessionOut(ResponseModel):
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )
 
+    def for_link(self) -> Self:
+        """Session as a link to one of its jobs shows it: nothing of its other jobs, and no data of the client."""
+        return self.model_copy(update={"num_jobs": 1, "newest_job": None, "metadata": {}})
+
 
 class SessionPage(ResponseModel):
     """Page of sessions, the newest session first."""

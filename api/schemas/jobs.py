@@ -189,6 +189,11 @@ class JobOut(ResponseModel):
             ),
         )
 
+    def for_link(self) -> Self:
+        """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
+        links = self.links.model_copy(update={"cancel": None, "retry": None})
+        return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
+
 
 class JobPage(ResponseModel):
     """Page of jobs, the newest job first."""

@@ -20,7 +20,7 @@ from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.small_disk import fill, small_disk
 from worker.jobs.files.stores import default_data_dir
-from worker.jobs.model import Key, Scope
+from worker.jobs.model import Actor, Key, LinkScope, Scope
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
 OPERATIONS = [
@@ -68,6 +68,8 @@ class Guarded:
             options.setdefault("files", form())
         if (method, path) == ("PATCH", "/v1/sessions/{session_id}"):
             options.setdefault("json", {"name": "walk"})
+        if (method, path) == ("POST", "/v1/jobs/{job_id}/links"):
+            options.setdefault("json", {"scope": "job"})
         if path.startswith("/v1/uploads"):
             headers |= TUS
             options |= {"content": b"video"} if method == "PATCH" else {}
@@ -85,7 +87,7 @@ def refused(answer: httpx2.Response, status: int, code: str) -> None:
 @pytest.fixture(scope="module")
 def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
     with running(make_settings(max_json_bytes=64 * 1024, max_wrong_keys_per_minute=100_000)) as live:
-        _, theirs = live.services.store.keys.add("theirs", "portal", USUAL)
+        key, theirs = live.services.store.keys.add("theirs", "portal", USUAL)
         _, mine = live.services.store.keys.add("mine", "portal", ALL)
         live.client.headers["Authorization"] = f"Bearer {theirs}"
         job_id = live.job_id()
@@ -96,13 +98,14 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
         upload = live.client.post("/v1/uploads", headers=TUS).headers["location"]
         del live.client.headers["Authorization"]
-        records = live.services.store.of("theirs")
+        records = live.services.store.of("theirs", actor=Actor(key.id))
         ids = {
             "calibration_id": records.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id,
             "session_id": session_id,
             "job_id": job_id,
             "name": "person-1.bvh",
             "camera": "cam_0",
+            "link_id": records.links.add(job_id, LinkScope.EVENTS, None, 3600.0)[0].id,
             "upload_id": upload.rpartition("/")[2],
         }
         yield Guarded(live, ids, theirs, mine)

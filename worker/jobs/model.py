@@ -372,6 +372,37 @@ class Delivery:
     problem: str | None
 
 
+class LinkScope(StrEnum):
+    """What a link opens."""
+
+    FILE = "file"  # one result file, or all as a zip
+    VIDEO = "video"  # the video of one camera
+    EVENTS = "events"  # the event stream
+    JOB = "job"  # the job to look at: all of these, and what viewers read
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Link that opens something of a job without a key, until ``expires_at``.
+
+    Parameters
+    ----------
+    session_id
+        Session of the job.
+    name
+        Name of the result file or of the camera; ``None`` for scopes without one.
+    """
+
+    id: str
+    tenant: str
+    job_id: str
+    session_id: str
+    scope: LinkScope
+    name: str | None
+    created_at: datetime
+    expires_at: datetime
+
+
 @dataclass(frozen=True, slots=True)
 class WebhookSecret:
     """Secret that signs webhook messages, until ``expires_at`` if there is a newer one."""

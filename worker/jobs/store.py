@@ -12,12 +12,13 @@ from worker.jobs.database.tables import sessions
 from worker.jobs.database.totals import read_figures
 from worker.jobs.model import Actor, Figures
 from worker.jobs.repositories.audit import Audit
-from worker.jobs.repositories.browser_sessions import BrowserSessions
 from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
-from worker.jobs.repositories.keys import Keys
 from worker.jobs.repositories.results import Results
+from worker.jobs.repositories.rights.browser_sessions import BrowserSessions
+from worker.jobs.repositories.rights.keys import Keys
+from worker.jobs.repositories.rights.links import Links, LinkSecrets
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.repositories.uploads import Uploads
 from worker.jobs.repositories.webhook_secrets import WebhookSecrets
@@ -55,6 +56,7 @@ class JobStore:
         self.results = Results(access)
         self.uploads = Uploads(access)
         self.idempotency_keys = IdempotencyKeys(access)
+        self.links = Links(access)
         # Of the workers.
         self.leases = Leases(self._database)
         self.outputs = Outputs(self._database)
@@ -66,6 +68,7 @@ class JobStore:
         # Of the operator.
         self.keys = Keys(self._database)
         self.browser_sessions = BrowserSessions(self._database)
+        self.link_secrets = LinkSecrets(self._database)
         self.webhook_secrets = WebhookSecrets(self._database)
         self.audit = Audit(self._database)
 

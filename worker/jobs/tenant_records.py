@@ -12,6 +12,7 @@ from worker.jobs.repositories.calibrations import Calibrations
 from worker.jobs.repositories.idempotency_keys import IdempotencyKeys
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
+from worker.jobs.repositories.rights.links import Links
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.repositories.uploads import Uploads
 from worker.jobs.repositories.webhook_secrets import read_secrets
@@ -31,6 +32,7 @@ class TenantRecords:
         self.results = Results(access)
         self.uploads = Uploads(access)
         self.idempotency_keys = IdempotencyKeys(access)
+        self.links = Links(access)
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator["TenantRecords"]:

@@ -19,7 +19,7 @@ from pipeline.config import networks_of
 from pipeline.detect import models
 from pipeline.runtime.child_processes import module_command
 from worker.jobs.files.private_files import keep_files_private
-from worker.jobs.repositories.keys import Keys
+from worker.jobs.repositories.rights.keys import Keys
 from worker.jobs.spec import JobSpec
 from worker.process import embedded
 from worker.process.descriptors import raise_descriptor_limit

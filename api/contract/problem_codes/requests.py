@@ -44,6 +44,12 @@ ANSWERS = CodeGroup(
             "Send `Authorization: Bearer mc_...` with a key that `multicap keys create` made.",
         ),
         ProblemCode(
+            "link_unknown",
+            ("401",),
+            "The link in the address is not known, has ended or was revoked.",
+            "Ask for a new link.",
+        ),
+        ProblemCode(
             "scope_missing",
             ("403",),
             "The key does not have the scope that the call needs.",

@@ -52,13 +52,13 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert schema["openapi"].startswith("3.1")
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
-        "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createSession",
-        "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession", "deleteUpload",
-        "describeUploads", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller", "getHealth", "getJob",
-        "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSession",
-        "getSessionVideo", "getUpload", "listAttempts", "listCalibrations", "listJobs", "listResults",
-        "listSessionJobs", "listSessions",
-        "openBrowserSession", "renameSession", "retryJob", "streamJobEvents",
+        "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createLink",
+        "createSession", "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession",
+        "deleteUpload", "describeUploads", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller",
+        "getHealth", "getJob", "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness",
+        "getResult", "getSample", "getSampleFile", "getSession", "getSessionVideo", "getUpload", "listAttempts",
+        "listCalibrations", "listJobs", "listLinks", "listResults", "listSessionJobs", "listSessions",
+        "openBrowserSession", "renameSession", "retryJob", "revokeLink", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
     for operation in operations(schema):
@@ -76,7 +76,11 @@ def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
 
 def test_ways_to_authorize_are_declared(schema: dict[str, Any]) -> None:
     schemes = schema["components"]["securitySchemes"]
-    assert {name: one["type"] for name, one in schemes.items()} == {"key": "http", "browser": "apiKey"}
+    assert {name: one["type"] for name, one in schemes.items()} == {
+        "key": "http",
+        "browser": "apiKey",
+        "link": "apiKey",
+    }
     used = {name for operation in operations(schema) for way in operation["security"] for name in way}
     assert used == schemes.keys()
 
@@ -137,6 +141,7 @@ def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
                 "getMetrics",
                 "getOptions",
                 "getReadiness",
+                "getSample",
             }
 
 

@@ -310,6 +310,21 @@ browser_sessions = Table(
     Column("expires_at", UtcTimestamp, nullable=False),
 )
 
+# Links: addresses that open something of a job without a key, for a while. Old rows are deleted when a link is made.
+links = Table(
+    "links",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("sha256", String(64), nullable=False, unique=True),  # of the secret, which is not stored
+    Column("tenant", String(64), nullable=False),
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False, index=True),
+    Column("key_id", ForeignKey("keys.id", ondelete="CASCADE")),  # that made it; null: the service had no keys
+    Column("scope", String(16), nullable=False),
+    Column("name", String),  # of the file or of the camera that it opens; null: the scope has none
+    Column("created_at", UtcTimestamp, nullable=False),
+    Column("expires_at", UtcTimestamp, nullable=False, index=True),
+)
+
 # Audit events. Rows are never changed, and stay when their subject is deleted.
 audit = Table(
     "audit",

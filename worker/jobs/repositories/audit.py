@@ -1,4 +1,4 @@
-"""Audit: events of what was done to sessions, jobs, uploads and keys, and by which key.
+"""Audit: events of what was done to sessions, jobs, uploads, links and keys, and by which key.
 
 An event is recorded in the transaction of the action, and outlives its subject.
 """
@@ -27,6 +27,8 @@ class AuditAction(StrEnum):
     UPLOAD_DELETED = "upload-deleted"
     CALIBRATION_CREATED = "calibration-created"
     CALIBRATION_DELETED = "calibration-deleted"
+    LINK_CREATED = "link-created"
+    LINK_REVOKED = "link-revoked"
     KEY_CREATED = "key-created"
     KEY_REVOKED = "key-revoked"
     WEBHOOK_SECRET_MADE = "webhook-secret-made"  # noqa: S105 - an action

@@ -7,9 +7,10 @@ import pytest
 from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
 from worker.jobs.database.quotas import Quotas
 from worker.jobs.errors import NotFound
-from worker.jobs.model import Actor, Problem
+from worker.jobs.model import Actor, LinkScope, Problem
 from worker.jobs.repositories.jobs import Jobs
 from worker.jobs.repositories.results import Results
+from worker.jobs.repositories.rights.links import Links
 from worker.jobs.repositories.sessions import Sessions
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -49,6 +50,8 @@ ACTS: dict[str, Act] = {
     "results.of_job": lambda records, session_id, job_id: records.results.of_job(job_id),
     "results.all_of_job": lambda records, session_id, job_id: records.results.all_of_job(job_id),
     "results.get": lambda records, session_id, job_id: records.results.get(job_id, "person-1.bvh"),
+    "links.add": lambda records, session_id, job_id: records.links.add(job_id, LinkScope.JOB, None, 60.0),
+    "links.of_job": lambda records, session_id, job_id: records.links.of_job(job_id),
     "jobs.cancel": lambda records, session_id, job_id: records.jobs.cancel(job_id),
     "jobs.retry": lambda records, session_id, job_id: records.jobs.retry(job_id, stages(1)),
     "jobs.delete": lambda records, session_id, job_id: records.jobs.delete(job_id),
@@ -67,11 +70,14 @@ def test_nothing_can_be_done_with_another_s(jobs: Bench, act: str) -> None:
 def test_every_act_is_tried() -> None:
     public = {
         f"{resource.__name__.lower()}.{name}"
-        for resource in (Sessions, Jobs, Results)
+        for resource in (Sessions, Jobs, Results, Links)
         for name in vars(resource)
         if not name.startswith("_")
     }
-    assert public - set(ACTS) == {"sessions.add", "sessions.reserve_id", "sessions.page", "jobs.page", "jobs.changes"}
+    assert public - set(ACTS) == {
+        *("sessions.add", "sessions.reserve_id", "sessions.page", "jobs.page", "jobs.changes"),
+        "links.revoke",  # tests/worker/jobs/repositories/rights/test_links.py tries it
+    }
 
 
 def test_a_job_is_of_its_session_s_tenant(jobs: Bench) -> None:

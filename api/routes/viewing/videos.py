@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
 
-from api.auth import RecordsDep
+from api.auth import VideoViewDep
 from api.contract.description import problems
 from api.dependencies import ServicesDep, SessionId
 from api.downloads import ConditionsDep, Download, file_responses, send_file
@@ -38,7 +38,7 @@ def get_session_video(
     camera: Camera,
     request: Request,
     services: ServicesDep,
-    records: RecordsDep,
+    records: VideoViewDep,
     conditions: ConditionsDep,
 ) -> Response:
     """Watch the video of a camera, or a range of the file, as players ask for it.

@@ -9,7 +9,7 @@ from worker.jobs.database.tables import browser_sessions, keys
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.model import Actor, Key
 from worker.jobs.repositories.audit import AuditAction, record_event
-from worker.jobs.repositories.keys import digest, is_valid, key_of
+from worker.jobs.repositories.rights.keys import digest, is_valid, key_of
 
 _SECRET_BYTES = 32
 

@@ -1,0 +1,1 @@
+"""Rights to reach records: keys of tenants, browsers that have shown one, links."""
