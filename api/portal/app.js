@@ -99,6 +99,7 @@ function showEntrance(problem = null) {
 }
 
 async function leave() {
+  sending.clear(); // the next person at this browser may have another key
   await call("/v1/browser-session", { method: "DELETE" }).catch(() => null);
   showEntrance();
 }
@@ -117,6 +118,7 @@ async function enter() {
   await feed.start();
   if (caller === null) return; // signed out meanwhile
   showStatus();
+  if (caller.scopes.includes("write")) sending.resume();
   await navigate({ isFirst: true });
 }
 

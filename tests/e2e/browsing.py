@@ -42,4 +42,4 @@ def opened(url: str, viewport: ViewportSize = DESKTOP, *, allowed: tuple[str, ..
         page.goto(url)
         yield page
         browser.close()
-    assert complaints == []
+    assert complaints == [], complaints

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import subprocess
 import sys
 import zipfile
@@ -79,13 +80,11 @@ def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Se
     page.get_by_role("link", name="New capture").click()
     page.get_by_label("Stored calibration").select_option("<i>Studio</i> B")
     choose(page, *sample.videos.values())
-    with page.expect_request("**/v1/jobs") as sent:
+    with page.expect_response("**/v1/sessions/*/jobs", timeout=120_000) as answer:
         page.get_by_role("button", name="Send and reconstruct").click()
-    answer = sent.value.response()
-    assert answer is not None
-    files = served.client.get(served.job(answer.json()["id"])["links"]["session"]).json()["files"]
+    files = served.client.get(answer.value.json()["links"]["session"]).json()["files"]
     assert [one["name"][:12] for one in files if one["kind"] == "calibration"] == ["calibration-"]
-    served.client.post(f"/v1/jobs/{answer.json()['id']}/cancel")
+    served.client.post(f"/v1/jobs/{answer.value.json()['id']}/cancel")
     page.get_by_role("link", name="Calibrations", exact=True).click()
     stored.get_by_role("button", name="Delete").click()
     page.get_by_role("dialog").get_by_role("button", name="Delete the calibration").click()
@@ -108,6 +107,49 @@ def test_all_problems_of_a_capture_are_shown(served: Served, sample: Sample, tmp
         expect(problems).to_contain_text("cam01.mp4", timeout=60_000)
         expect(problems).to_contain_text("cam02.mp4")
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
+
+
+def throttle(page: Page, bytes_per_s: int) -> None:
+    """Limit what the browser sends; -1: no limit."""
+    session = page.context.new_cdp_session(page)
+    session.send("Network.enable")
+    speed = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": bytes_per_s}
+    session.send("Network.emulateNetworkConditions", speed)
+
+
+def test_an_upload_is_cut_by_a_reload_and_goes_on(page: Page, served: Served, sample: Sample) -> None:
+    offsets: list[int] = []
+    page.on("request", lambda one: offsets.append(int(one.headers["upload-offset"])) if one.method == "PATCH" else None)
+    choose(page, *sample.videos.values(), sample.calibration)
+    expect(page.get_by_label("Camera of cam04.mp4")).to_have_value("cam04", timeout=60_000)
+    page.get_by_label("Offset in seconds of cam03.mp4").fill("0.25")
+    throttle(page, 150_000)
+    page.get_by_role("button", name="Send and reconstruct").click()
+    expect(page.get_by_role("link", name=re.compile(r"Sending, [1-9]\d %"))).to_be_visible(timeout=60_000)
+    assert set(offsets) <= {0}
+    page.get_by_label("Name of the take").fill("Cut and gone on")  # typed while files are sent
+    page.get_by_role("radio", name="Blender").check()
+    page.get_by_role("button", name="Pause").click()
+    expect(page.get_by_role("button", name="Go on")).to_be_visible()
+    page.get_by_role("button", name="Go on").click()
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    page.wait_for_timeout(1000)  # the draft is stored
+    page.reload()
+    expect(page.get_by_text("The upload was interrupted")).to_be_visible()
+    offsets.clear()
+    throttle(page, -1)
+    with page.expect_response("**/v1/sessions/*/jobs", timeout=120_000) as answer:
+        choose(page, *sample.videos.values())
+    job = answer.value.json()
+    served.client.post(f"/v1/jobs/{job['id']}/cancel")
+    assert max(offsets) > 0, "every file was sent from its start"
+    assert sum(offsets) < sum(path.stat().st_size for path in sample.videos.values())
+    assert (job["session_name"], job["spec"]["bvh"]) == ("Cut and gone on", "blender")
+    session = served.client.get(job["links"]["session"]).json()
+    starts = {one["name"]: one["start_time_s"] for one in session["preflight"]["cameras"]}
+    assert starts["cam03"] - starts["cam01"] == pytest.approx(0.25, abs=1e-3)
+    sizes = {one["name"]: one["num_bytes"] for one in session["files"] if one["kind"] == "video"}
+    assert sizes == {path.name: path.stat().st_size for path in sample.videos.values()}
 
 
 def post(served: Served, jobs: str, frames: list[int]) -> dict[str, Any]:
@@ -141,7 +183,7 @@ def test_warnings_of_a_result_are_shown_and_no_retry_that_would_fail_the_same_wa
     expect(warned.get_by_role("list", name="Warnings of Two cameras")).to_contain_text("The session has 2 cameras")
     refused = card.get_by_role("listitem").filter(has_text="Failed").first
     expect(refused.get_by_role("alert")).to_contain_text(failed["error"]["detail"])
-    expect(refused.get_by_role("button", name="Delete the job of Two cameras")).to_be_visible()
+    expect(refused.get_by_role("button", name="Delete job of Two cameras")).to_be_visible()
     for row in (warned, refused):
         expect(row.get_by_role("button", name="Retry Two cameras")).to_have_count(0)
         expect(row.get_by_role("button", name="Cancel Two cameras")).to_have_count(0)

@@ -5,6 +5,8 @@ import { html, live, nothing } from "../shared/lit.js";
 import { warningList } from "../shared/problem.js";
 import { ACCEPTED_CALIBRATIONS } from "./files.js";
 
+const UNITS = [["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
+
 function factsOf(calibration) {
   const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : "size unknown")))];
   const errors = (calibration.report?.cameras ?? []).map((one) => one.reprojection_error_px).filter((one) => one != null);
@@ -35,5 +37,8 @@ export function calibrationPart({ sending, stored, choose, sendFile, isLocked })
     ${sending.isReadingCalibration ? html`<p class="notice" role="status">Checking the calibration …</p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
       ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
+    ${sending.calibrationFile ? html`<label class="field unit"><span>Unit of length, if the file does not state it</span>
+      <select ?disabled=${isLocked} @change=${(event) => sendFile(sending.calibrationFile.file, event.target.value)}>
+        ${UNITS.map(([unit, label]) => html`<option value=${unit} .selected=${live(unit === sending.calibrationFile.units)}>${label}</option>`)}</select></label>` : nothing}
     <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
 }

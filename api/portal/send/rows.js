@@ -34,7 +34,6 @@ function cameraField(row, sending, change, isLocked) {
 export function fileTable({ sending, change, remove }) {
   const isLocked = sending.phase !== "draft" && sending.phase !== "sending" && sending.phase !== "paused";
   const hasVideos = sending.rows.some(({ kind }) => kind === "video");
-  const findings = sending.session?.preflight.findings ?? [];
   return html`<div class="scroll" role="region" aria-label="Files" tabindex="0"><table class="files">
     <caption class="unseen">Files of the capture</caption>
     <thead><tr>
@@ -60,7 +59,7 @@ export function fileTable({ sending, change, remove }) {
         <td><button type="button" class="button ghost icon" aria-label="Remove ${row.name}" title="Remove" ?disabled=${isLocked}
           @click=${(event) => remove(row, event.target)}>✕</button></td>
       </tr>
-      ${findingList(findings.filter(({ camera }) => camera === row.camera && camera), (list) => html`<tr class="of-camera"><td></td><td colspan="6">${list}</td></tr>`)}
+      ${findingList(sending.findingsOf(row), (list) => html`<tr class="of-camera"><td></td><td colspan="6">${list}</td></tr>`)}
     `)}</tbody>
   </table></div>`;
 }

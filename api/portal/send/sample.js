@@ -18,11 +18,12 @@ export function sampleButton({ sending, draw, failed }) {
     try {
       const sample = await call("/v1/sample");
       if (!sample.installed) {
-        throw new Problem({ detail: "The sample capture is not installed on the service.", hint: `Its operator installs it by \`${sample.install}\`.` });
+        throw new Problem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
       }
       const files = await Promise.all(sample.files.map(fetchFile));
       sending.draft.name ||= "Sample capture";
       await sending.add(files);
+      sending.notes.push(sample.attribution);
       await sending.send();
     } catch (problem) {
       failed(problem);

@@ -2,9 +2,10 @@
 // while another view is open.
 
 import { announce } from "../shared/announce.js";
-import { call, jsonPart, Problem } from "../shared/api.js";
+import { call, Problem } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { count, percent, stem } from "../shared/format.js";
+import { count, percent } from "../shared/format.js";
+import { storedCalibration } from "./calibration_file.js";
 import { emptyDraft, isSame, loadDraft, rowOf, saveDraft } from "./draft.js";
 import { kindOf, matchCameras } from "./files.js";
 import { discard, upload } from "./uploader.js";
@@ -17,6 +18,7 @@ const STILL_CHECKING_MS = 1500;
 class Sending extends EventTarget {
   draft = loadDraft();
   calibration = null; // the chosen one, with its cameras
+  calibrationFile = null; // its file and the unit of length, if it was chosen as a file
   phase = "draft"; // draft, sending, paused, checking, checked, starting
   problem = null;
   isReadingCalibration = false; // whether a calibration file is being checked
@@ -27,16 +29,25 @@ class Sending extends EventTarget {
   #saveTimer = 0;
   #frame = 0;
   #cut = false;
+  #isResumed = false;
 
-  constructor() {
-    super();
-    this.#saved();
+  // Go on with what a former page has left, once the caller is known.
+  async resume() {
+    if (this.#isResumed) return;
+    this.#isResumed = true;
+    if (this.draft.calibrationId) await this.chooseCalibration(this.draft.calibrationId).catch(() => null);
+    if (this.draft.request) await this.#check().catch((problem) => this.#fail(problem));
+    else if (this.draft.sessionId) await this.#recall();
   }
 
-  // Go on with what a former page has left.
-  async #saved() {
-    if (this.draft.calibrationId) await this.chooseCalibration(this.draft.calibrationId).catch(() => null);
-    if (this.draft.request) await this.#request().catch((problem) => this.#fail(problem));
+  // A capture that was checked before the page was loaded anew.
+  async #recall() {
+    try {
+      this.session = await call(`/v1/sessions/${this.draft.sessionId}`);
+      this.#go("checked");
+    } catch {
+      this.clear();
+    }
   }
 
   get rows() { return this.draft.rows; }
@@ -59,13 +70,19 @@ class Sending extends EventTarget {
   }
 
   changed() {
-    clearTimeout(this.#saveTimer);
-    this.#saveTimer = setTimeout(() => saveDraft(this.draft), SAVE_MS);
+    // Not postponed by later changes: a running upload reports its progress all the time.
+    this.#saveTimer ||= setTimeout(() => this.save(), SAVE_MS);
     if (this.#frame) return;
     this.#frame = requestAnimationFrame(() => {
       this.#frame = 0;
       this.dispatchEvent(new Event("change"));
     });
+  }
+
+  save() {
+    clearTimeout(this.#saveTimer);
+    this.#saveTimer = 0;
+    saveDraft(this.draft);
   }
 
   async add(files) {
@@ -146,6 +163,7 @@ class Sending extends EventTarget {
 
   async chooseCalibration(id) {
     this.draft.calibrationId = id || null;
+    this.calibrationFile = null;
     this.calibration = null;
     this.changed();
     if (!id) return;
@@ -165,11 +183,9 @@ class Sending extends EventTarget {
     this.problem = null;
     this.isReadingCalibration = true;
     this.changed();
-    const form = new FormData();
-    form.append("spec", jsonPart({ method: "file", name: stem(file.name), units }));
-    form.append("calibration", file);
     try {
-      this.calibration = await call("/v1/calibrations", { method: "POST", form });
+      this.calibration = await storedCalibration(file, units);
+      this.calibrationFile = { file, units };
       this.draft.calibrationId = this.calibration.id;
       announce(`Calibration with ${count(this.calibration.cameras.length, "camera")}`);
       this.assignCameras();
@@ -208,29 +224,27 @@ class Sending extends EventTarget {
       this.#go("sending");
       this.draft.wasSending = true;
       if (!await this.#upload()) return;
-      const path = isCheckOnly ? "/v1/sessions" : "/v1/jobs";
-      const body = { ...this.#sessionBody(), ...(!isCheckOnly && { spec: this.draft.spec }) };
-      this.draft.request = { path, body, key: newKey() };
+      this.draft.request = { body: this.#sessionBody(), key: newKey(), isCheckOnly };
       announce("All files are sent. They are being checked.");
-      await this.#request();
+      await this.#check();
     } catch (problem) {
       this.#fail(problem);
     }
   }
 
-  // Send the request of the draft. The service answers a request that it has done before with the same answer, so that a
-  // page that was closed meanwhile can ask again.
-  async #request() {
-    const { path, body, key } = this.draft.request;
+  // Have the files checked, then reconstruct them unless the check found errors. The service answers a request that it has
+  // done before with the same answer, so that a page that was closed meanwhile can ask again.
+  async #check() {
+    const { body, key, isCheckOnly } = this.draft.request;
     this.#go("checking");
-    saveDraft(this.draft);
-    const made = await this.#answered(path, body, key);
-    this.draft.wasSending = false;
-    this.draft.request = null;
-    if (path === "/v1/jobs") return this.#sent(made);
-    this.session = made;
+    this.save();
+    this.session = await this.#answered("/v1/sessions", body, key);
+    Object.assign(this.draft, { wasSending: false, request: null, sessionId: this.session.id });
+    for (const row of this.rows) row.url = null; // the capture has the uploads now
+    this.save();
+    if (!isCheckOnly && !hasErrors(this.session)) return this.start();
     this.#go("checked");
-    announce("The files are checked.");
+    announce(hasErrors(this.session) ? "The check found errors." : "The files are checked.");
   }
 
   async #answered(path, body, key) {
@@ -267,6 +281,13 @@ class Sending extends EventTarget {
     announce(`${job.session_name} is sent. Its job waits.`);
   }
 
+  // Problems of the last answer and findings of the check that concern a file.
+  findingsOf(row) {
+    const isOf = (one) => (one.file ? one.file === row.name : Boolean(one.camera) && one.camera === row.camera);
+    const refused = (this.problem?.items ?? []).filter(isOf).map((item) => ({ ...item, severity: "error" }));
+    return [...refused, ...(this.session?.preflight.findings ?? []).filter(({ camera }) => camera && camera === row.camera)];
+  }
+
   async discardSession() {
     await call(this.session.links.self, { method: "DELETE" });
     this.clear();
@@ -289,7 +310,8 @@ class Sending extends EventTarget {
     this.draft.wasSending = false;
     this.draft.request = null;
     // An upload that the service no longer has is sent anew.
-    if (problem.code === "not_found") for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
+    const isGone = (problem.items ?? []).some(({ code }) => code === "upload_unknown");
+    if (isGone) for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
     this.#go("draft");
   }
 
@@ -350,6 +372,8 @@ class Sending extends EventTarget {
   }
 }
 
+const hasErrors = (session) => (session.preflight.findings ?? []).some(({ severity }) => severity === "error");
+
 const pick = ({ camera, isUsed, offset_s, rate, url, sent, isSent }) => ({ camera, isUsed, offset_s, rate, url, sent, isSent });
 
 const newKey = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
@@ -361,3 +385,5 @@ function folderOf(files) {
 }
 
 export const sending = new Sending();
+
+addEventListener("pagehide", () => sending.save());

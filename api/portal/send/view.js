@@ -96,9 +96,9 @@ export function open(place) {
         <button type="button" class="button" @click=${() => sending.discardSession().catch(failed)}>Discard the capture</button>`;
     }
     if (sending.phase === "paused") return html`<button type="submit" class="button primary">Go on</button>`;
-    return html`<button type="submit" class="button primary" ?disabled=${sending.isBusy}>Send and reconstruct</button>
+    return html`<button type="submit" class="button primary" aria-disabled=${sending.isBusy ? "true" : nothing}>Send and reconstruct</button>
       ${sending.phase === "sending" ? html`<button type="button" class="button" @click=${() => sending.pause()}>Pause</button>`
-        : html`<button type="button" class="button" ?disabled=${sending.isBusy} @click=${() => sending.send({ isCheckOnly: true })}>Send and check only</button>`}`;
+        : html`<button type="button" class="button" aria-disabled=${sending.isBusy ? "true" : nothing} @click=${() => sending.send({ isCheckOnly: true })}>Send and check only</button>`}`;
   }
 
   function checkPart() {
@@ -122,7 +122,7 @@ export function open(place) {
       <div class="steps">
         ${filesPart(isLocked)}
         <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
-          ${calibrationPart({ sending, stored, isLocked, choose: (id) => sending.chooseCalibration(id).catch(failed), sendFile: (file) => sending.sendCalibration(file) })}
+          ${calibrationPart({ sending, stored, isLocked, choose: (id) => sending.chooseCalibration(id).catch(failed), sendFile: (file, units) => sending.sendCalibration(file, units) })}
         </section>
         <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
           ${choicesForm({ id: "send", options, spec: sending.draft.spec, onChange: spec })}

@@ -17,7 +17,7 @@ function factsOf(session) {
   return [
     moment(session.created_at),
     count(cameras.length, "camera"),
-    length(timebase.num_frames / timebase.frame_rate_hz),
+    length(session.duration_s),
     `${timebase.num_frames} frames at ${Number(timebase.frame_rate_hz.toFixed(2))} Hz`,
     size(session.num_bytes),
   ];
@@ -39,6 +39,39 @@ function cameraTable(session) {
     ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)))}
     ${warningList(warnings.filter((warning) => !known.has(warning)), `Warnings about the files of ${session.name}`)}
   </details>`;
+}
+
+function beginRename(view, session) {
+  view.renamed = session.id;
+  view.draw();
+  const field = view.place.querySelector(".rename input");
+  field.focus();
+  field.select();
+}
+
+function renameForm(view, session) {
+  const end = () => {
+    view.renamed = null;
+    view.draw();
+    view.place.querySelector(`#rename-${session.id}`)?.focus();
+  };
+  const submit = (event) => {
+    event.preventDefault();
+    const name = event.target.elements.name.value.trim();
+    if (!name || name === session.name) return end();
+    return view.act(session.id, async () => {
+      const renamed = await call(session.links.self, { method: "PATCH", body: { name } });
+      view.sessions = view.sessions.map((one) => (one.id === session.id ? renamed : one));
+      end();
+      announce(`Renamed to ${name}.`);
+      await feed.refresh(); // jobs bear the name too
+    });
+  };
+  return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
+    <input name="name" maxlength="200" required aria-label="New name of ${session.name}" value=${session.name} autocomplete="off">
+    <button class="button small primary">Save</button>
+    <button type="button" class="button small" @click=${end}>Cancel</button>
+  </form>`;
 }
 
 export function captureCard(view, session) {
@@ -72,19 +105,20 @@ export function captureCard(view, session) {
   return html`<li class="panel capture" aria-labelledby="name-${session.id}">
     <div class="head">
       <div>
-        <h2 id="name-${session.id}">${isFootage ? "Calibration: " : ""}${session.name}</h2>
+        ${view.renamed === session.id ? renameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? "Calibration: " : ""}${session.name}</h2>`}
         <p class="quiet facts">${factsOf(session).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${view.canWrite ? html`<div class="actions">
         ${isFootage ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
-          ?disabled=${!view.options} aria-label="Run ${session.name} again with other choices" @click=${toggleForm}>${jobs.length ? "Run again …" : "Reconstruct …"}</button>`}
+          ?disabled=${!view.options} id="run-${session.id}" aria-label="${jobs.length ? "Run again" : "Reconstruct"}: ${session.name}" @click=${toggleForm}>${jobs.length ? "Run again" : "Reconstruct"}</button>`}
+        <button type="button" class="button small" id="rename-${session.id}" aria-label="Rename ${session.name}" @click=${() => beginRename(view, session)}>Rename</button>
         <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Cancel its job first." : nothing}
           aria-label="Delete ${session.name}" @click=${remove}>Delete</button>
       </div>` : nothing}
     </div>
     ${problemBox(view.problems.get(session.id))}
     ${view.opened.has(session.id) ? runAgainForm(view, session) : nothing}
-    ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job) => jobRow(view, job))}</ol>`
+    ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job, index) => jobRow(view, job, jobs.length > 1 ? jobs.length - index : null))}</ol>`
       : html`<p class="quiet">No job yet.</p>`}
     ${cameraTable(session)}
   </li>`;

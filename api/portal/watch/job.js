@@ -34,9 +34,10 @@ export function errorBox(job) {
   return problemBox({ message: where ? `${job.error.detail} (${where})` : job.error.detail, hint: advice });
 }
 
-export function jobRow(view, job) {
+// `number`: that of the job among those of its capture, from 1; null if it is the only one.
+export function jobRow(view, job, number) {
   const { words, tone } = stateOf(job);
-  const name = job.session_name;
+  const name = number === null ? job.session_name : `${job.session_name}, run ${number}`;
   const act = (path, method, said) => view.act(job.id, async () => {
     const answer = await call(path, { method });
     if (answer) feed.put(answer); else feed.remove(job.id);
@@ -51,16 +52,17 @@ export function jobRow(view, job) {
   const isOpenable = job.kind === "reconstruction";
   return html`<li class="job" id="job-${job.id}" tabindex="-1" data-tone=${tone}>
     <div class="line">
+      ${number === null ? nothing : html`<b class="run">Run ${number}</b>`}
       <span class="state" data-tone=${tone}>${words}</span>
       ${choiceList(job, view.options)}
       <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
       <div class="actions">
         ${isOpenable && job.state === "succeeded" ? html`<a class="button small primary" href=${address("jobs", job.id)} aria-label="Look at ${name}">Look</a>
-          <a class="button small" href=${job.links.results_zip} download aria-label="Download all files of ${name} as ZIP">All as ZIP</a>` : nothing}
+          <a class="button small" href=${job.links.results_zip} download aria-label="All as ZIP: ${name}">All as ZIP</a>` : nothing}
         ${isOpenable && job.state !== "succeeded" ? html`<a class="button small" href=${address("jobs", job.id)} aria-label="Details of ${name}">Details</a>` : nothing}
         ${view.canWrite && job.links.cancel ? html`<button type="button" class="button small" aria-label="Cancel ${name}" @click=${() => act(job.links.cancel, "POST", `${name} is being canceled.`)}>Cancel</button>` : nothing}
         ${view.canWrite && job.links.retry ? html`<button type="button" class="button small" aria-label="Retry ${name}" @click=${() => act(job.links.retry, "POST", `${name} waits for another attempt.`)}>Retry</button>` : nothing}
-        ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label="Delete the job of ${name}" @click=${remove}>Delete job</button>` : nothing}
+        ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label="Delete job of ${name}" @click=${remove}>Delete job</button>` : nothing}
       </div>
     </div>
     ${hasEnded(job) ? nothing : stageList(job)}

@@ -17,7 +17,7 @@ export function runAgainForm(view, session) {
   const close = () => {
     view.opened.delete(session.id);
     view.draw();
-    view.place.querySelector(`[aria-label="Run ${CSS.escape(session.name)} again with other choices"]`)?.focus();
+    view.place.querySelector(`#run-${session.id}`)?.focus();
   };
   const change = (name, value) => {
     if (value === undefined) delete spec[name]; else spec[name] = value;

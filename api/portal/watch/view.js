@@ -3,19 +3,17 @@
 import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { hasEnded, stateOf } from "../shared/jobs.js";
+import { stateOf } from "../shared/jobs.js";
 import { html, nothing, render, repeat } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox } from "../shared/problem.js";
 import { captureCard } from "./capture.js";
 
 const PAGE = 20;
+const MOST = 200; // sessions that the service lists in one answer
+const TYPING_MS = 250;
 const FILTERS = [
-  ["all", "All", () => true],
-  ["active", "In progress", (jobs) => jobs.some((job) => !hasEnded(job))],
-  ["done", "Done", (jobs) => jobs.some(({ state }) => state === "succeeded")],
-  ["attention", "Needs attention", (jobs) => jobs.some((job) => ["bad", "warn", "empty"].includes(stateOf(job).tone))],
-  ["none", "Without a job", (jobs) => jobs.length === 0],
+  ["", "All"], ["running", "Running"], ["queued", "Waiting"], ["succeeded", "Done"], ["failed", "Failed"], ["canceled", "Canceled"],
 ];
 
 export function open(place, route, caller) {
@@ -31,11 +29,13 @@ class Captures {
   cursor = null; // of the next page
   isLoaded = false;
   search = "";
-  filter = "all";
+  filter = "";
   problems = new Map(); // of an action, by the id of the job or session
   opened = new Map(); // form for another run by the session's id: its choices
   renamed = null; // id of the session whose name is being changed
   #isClosed = false;
+  #number = 0; // of the last request, so that a slow answer does not replace a later one
+  #timer = 0;
   #asked = new Set(); // sessions whose jobs were asked for
   #states = new Map(); // announced state of each job
 
@@ -59,23 +59,35 @@ class Captures {
 
   close() {
     this.#isClosed = true;
+    clearTimeout(this.#timer);
     feed.removeEventListener("change", this.onFeed);
   }
 
+  // Ask for the sessions that fit the search: the first ones, as many as are shown, or the next page.
   async load({ isMore = false } = {}) {
-    const query = new URLSearchParams({ limit: PAGE });
-    if (isMore && this.cursor) query.set("cursor", this.cursor);
+    const number = ++this.#number;
+    const query = new URLSearchParams({ limit: isMore ? PAGE : Math.min(MOST, Math.max(PAGE, this.sessions.length)) });
+    if (this.search.trim()) query.set("name", this.search.trim());
+    if (this.filter) query.set("state", this.filter);
+    if (isMore) query.set("cursor", this.cursor);
     const { sessions, next_cursor: next } = await call(`/v1/sessions?${query}`);
+    if (number !== this.#number || this.#isClosed) return;
     this.sessions = isMore ? [...this.sessions, ...sessions] : sessions;
     this.cursor = next;
     this.isLoaded = true;
-    if (!feed.isComplete) await Promise.all(sessions.map((session) => this.#loadJobs(session)));
+    this.problem = null;
     this.draw();
+    await Promise.all(sessions.map((session) => this.#loadJobs(session)));
+  }
+
+  reload(delayMs = 0) {
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.load().catch((problem) => { this.problem = problem; this.draw(); }), delayMs);
   }
 
   // Jobs that are older than those of the feed.
   async #loadJobs(session) {
-    if (this.#asked.has(session.id)) return;
+    if (this.#asked.has(session.id) || feed.ofSession(session.id).length >= session.num_jobs) return;
     this.#asked.add(session.id);
     feed.put(...(await call(session.links.jobs)).jobs);
   }
@@ -83,14 +95,14 @@ class Captures {
   #feedChanged() {
     const known = new Set(this.sessions.map(({ id }) => id));
     const newest = this.sessions[0]?.id ?? "";
-    if (this.isLoaded && feed.newest().some((job) => !known.has(job.session_id) && job.session_id > newest)) {
-      this.load().catch((problem) => { this.problem = problem; this.draw(); });
-    }
+    let isOld = this.isLoaded && feed.newest().some((job) => !known.has(job.session_id) && job.session_id > newest);
     for (const job of feed.jobs.values()) {
       const before = this.#states.get(job.id);
       if (before !== undefined && before !== job.state) announce(`${job.session_name}: ${stateOf(job).words}`);
+      isOld ||= before !== job.state && this.filter !== "";
       this.#states.set(job.id, job.state);
     }
+    if (isOld) this.reload();
     this.draw();
   }
 
@@ -111,33 +123,28 @@ class Captures {
     this.place.querySelector("#captures-title").focus();
   }
 
-  shown() {
-    const [, , fits] = FILTERS.find(([name]) => name === this.filter);
-    const wanted = this.search.trim().toLowerCase();
-    return this.sessions.filter((session) => session.name.toLowerCase().includes(wanted) && fits(feed.ofSession(session.id)));
-  }
-
   draw() {
     if (!this.#isClosed) render(this.#page(), this.place);
   }
 
   #page() {
-    const shown = this.shown();
+    const isFiltered = this.search.trim() !== "" || this.filter !== "";
     return html`
       <div class="bar">
         <h1 class="title" id="captures-title" tabindex="-1">Captures</h1>
         <label class="search"><span class="unseen">Search by name</span>
-          <input type="search" placeholder="Search by name" @input=${(event) => { this.search = event.target.value; this.draw(); }}></label>
-        <label class="filter"><span class="unseen">Show</span>
-          <select @change=${(event) => { this.filter = event.target.value; this.draw(); }}>
-            ${FILTERS.map(([name, label]) => html`<option value=${name}>${label}</option>`)}</select></label>
+          <input type="search" placeholder="Search by name" maxlength="200" @input=${(event) => { this.search = event.target.value; this.reload(TYPING_MS); }}></label>
+        <label class="filter"><span class="unseen">State of the newest job</span>
+          <select @change=${(event) => { this.filter = event.target.value; this.reload(); }}>
+            ${FILTERS.map(([state, label]) => html`<option value=${state}>${label}</option>`)}</select></label>
         ${this.canWrite ? html`<a class="button primary" href="#/new">New capture</a>` : nothing}
       </div>
       ${problemBox(this.problem)}
-      ${this.isLoaded && this.sessions.length === 0 ? html`<p class="panel empty">No captures yet. Send the videos of a capture and their calibration.</p>` : nothing}
-      ${this.sessions.length && shown.length === 0 ? html`<p class="panel empty">No capture fits. Change the search or the filter.</p>` : nothing}
-      ${this.isLoaded ? nothing : html`<p class="quiet">Loading …</p>`}
-      <ol class="captures">${repeat(shown, ({ id }) => id, (session) => captureCard(this, session))}</ol>
-      ${this.cursor ? html`<button type="button" class="button" @click=${() => this.load({ isMore: true }).catch((problem) => { this.problem = problem; this.draw(); })}>Show more</button>` : nothing}`;
+      ${this.isLoaded && this.sessions.length === 0 ? html`<p class="panel empty">${isFiltered ? "No capture fits. Change the search or the filter."
+        : "No captures yet. Send the videos of a capture and their calibration."}</p>` : nothing}
+      ${this.isLoaded || this.problem ? nothing : html`<p class="quiet">Loading …</p>`}
+      <ol class="captures">${repeat(this.sessions, ({ id }) => id, (session) => captureCard(this, session))}</ol>
+      ${this.cursor ? html`<button type="button" class="button" @click=${() => this.act("more", () => this.load({ isMore: true }))}>Show more</button>` : nothing}
+      ${problemBox(this.problems.get("more"))}`;
   }
 }

@@ -7,6 +7,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import expect
 
+from pipeline.runtime.packages import samples
 from tests.api.conftest import Live
 from tests.e2e.browsing import opened
 
@@ -101,25 +102,25 @@ def test_while_jobs_are_watched_only_they_are_asked_for(live: Live) -> None:
     asked: list[str] = []
     with opened(str(live.client.base_url)) as page:
         page.wait_for_load_state()
-        expect(page.get_by_text("Waiting", exact=True)).to_be_visible()
+        expect(page.locator(".job .state")).to_have_text("Waiting")
         page.clock.install()
         page.on("request", lambda request: asked.append(urlsplit(request.url).path))
         # Its stream tells of it: the list is asked for seldom.
         with page.expect_response("**/v1/jobs?*"):
             page.clock.run_for(11_000)
         live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
-        expect(page.get_by_text("Canceled", exact=True)).to_be_visible()
+        expect(page.locator(".job .state")).to_have_text("Canceled")
         assert set(asked) == {"/v1/jobs"}
 
 
 def test_a_service_without_streams_is_polled(live: Live) -> None:
     job_id = live.job_id()
-    with opened(str(live.client.base_url)) as page:
+    with opened(str(live.client.base_url), allowed=("ERR_FAILED",)) as page:
         page.route("**/v1/jobs/*/events", lambda route: route.abort())
         page.reload()
-        expect(page.get_by_text("Waiting", exact=True)).to_be_visible()
+        expect(page.locator(".job .state")).to_have_text("Waiting")
         live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
-        expect(page.get_by_text("Canceled", exact=True)).to_be_visible()
+        expect(page.locator(".job .state")).to_have_text("Canceled")
 
 
 def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
@@ -139,3 +140,60 @@ def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
         exports = page.get_by_role("group", name=choices["exports"]["label"]).get_by_role("checkbox")
         assert exports.evaluate_all("all => all.map(one => one.checked)") == [True, False, False, False, False]
         assert page.get_by_role("group", name=choices["frame_range"]["label"]).get_by_role("spinbutton").count() == 2
+
+
+def test_a_job_is_canceled_retried_and_deleted_by_the_keyboard(live: Live) -> None:
+    live.job_id()  # without a worker it stays queued
+    with opened(f"{live.client.base_url}#/captures") as page:
+        page.get_by_role("button", name="Cancel untitled").press("Enter")
+        row = page.locator(".job")
+        expect(row.locator(".state")).to_have_text("Canceled")
+        expect(row).to_be_focused()  # its button is gone, the place is kept
+        page.get_by_role("button", name="Retry untitled").press("Enter")
+        expect(row.locator(".state")).to_have_text("Waiting")
+        expect(row).to_contain_text("attempt 2")
+        expect(row).to_be_focused()
+        page.get_by_role("button", name="Cancel untitled").press("Enter")
+        page.get_by_role("button", name="Delete job of untitled").press("Enter")
+        page.get_by_role("dialog").get_by_role("button", name="Delete the job").press("Enter")
+        expect(page.get_by_text("No job yet.")).to_be_visible()
+        expect(page.get_by_role("heading", name="Captures", level=1)).to_be_focused()
+
+
+def test_without_the_sample_capture_the_page_says_how_to_install_it(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(samples, "locate", lambda: None)
+    assert live.client.get("/v1/sample").json() == {
+        "installed": False,
+        "install": "Run: multicap samples install",
+        "attribution": samples.ATTRIBUTION,
+        "files": [],
+    }
+    assert live.client.get("/v1/sample/cam01.mp4").status_code == 404
+    with opened(f"{live.client.base_url}#/new") as page:
+        page.get_by_role("button", name="Try the sample capture").click()
+        expect(page.get_by_role("alert")).to_contain_text("Run: multicap samples install")
+
+
+def test_without_its_libraries_the_page_says_what_is_missing(live: Live) -> None:
+    with opened(str(live.client.base_url), allowed=("404",)) as page:
+        page.route("**/portal/vendor/**", lambda route: route.fulfill(status=404))
+        page.reload()
+        expect(page.get_by_role("heading", name="The libraries of this page are not installed")).to_be_visible()
+        expect(page.get_by_role("main")).to_contain_text("make setup")
+
+
+def test_the_page_is_small(live: Live) -> None:
+    paths = [path for path in PORTAL.rglob("*") if path.suffix in {".js", ".css", ".html", ".svg"}]
+    names = [path.relative_to(PORTAL) for path in paths if "node_modules" not in path.parts]
+    headers = {"Accept-Encoding": "gzip"}
+    sizes = {
+        name.as_posix(): int(live.client.get(f"/portal/{name.as_posix()}", headers=headers).headers["content-length"])
+        for name in names
+    }
+    assert sizes["vendor/three/three.core.js"] > 100_000
+    assert sum(sizes.values()) <= 1_000_000
+    # The views before the viewer, which is loaded when it is opened.
+    first = [name for name in sizes if not name.startswith(("vendor/three", "vendor/uPlot", "viewer/"))]
+    assert sum(sizes[name] for name in first) <= 100_000

@@ -1,0 +1,294 @@
+"""Views Send and Watch in a real browser, on captures of keypoints, which take seconds."""
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from playwright.sync_api import Locator, Page, Request, expect
+
+from tests.e2e.browsing import opened
+from tests.e2e.captures import keypoint_capture, video_capture
+from tests.e2e.foreign import READERS
+from tests.e2e.serving import Served
+from tests.e2e.test_serve_keypoints import archives
+
+# The service is that of the other tests of the page.
+pytestmark = pytest.mark.xdist_group("sample")
+
+DROP = """([target, files]) => {
+  const transfer = new DataTransfer();
+  for (const [name, content] of files) {
+    const bytes = Uint8Array.from(atob(content), (letter) => letter.charCodeAt(0));
+    transfer.items.add(new File([bytes], name, { lastModified: 1 }));
+  }
+  for (const type of ["dragover", "drop"]) {
+    target.dispatchEvent(new DragEvent(type, { dataTransfer: transfer, bubbles: true, cancelable: true }));
+  }
+}"""
+
+
+@pytest.fixture(scope="module")
+def keypoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Files of a capture of keypoints by name: a zip a camera, timestamps, calibration."""
+    folder = tmp_path_factory.mktemp("keypoints")
+    keypoint_capture(folder)
+    for _, (name, content) in archives(folder):
+        (folder / name).write_bytes(content)
+    return {path.name: path for path in sorted(folder.iterdir()) if path.suffix in {".zip", ".csv", ".json"}}
+
+
+@pytest.fixture
+def page(served: Served) -> Iterator[Page]:
+    with opened(f"{served.client.base_url}#/new") as page:
+        yield page
+
+
+def card(page: Page, name: str) -> Locator:
+    return page.get_by_role("listitem").filter(has=page.get_by_role("heading", name=name, exact=True, level=2))
+
+
+def latest(page: Page) -> Locator:
+    return page.get_by_role("region", name="Latest").get_by_role("listitem").first
+
+
+def bottom(part: Locator) -> float:
+    box = part.bounding_box()
+    assert box is not None
+    return box["y"] + box["height"]
+
+
+def post_session(served: Served, files: dict[str, Path], name: str) -> dict[str, Any]:
+    parts = [("keypoints", (one.name, one.read_bytes())) for one in files.values() if one.suffix == ".zip"]
+    parts += [("calibration", ("calibration.json", files["calibration.json"].read_bytes()))]
+    parts += [("timestamps", ("timestamps.csv", files["timestamps.csv"].read_bytes()))]
+    manifest = ("manifest", (None, json.dumps({"name": name}).encode()))
+    answer = served.client.post("/v1/sessions", files=[*parts, manifest]).raise_for_status()
+    return dict(answer.json())
+
+
+def test_dropped_files_become_a_capture_with_files_to_download(page: Page, keypoints: dict[str, Path]) -> None:
+    files = [(name, base64.b64encode(path.read_bytes()).decode()) for name, path in keypoints.items()]
+    page.evaluate(DROP, [page.get_by_text("Drop the videos").element_handle(), files])
+    expect(page.get_by_label("Camera of cam_01.zip")).to_have_value("cam_01", timeout=30_000)
+    page.get_by_label("Name of the take").fill("Dropped")
+    send = page.get_by_role("button", name="Send and reconstruct")
+    assert bottom(send) <= 800
+    page.get_by_role("radio", name="Unreal Engine").check()
+    send.click()
+    expect(latest(page)).to_contain_text("Dropped", timeout=60_000)
+    assert page.evaluate("scrollY") >= 0
+    assert bottom(latest(page)) <= 800  # seen without scrolling
+    expect(latest(page).get_by_text("Done")).to_be_visible(timeout=120_000)
+    # Ready for the next take: the same cameras and choices, no files.
+    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_label("Stored calibration")).not_to_have_value("")
+    expect(page.get_by_role("radio", name="Unreal Engine")).to_be_checked()
+    latest(page).get_by_role("link", name="Dropped").click()
+    with page.expect_download() as download:
+        page.get_by_role("link", name=re.compile(r"\.bvh")).first.click()
+    assert download.value.path().read_text().startswith("HIERARCHY\nROOT pelvis")
+
+
+def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+    session = post_session(served, keypoints, "Twice")
+    first = served.client.post(session["links"]["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
+    uploads: list[Request] = []
+    page.on("request", lambda request: uploads.append(request) if "/uploads" in request.url else None)
+    page.get_by_role("link", name="Captures", exact=True).click()
+    twice = card(page, "Twice")
+    twice.get_by_role("button", name="Run again: Twice").click()
+    form = page.get_by_role("form", name="Run Twice again")
+    # The form begins with the choices of the last job.
+    form.get_by_text("More options").click()
+    expect(form.get_by_label("after the last")).to_have_value("20")
+    form.get_by_role("radio", name="Blender").check()
+    with page.expect_response("**/v1/sessions/*/jobs") as answer:
+        form.get_by_role("button", name="Reconstruct without uploading").click()
+    made = answer.value.json()
+    assert (made["spec"]["bvh"], made["spec"]["frame_range"], made["session_id"]) == ("blender", [0, 20], session["id"])
+    assert made["id"] != first["id"]
+    expect(twice.get_by_text("Blender")).to_be_visible()
+    expect(page.get_by_role("button", name="Run again: Twice")).to_be_focused()
+    for job in (first["id"], made["id"]):
+        assert served.wait_for_end(job)["state"] == "succeeded"
+    for name in ("Look at Twice, run 1", "Look at Twice, run 2"):
+        expect(twice.get_by_role("link", name=name)).to_be_visible(timeout=15_000)
+    assert uploads == []
+
+
+def test_captures_are_searched_renamed_and_deleted(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+    for name in ("Walk A", "Walk B"):
+        post_session(served, keypoints, name)
+    page.get_by_role("link", name="Captures", exact=True).click()
+    page.get_by_label("Search by name").fill("walk")
+    expect(page.get_by_role("heading", level=2)).to_have_text(["Walk B", "Walk A"])
+    page.get_by_role("button", name="Rename Walk A").click()
+    expect(page.get_by_label("New name of Walk A")).to_be_focused()
+    page.keyboard.type("Walk <i>C</i>")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Rename Walk <i>C</i>")).to_be_focused()
+    expect(page.get_by_role("status").first).to_contain_text("Renamed to Walk <i>C</i>.")
+    delete = page.get_by_role("button", name="Delete Walk B")
+    delete.focus()
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("dialog").get_by_role("button", name="Keep")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(delete).to_be_focused()
+    page.keyboard.press("Enter")
+    page.get_by_role("dialog").get_by_role("button", name="Delete the capture").press("Enter")
+    expect(page.get_by_role("heading", level=2)).to_have_text(["Walk <i>C</i>"])
+    expect(page.get_by_role("heading", name="Captures", level=1)).to_be_focused()
+    names = [one["name"] for one in served.client.get("/v1/sessions?name=walk").json()["sessions"]]
+    assert names == ["Walk <i>C</i>"]
+
+
+def test_nobody_found_is_no_plain_success(page: Page, served: Served, tmp_path: Path) -> None:
+    video_capture(tmp_path, 5)
+    files = [("videos", (path.name, path.read_bytes())) for path in sorted((tmp_path / "videos").iterdir())]
+    files += [("calibration", ("calibration.json", (tmp_path / "calibration.json").read_bytes()))]
+    manifest = ("manifest", (None, b'{"name": "Empty room"}'))
+    job = served.client.post("/v1/jobs", files=[*files, manifest]).raise_for_status().json()
+    ended = served.wait_for_end(job["id"])
+    page.get_by_role("link", name="Captures", exact=True).click()
+    row = card(page, "Empty room").locator(".job")
+    state = row.locator(".state")
+    expect(state).to_have_text("Done: nobody was found")
+    expect(state).to_have_attribute("data-tone", "empty")
+    expect(row.get_by_role("list", name="Warnings of Empty room")).to_contain_text(
+        ended["result_warnings"][0]["message"]
+    )
+
+
+def test_a_capture_that_is_not_complete_is_not_sent(page: Page, keypoints: dict[str, Path]) -> None:
+    sent: list[str] = []
+    page.on("request", lambda request: sent.append(request.url) if request.method == "POST" else None)
+    page.get_by_label("Choose files").set_input_files([keypoints["cam_00.zip"]])
+    page.get_by_role("button", name="Send and reconstruct").click()
+    problem = page.get_by_role("region", name="Send").get_by_role("alert")
+    expect(problem).to_contain_text("Add the videos of at least 2 cameras.")
+    expect(problem).to_contain_text("Choose or add the calibration of the cameras.")
+    assert sent == []
+
+
+def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+    page.get_by_label("Choose files").set_input_files(list(keypoints.values()))
+    first, second = page.get_by_label("Camera of cam_00.zip"), page.get_by_label("Camera of cam_01.zip")
+    expect(first).to_have_value("cam_00", timeout=30_000)
+    first.select_option("cam_01")
+    page.get_by_role("button", name="Send and check only").click()
+    expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has two files")
+    second.select_option("cam_00")
+    page.get_by_label("Use cam_02.zip").uncheck()
+    page.get_by_label("Name of the take").fill("Exchanged")
+    with page.expect_response("**/v1/sessions") as answer:
+        page.get_by_role("button", name="Send and check only").click()
+    cameras = {one["name"]: one["file"] for one in answer.value.json()["preflight"]["cameras"]}
+    assert set(cameras) == {"cam_00", "cam_01"}
+    sizes = {one["name"]: one["num_bytes"] for one in answer.value.json()["files"]}
+    assert sizes[cameras["cam_01"]] == keypoints["cam_00.zip"].stat().st_size
+    # What the check says stands there, also after a reload, and the capture can be discarded.
+    expect(page.get_by_role("heading", name="The check")).to_be_visible()
+    page.reload()
+    page.get_by_role("button", name="Discard the capture").click()
+    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    assert served.client.get("/v1/sessions?name=Exchanged").json()["sessions"] == []
+
+
+NAMES = [
+    # the same name; with a prefix; with another case and separators; a name that is part of another
+    (["cam_0.mp4", "cam_1.mp4"], ["cam_0", "cam_1"], {"cam_0.mp4": "cam_0", "cam_1.mp4": "cam_1"}, False),
+    (["3_cam01.mp4", "3_cam02.mp4"], ["cam01", "cam02"], {"3_cam01.mp4": "cam01", "3_cam02.mp4": "cam02"}, False),
+    (["Cam 1.MOV", "cam-10.mov"], ["cam_1", "cam_10"], {"Cam 1.MOV": "cam_1", "cam-10.mov": "cam_10"}, False),
+    (["left.mp4", "left_back.mp4"], ["left", "left_back"], {"left.mp4": "left", "left_back.mp4": "left_back"}, False),
+    # no camera for a file; as many files as cameras, without a common name
+    (["cam_0.mp4", "witness.mp4"], ["cam_0", "cam_1"], {"cam_0.mp4": "cam_0"}, False),
+    (["GX10.mp4", "GX9.mp4"], ["a", "b"], {"GX9.mp4": "a", "GX10.mp4": "b"}, True),
+    (["GX10.mp4", "GX9.mp4", "GX8.mp4"], ["a", "b"], {}, False),
+]  # fmt: skip
+
+
+def test_files_are_matched_to_cameras_by_their_names(page: Page) -> None:
+    script = """async (cases) => {
+      const { matchCameras } = await import("/portal/send/files.js");
+      const all = cases.map(([names, cameras]) => matchCameras(names, cameras));
+      return all.map(({ matched, isGuess }) => [Object.fromEntries(matched), isGuess]);
+    }"""
+    found = page.evaluate(script, [[names, cameras] for names, cameras, *_ in NAMES])
+    assert found == [[matched, is_guess] for *_, matched, is_guess in NAMES]
+
+
+def axe_findings(page: Page) -> list[str]:
+    """Violations that axe-core finds in the page as it is."""
+    page.evaluate((READERS / "node_modules/axe-core/axe.min.js").read_text())
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    return [f"{one['id']}: {node['html'][:200]}" for one in found for node in one["nodes"]]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_views_are_accessible_and_fit(
+    served: Served, keypoints: dict[str, Path], width: int, scheme: Literal["light", "dark"]
+) -> None:
+    if not (READERS / "node_modules/axe-core").is_dir():
+        pytest.skip("axe-core is not installed (`make readers`)")
+    job = one_job(served, keypoints)
+    with opened(str(served.client.base_url), {"width": width, "height": 800}) as page:
+        page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+        for view in ("#/new", "#/captures", "#/calibrations", f"#/jobs/{job}"):
+            page.goto(f"/{view}")
+            expect(page.get_by_role("heading", level=1)).to_be_visible()
+            if view == "#/new":
+                page.get_by_label("Choose files").set_input_files(list(keypoints.values()))
+                expect(page.get_by_label("Camera of cam_00.zip")).to_have_value("cam_00", timeout=30_000)
+                page.get_by_role("button", name="Send and check only").scroll_into_view_if_needed()
+            if view == "#/captures":
+                page.get_by_role("button", name="Run again").first.click()
+            page.locator("details").evaluate_all("all => all.forEach((one) => { one.open = true; })")
+            assert axe_findings(page) == [], view
+            assert page.evaluate("document.scrollingElement.scrollWidth") <= width, view
+
+
+def one_job(served: Served, keypoints: dict[str, Path]) -> str:
+    """Id of a finished job."""
+    done = served.client.get("/v1/jobs?state=succeeded").json()["jobs"]
+    if done:
+        return str(done[0]["id"])
+    links = post_session(served, keypoints, "Accessible")["links"]
+    job = served.client.post(links["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
+    return str(served.wait_for_end(job["id"])["id"])
+
+
+# Text of the focused element, and whether it or its frame has an outline.
+FOCUS = """() => {
+  const one = document.activeElement;
+  const parts = [one, one.closest(".button, .tile") ?? one];
+  const isSeen = parts.some((part) => ["solid", "auto"].includes(getComputedStyle(part).outlineStyle));
+  return [one.innerText || one.labels?.[0]?.innerText || one.name, isSeen];
+}"""
+
+
+def test_the_keyboard_reaches_everything_in_order(page: Page) -> None:
+    """From the skip link to the button that sends: no trap, and the focus is visible."""
+    expect(page.get_by_role("radio", name="Blender")).to_be_visible()
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("main")).to_be_focused()
+    seen: list[str] = []
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        focus = page.evaluate(FOCUS)
+        assert focus[1], f"the focus on {focus[0]} is not visible"
+        seen.append(focus[0])
+        if focus[0] == "Send and reconstruct":
+            break
+    order = [
+        next(i for i, text in enumerate(seen) if part in text)
+        for part in ("Choose files", "Choose a folder", "Try the")
+    ]
+    assert order == sorted(order)
+    assert seen[-1] == "Send and reconstruct"
