@@ -9,11 +9,15 @@ export function emptyDraft(kept = {}) {
 }
 
 export function loadDraft() {
+  const stored = storedDraft();
+  return stored?.rows ? { ...emptyDraft(), ...stored, rows: stored.rows.map((row) => rowOf(row)) } : emptyDraft();
+}
+
+function storedDraft() {
   try {
-    const stored = JSON.parse(localStorage.getItem(KEY));
-    return stored?.rows ? { ...emptyDraft(), ...stored, rows: stored.rows.map(rowOf) } : emptyDraft();
+    return JSON.parse(localStorage.getItem(KEY));
   } catch {
-    return emptyDraft();
+    return null; // storage is off, or holds something else
   }
 }
 
