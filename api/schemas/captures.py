@@ -60,7 +60,7 @@ class CameraManifest(BaseModel):
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
-        description="Frame rate in Hz, if the times in the video are wrong.",
+        description="Frame rate in Hz, if the times in the video are wrong, or of images in place of a video.",
     )
 
 
@@ -76,7 +76,8 @@ class Manifest(BaseModel):
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
-        description="Frame rate of keypoints without timestamps; by default 25 Hz.",
+        description="Frame rate of keypoints without timestamps, by default 25 Hz; or of images in place of videos, "
+        "which need one unless their cameras have a `rate`.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Facts about some cameras of a session of videos."
@@ -100,7 +101,9 @@ class UploadedFiles(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    videos: tuple[UUID, ...] = Field(default=(), description="Uploads of the videos, one for each camera.")
+    videos: tuple[UUID, ...] = Field(
+        default=(), description="Uploads of the videos, one for each camera, or of a zip of its images."
+    )
 
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""

@@ -1,10 +1,10 @@
 """Check a session, or a calibration, in a child process.
 
-``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] | --keypoints ZIP... [--timestamps FILE]
-[--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object: the session's report, or
-``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the numeric libraries, and
-without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the files need not be
-examined again.
+``python -m pipeline.capture.preflight (--videos FILE... [--recordings JSON] [--clock CLOCK] [--frame-rate HZ] |
+--keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object:
+the session's report, or ``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the
+numeric libraries, and without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the
+files need not be examined again.
 
 Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
 without ``--calibration`` are those of a calibration that is to be made.
@@ -100,7 +100,9 @@ def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> f
 def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     units, clock = arguments.units, arguments.clock
-    session = open_session(arguments.videos, arguments.calibration, recordings, units, clock)
+    session = open_session(
+        arguments.videos, arguments.calibration, recordings, units, clock, images_rate_hz=arguments.frame_rate
+    )
     files = [video.path.name for video in session.videos]
     return report(session, files, units, recordings, clock), encode_session(session)
 

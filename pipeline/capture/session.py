@@ -21,6 +21,8 @@ from pipeline.data import Camera, FrameTimes, Timebase
 from pipeline.errors import InputError, Problem
 from pipeline.findings import Finding
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
+from pipeline.video.images.files import ENDINGS, SEQUENCE
+from pipeline.video.images.probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.properties.regularity import OF_TIMES
@@ -98,6 +100,7 @@ def open_session(
     recordings: Sequence[Recording] = (),
     units: Units = "m",
     clock: Clock = "declared",
+    images_rate_hz: float | None = None,
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
@@ -117,6 +120,8 @@ def open_session(
         See ``read_contents``.
     clock
         Clock of the videos' starts; offsets of ``recordings`` are added.
+    images_rate_hz
+        Frame rate of sequences of images, folders or zip archives in place of videos, whose recordings state none.
 
     Raises
     ------
@@ -148,7 +153,7 @@ def open_session(
     camera_of_file = {
         recording.file: camera for camera, recording in recording_of_camera.items() if recording.file is not None
     }
-    names = [camera_of_file.get(path.name, path.stem) for path in paths]
+    names = [camera_of_file.get(path.name, _stem(path)) for path in paths]
     problems += [
         Problem(
             "camera_with_two_videos",
@@ -169,7 +174,11 @@ def open_session(
         cameras = _fitted([camera for camera in cameras if camera.name in pairs], videos_of, findings, problems)
     if problems:
         raise InputError(problems)
-    paired = {camera.name: videos_of[camera.name] for camera in cameras}
+    stated_hz = {name: recording.frame_rate_hz for name, recording in recording_of_camera.items()}
+    rates_hz = {name: stated_hz.get(name) or images_rate_hz for name in videos_of}
+    if problems := _without_rate(videos_of, rates_hz):
+        raise InputError(problems)
+    paired = {camera.name: _placed(videos_of[camera.name], rates_hz[camera.name]) for camera in cameras}
     start_s, without_clock = starts_s(paired, clock)
     if without_clock:
         raise InputError(without_clock)
@@ -182,7 +191,7 @@ def open_session(
         for name, video in paired.items()
         for doubt in video.warnings
         # A stated rate takes the place of the times.
-        if doubt.code not in OF_TIMES or getattr(recording_of_camera.get(name), "frame_rate_hz", None) is None
+        if doubt.code not in OF_TIMES or video.codec == SEQUENCE or stated_hz.get(name) is None
     ]
     findings += clock_findings(paired, clock)
     return CaptureSession(cameras, tuple(paired.values()), times, tuple(findings))
@@ -249,11 +258,30 @@ def _known_recordings(
     return known, problems
 
 
+def _without_rate(videos: Mapping[str, VideoInfo], rates_hz: Mapping[str, float | None]) -> list[Problem]:
+    """Report sequences of images without a frame rate."""
+    message, hint = "Images have no times: their frame rate must be stated.", "State it in frames a second."
+    return [
+        Problem("no_frame_rate", message, file=video.path.name, camera=name, field="rate", hint=hint)
+        for name, video in videos.items()
+        if video.codec == SEQUENCE and rates_hz[name] is None
+    ]
+
+
+def _placed(video: VideoInfo, rate_hz: float | None) -> VideoInfo:
+    """Give the frames of a sequence of images their times; a video has its own."""
+    return video if video.codec != SEQUENCE or rate_hz is None else at_rate(video, rate_hz)
+
+
 def _times(video: VideoInfo, start_s: float, recording: Recording | None) -> FrameTimes:
     if recording is None:
         return FrameTimes(start_s + video.time_s)
     rate_hz = recording.frame_rate_hz
-    own_s = video.time_s if rate_hz is None else np.arange(len(video.time_s)) / float(without_rounding(rate_hz))
+    own_s = (
+        video.time_s
+        if rate_hz is None or video.codec == SEQUENCE
+        else np.arange(len(video.time_s)) / float(without_rounding(rate_hz))
+    )
     return FrameTimes(start_s + recording.offset_s + own_s)
 
 
@@ -290,7 +318,7 @@ def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoI
 def _guessed(videos: Sequence[VideoInfo], recordings: Sequence[Recording]) -> tuple[Camera, ...]:
     """Cameras with the names of the videos, or of the recordings that name a video."""
     named = {recording.file: recording.camera for recording in recordings}
-    return tuple(guessed_camera(named.get(video.path.name, video.path.stem), video.size_px) for video in videos)
+    return tuple(guessed_camera(named.get(video.path.name, _stem(video.path)), video.size_px) for video in videos)
 
 
 def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[Path], list[Finding], list[Problem]]:
@@ -298,8 +326,11 @@ def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[P
     findings: list[Finding] = []
     problems: list[Problem] = []
     if isinstance(videos, Path) and videos.is_dir():
-        files = sorted(path for path in videos.iterdir() if path.is_file() and not path.name.startswith("."))
-        paths = [path for path in files if path.suffix.lower() in _VIDEO_ENDINGS]
+        listed = sorted(path for path in videos.iterdir() if not path.name.startswith("."))
+        files = [path for path in listed if path.is_file()]
+        paths = [path for path in files if path.suffix.lower() in _VIDEO_ENDINGS] or [
+            path for path in listed if path.suffix.lower() == ".zip" or _has_images(path)
+        ]
         findings += [
             Finding("file_ignored", f"{path.name} is ignored: it is not a video.", severity="info")
             for path in files
@@ -316,7 +347,7 @@ def _find_videos(videos: Path | Sequence[Path], min_videos: int) -> tuple[list[P
                 hint="Provide one video of each camera.",
             )
         )
-    for stem, count in sorted(Counter(path.stem for path in paths).items()):
+    for stem, count in sorted(Counter(_stem(path) for path in paths).items()):
         if count > 1:
             problems.append(
                 Problem("duplicate_video", f"{count} videos have the name {stem}.", file=stem, hint="Rename them.")
@@ -328,6 +359,16 @@ def _of_video(camera: str, doubt: Problem) -> Finding:
     """Finding of what is doubtful about a video's file."""
     message = str(replace(doubt, hint=None))
     return Finding(doubt.code, message, camera, hint=doubt.hint, evidence={"file": doubt.file})
+
+
+def _stem(path: Path) -> str:
+    """Name of a video without its ending, or of a folder of images."""
+    return path.name if path.is_dir() else path.stem
+
+
+def _has_images(path: Path) -> bool:
+    """Return whether a path is a folder with images."""
+    return path.is_dir() and any(file.suffix.lower() in ENDINGS for file in path.iterdir())
 
 
 def _repeated_times(camera: str, video: VideoInfo) -> Finding:

@@ -23,6 +23,9 @@ from av.video.frame import VideoFrame
 
 from pipeline.video.children import start_child
 from pipeline.video.container import DECODE_ERRORS, decode_from, decode_keyframes, display_pts
+from pipeline.video.images.files import SEQUENCE
+from pipeline.video.images.frames import decode_images, wanted_images
+from pipeline.video.unusable import UnusableError
 
 FRAME = struct.Struct("<qII??")
 """Timestamp, width, height, whether the decoder marks the frame as damaged, and whether there is a picture."""
@@ -109,6 +112,8 @@ def _write_frames(request: Request, shared_file: int) -> None:
 
 def _frames(request: Request) -> Iterator[VideoFrame]:
     path = Path(request.path)
+    if request.codec == SEQUENCE:
+        return decode_images(path, wanted_images(request.first_pts, request.last_pts, request.only_pts))
     if request.only_keyframes and request.only_pts is not None:
         return decode_keyframes(path, request.only_pts)
     return decode_from(path, request.seek_pts, request.first_pts)
@@ -155,7 +160,7 @@ def main() -> int:
         return EXIT_OUT_OF_MEMORY
     except BrokenPipeError:  # the reader is gone
         return 1
-    except DECODE_ERRORS:
+    except (*DECODE_ERRORS, UnusableError):
         return EXIT_UNREADABLE
     return 0
 

@@ -29,6 +29,8 @@ from pipeline.video.container import (
     open_container,
 )
 from pipeline.video.frame_rate import measured_rate, measured_rate_hz
+from pipeline.video.images.files import is_sequence
+from pipeline.video.images.probe import probe_images
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
@@ -73,16 +75,20 @@ def _check_start(path: Path) -> None:
 
     FFmpeg does not open the file.
     """
-    if not path.is_file():
+    if not path.exists():
         raise UnusableError("video_missing", "The video file does not exist.")
+    if path.is_dir():
+        return
     if path.stat().st_size == 0:
         raise UnusableError("video_empty", "The file is empty.", "Copy it again.")
-    if not is_container(path):
+    if not is_container(path) and not is_sequence(path):
         raise _unreadable()
 
 
 def _probe(path: Path) -> VideoInfo:
     _check_start(path)
+    if is_sequence(path):
+        return probe_images(path)
     with open_container(path) as container:
         stream = first_video(container)
         if stream is None:

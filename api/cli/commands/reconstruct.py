@@ -25,6 +25,7 @@ from pipeline.stages.association import Session, restrict
 from pipeline.stages.local import reconstruct
 from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.video.images.files import SEQUENCE
 
 
 def write_results(
@@ -116,15 +117,14 @@ def _check_sources(
     videos: list[Path] | None,
     keypoints: Path | None,
     timestamps: Path | None,
-    frame_rate: float | None,
     offsets: Mapping[str, float],
 ) -> None:
     problems = []
     if (videos is None) == (keypoints is None):
         problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
-    if keypoints is None and (timestamps is not None or frame_rate is not None):
-        message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
-        problems.append(Problem("sources", message, hint="Omit --timestamps and --frame-rate."))
+    if keypoints is None and timestamps is not None:
+        message = "Timestamps belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps."))
     if keypoints is not None and offsets:
         message = "Offsets belong to videos; keypoints have timestamps."
         problems.append(Problem("sources", message, hint="Omit --offset."))
@@ -154,7 +154,11 @@ def command(
     calibration: Annotated[Path, typer.Option(help="Calibration file: Qualisys QCA, Caliscope/anipose TOML or JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
     videos: Annotated[
-        list[Path] | None, typer.Option(help="Folder with one video of each camera, or the videos.", show_default=False)
+        list[Path] | None,
+        typer.Option(
+            help="Folder with one video of each camera, or the videos; or folders or zips of images.",
+            show_default=False,
+        ),
     ] = None,
     more_videos: Annotated[list[Path] | None, typer.Argument(metavar="[VIDEOS]...", show_default=False)] = None,
     offset: Annotated[
@@ -186,7 +190,9 @@ def command(
     ] = None,
     frame_rate: Annotated[
         float | None,
-        typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default."),
+        typer.Option(
+            help="Frame rate in Hz: of keypoints without timestamps, 25 by default; of images, which need one."
+        ),
     ] = None,
     chosen: Mapping[str, Any],
     tracking: Annotated[
@@ -221,7 +227,7 @@ def command(
             processes=chosen["processes"],
         )
         offsets = _parameters(offset or [], "cam_2=0.48")
-        _check_sources(videos, keypoints, timestamps, frame_rate, offsets)
+        _check_sources(videos, keypoints, timestamps, offsets)
         session: Session
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
@@ -229,7 +235,12 @@ def command(
             named = [*(videos or []), *(more_videos or [])]
             recordings = [Recording(camera, offset_s=seconds) for camera, seconds in offsets.items()]
             files = named[0] if len(named) == 1 else named
-            session = open_session(files, calibration, recordings, known_units(units), known_clock(clock))
+            session = open_session(
+                files, calibration, recordings, known_units(units), known_clock(clock), images_rate_hz=frame_rate
+            )
+            if frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
+                message = "A frame rate belongs to keypoints and to images; videos have their own times."
+                raise InputError([Problem("sources", message, hint="Omit --frame-rate.")])
         check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)

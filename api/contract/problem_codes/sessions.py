@@ -131,6 +131,16 @@ VIDEOS = CodeGroup(
     "Videos and cameras",
     "Formats and limits are in [formats](formats.md#videos).",
     (
+        ProblemCode(
+            "images_archive",
+            _FILES,
+            "An archive of images is damaged, too large, or not of one camera.",
+            "Send a zip of the images of each camera; see [formats](formats.md#images).",
+        ),
+        ProblemCode("no_images", _FILES, "A folder or an archive has no images.", "Send JPEG, PNG, BMP or TIFF."),
+        ProblemCode(
+            "no_frame_rate", _FILES, "Images have no frame rate.", "State `frame_rate_hz`, or a camera's `rate`."
+        ),
         ProblemCode("too_few_videos", _FILES, "There are fewer than two videos.", "Give one video of each camera."),
         ProblemCode("duplicate_video", _FILES, "Two videos have the same name except for the suffix.", "Rename one."),
         ProblemCode(

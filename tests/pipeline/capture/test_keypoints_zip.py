@@ -9,6 +9,7 @@ import pytest
 from pipeline.capture import keypoints_zip
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.errors import InputError
+from pipeline.runtime import zips
 
 FRAME = "frame_000000000000_keypoints.json"
 
@@ -48,7 +49,7 @@ def test_paths_lead_nowhere(tmp_path: Path, name: str) -> None:
 
 
 def test_all_that_is_wrong_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keypoints_zip, "_MAX_ENTRIES", 3)
+    monkeypatch.setattr(zips, "MAX_ENTRIES", 3)
     text = tmp_path / "text.zip"
     text.write_bytes(b"no archive")
     cut = archive(tmp_path / "cut.zip", {FRAME: b"{}" * 1000})
@@ -100,6 +101,6 @@ def test_nothing_is_unpacked_where_a_directory_is_wrong(tmp_path: Path) -> None:
 
 
 def test_a_directory_of_any_size_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keypoints_zip, "_MAX_DIRECTORY_BYTES", 2**20)
+    monkeypatch.setattr(zips, "MAX_DIRECTORY_BYTES", 2**20)
     files = {f"frame_{k:0200d}_keypoints.json": b"" for k in range(4500)}
     assert "directory" in refused(tmp_path, archive(tmp_path / "cam_0.zip", files))["cam_0.zip"]

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from pipeline.capture.preflight import report
+from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import InputError
 from pipeline.video.decode import decode
 from tests.pipeline.media import rewrite_packets, write_audio, write_video
 from tests.pipeline.video.corpus import write_clip
+from tests.pipeline.video.images.test_images import as_folder, as_zip, image
 
 
 def calibration(path: Path, names: list[str], size_px: tuple[int, int] = (64, 48), **changes: Any) -> Path:
@@ -92,6 +94,27 @@ def test_pixels_that_are_not_square_and_fields_are_said(tmp_path: Path) -> None:
     assert "stretched" in session.warnings[0]
     assert "not square (4:3): the pictures are scaled from 96 to 128 columns" in session.warnings[1]
     assert next(decode(session.videos[0], 5, 6))[1].shape == (64, 128, 3)
+
+
+def test_images_in_place_of_videos(tmp_path: Path) -> None:
+    """A folder of folders: one camera has the rate of its recording, the other the session's."""
+    images, cameras = tmp_path / "images", calibration(tmp_path / "c.json", ["a.1", "b"])
+    images.mkdir()
+    for name in ("a.1", "b"):
+        as_folder(images / name, {f"{k:03}.png": image(k) for k in range(10) if (name, k) != ("b", 4)})
+    (images / "notes").mkdir()
+    session = open_session(images, cameras, [Recording("b", offset_s=0.1, frame_rate_hz=50.0)], images_rate_hz=25.0)
+    np.testing.assert_allclose(session.times["a.1"].time_s, np.arange(10) / 25)
+    np.testing.assert_allclose(session.times["b"].time_s, 0.1 + np.delete(np.arange(10), 4) / 50)
+    assert [(one.code, one.camera) for one in session.findings] == [("frames_dropped", "b")]
+    again = decode_session(encode_session(session), images)
+    assert [number for number, _ in decode(again.videos[1], 3, 6)] == [3, 4, 5]
+    with pytest.raises(InputError) as raised:
+        open_session([as_zip(images / "b", {"0.png": image(0)}), images / "a.1"], cameras)
+    assert [(one.code, one.file, one.camera) for one in raised.value.problems] == [
+        ("no_frame_rate", "a.1", "a.1"),
+        ("no_frame_rate", "b.zip", "b"),
+    ]
 
 
 def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:

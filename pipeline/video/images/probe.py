@@ -1,0 +1,67 @@
+"""Examine a sequence of images; called in a child process only."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from av.video.frame import VideoFrame
+
+from pipeline.video.frame_rate import without_rounding
+from pipeline.video.images.files import SEQUENCE, open_images
+from pipeline.video.images.frames import decode_images
+from pipeline.video.info import VideoInfo
+from pipeline.video.properties.regularity import uneven_times
+from pipeline.video.unusable import UnusableError
+
+_NUM_DECODED = 8
+
+
+def probe_images(path: Path) -> VideoInfo:
+    """Examine a sequence: its first images and the last one are decoded.
+
+    The times of the frames are their numbers until ``at_rate`` places them.
+
+    Raises
+    ------
+    UnusableError
+        If there are no images that can be decoded, or images of several sizes.
+    """
+    with open_images(path) as images:
+        pts = np.array(images.frames, np.int64)
+    chosen = {*pts[:_NUM_DECODED].tolist(), int(pts[-1])}
+    frames = list(decode_images(path, chosen.__contains__))
+    if not frames:
+        raise UnusableError("no_frames", "No image can be decoded.", "Send JPEG, PNG, BMP or TIFF.")
+    _check_sizes(frames)
+    width, height = frames[0].width, frames[0].height
+    rotation_deg = round(frames[0].rotation / 90) * 90 % 360
+    return VideoInfo(
+        path=path,
+        codec=SEQUENCE,
+        size_px=(width, height) if rotation_deg % 180 == 0 else (height, width),
+        rotation_deg=rotation_deg,
+        pts=pts,
+        keyframe_pts=pts,
+        time_s=pts.astype(np.float64),
+        frame_rate_hz=1.0,
+    )
+
+
+def at_rate(images: VideoInfo, frame_rate_hz: float) -> VideoInfo:
+    """Place the frames of a sequence at a frame rate; numbers that are left out are dropped frames."""
+    time_s = images.pts / float(without_rounding(frame_rate_hz))
+    warnings = (replace(one, file=images.path.name) for one in uneven_times(time_s))
+    return replace(images, time_s=time_s, frame_rate_hz=frame_rate_hz, warnings=(*images.warnings, *warnings))
+
+
+def _check_sizes(frames: Sequence[VideoFrame]) -> None:
+    first = frames[0]
+    for frame in frames:
+        if (frame.width, frame.height) != (first.width, first.height):
+            raise UnusableError(
+                "video_changes_size",
+                f"The images change their size from {first.width} x {first.height} to {frame.width} x {frame.height} "
+                "pixels.",
+                "Send images of one size.",
+            )
