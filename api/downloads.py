@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Annotated, Any, BinaryIO, Literal, Self
-from urllib.parse import quote
 
 from fastapi import Depends, Header, Request, Response
 from fastapi.responses import RedirectResponse, StreamingResponse
@@ -15,6 +14,7 @@ from api.dependencies import Services
 from api.errors import ApiError, ErrorItem
 from api.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
 from api.http.conditional import NOT_MODIFIED, IfNoneMatch
+from api.http.file_names import disposition_of
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
 
@@ -57,9 +57,9 @@ class Download:
     remedy: str | None = None
 
     @classmethod
-    def of(cls, result: Result) -> Self:
-        """Result file under its name."""
-        return cls(result.name, result.media_type, result.key, result.num_bytes, result.sha256)
+    def of(cls, result: Result, name: str | None = None) -> Self:
+        """Result file, under its own name or another one."""
+        return cls(name or result.name, result.media_type, result.key, result.num_bytes, result.sha256)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,13 +157,6 @@ def opened(services: Services, file: Download) -> BinaryIO:
         raise _damaged(file) from error
 
 
-def disposition_of(name: str, disposition: str = "attachment") -> dict[str, str]:
-    """Header with the name of a file: in ASCII, and with all its characters (RFC 6266, section 4.3)."""
-    ascii_name = "".join(one if one.isascii() and one.isprintable() and one not in '"\\%' else "_" for one in name)
-    both = f"filename=\"{ascii_name}\"; filename*=utf-8''{quote(name, safe='')}"
-    return {"Content-Disposition": f"{disposition}; {both}"}
-
-
 def expired() -> ApiError:
     """Error for a file that was removed."""
     return ApiError(
@@ -203,7 +196,7 @@ def _missing(file: Download) -> ApiError:
 
 def _damaged(file: Download) -> ApiError:
     if file.remedy is None:
-        return damaged([file.name])
+        return damaged([file.key.rpartition("/")[2]])
     return ApiError("artifact_damaged", "The stored file is damaged.", hint=file.remedy)
 
 

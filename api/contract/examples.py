@@ -4,6 +4,7 @@ import json
 from typing import Any
 
 from api.errors import title_of
+from api.http.file_names import disposition_of
 from pipeline.stages.plan import ASSOCIATE, CALIBRATE, DETECT, EXPORT, FIND_BOARD, FIT, IDENTIFY, LOOK, STAGE_BY_NAME
 
 _SESSION_ID = "01890a5d-ac96-774b-bcce-b302099a8057"
@@ -40,7 +41,7 @@ ANSWER_HEADERS = {
     "Retry-After": "1",
     "ETag": f'"{_SHA256}"',
     "Accept-Ranges": "bytes",
-    "Content-Disposition": "attachment; filename=\"person-1.bvh\"; filename*=utf-8''person-1.bvh",
+    **disposition_of("handshake-take-3_person-1.bvh"),
     "Set-Cookie": "multicap_session=...; HttpOnly; Max-Age=43200; Path=/; SameSite=strict",
     "Tus-Resumable": "1.0.0",
     "Upload-Offset": "1048576",
@@ -217,6 +218,9 @@ _RESULTS: dict[str, Any] = {
             "name": "person-1.bvh",
             "kind": "bvh",
             "person": "person-1",
+            "format": "bvh",
+            "preset": "default",
+            "download_name": "handshake-take-3_person-1.bvh",
             "media_type": "text/plain; charset=utf-8",
             "num_bytes": 204800,
             "sha256": _SHA256,

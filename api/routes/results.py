@@ -16,12 +16,12 @@ from api.downloads import (
     Stream,
     blocks_of,
     damaged,
-    disposition_of,
     expired,
     file_responses,
     send_file,
 )
 from api.http.byte_ranges import ByteRange
+from api.http.file_names import archived_name, disposition_of, result_name, take_name
 from api.schemas.jobs import ResultList, ResultOut
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
@@ -43,7 +43,8 @@ _FILE: dict[str, Any] = {
 def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     """List the result files of a finished job."""
     results = records.results.of_job(job_id)
-    return ResultList(results=tuple(ResultOut.of(job_id, result) for result in results))
+    job = records.jobs.get(job_id)
+    return ResultList(results=tuple(ResultOut.of(job, result) for result in results))
 
 
 @router.get(
@@ -61,15 +62,15 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     },
 )
 def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) -> Response:
-    """Download all result files of a job as one archive."""
+    """Download all result files of a job as one archive, with a folder for each person."""
     results = records.results.of_job(job_id)
     _require_whole(services, results)
-    session = records.sessions.get(records.jobs.get(job_id).session_id)
+    session_name = records.jobs.get(job_id).session_name
     # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
-        archive.add(_content(services, result), result.name)
-    headers = {"Cache-Control": "private, no-cache", **disposition_of(f"{session.name or job_id}.zip")}
+        archive.add(_content(services, result), archived_name(session_name, result.name, result.person))
+    headers = {"Cache-Control": "private, no-cache", **disposition_of(f"{take_name(session_name)}.zip")}
     return Stream(iter(archive), headers=headers, media_type="application/zip")
 
 
@@ -109,5 +110,10 @@ def get_result(
     records: FileViewDep,
     conditions: ConditionsDep,
 ) -> Response:
-    """Download a result file: the whole file, or a range, such as the rest of an interrupted download."""
-    return send_file(request, services, Download.of(records.results.get(job_id, name)), conditions)
+    """Download a result file: the whole file, or a range, such as the rest of an interrupted download.
+
+    Clients save it under a name that begins with that of the take, such as `handshake-take-3_person-1.bvh`.
+    """
+    result = records.results.get(job_id, name)
+    download = Download.of(result, result_name(records.jobs.get(job_id).session_name, result.name))
+    return send_file(request, services, download, conditions)

@@ -4,7 +4,9 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
+from api.http.file_names import result_name
 from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of
+from pipeline.config import FILE_FORMATS
 from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.model import (
     CANCELABLE,
@@ -229,15 +231,24 @@ class ResultOut(ResponseModel):
     name: str = Field(description="Name of the file.")
     kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.")
     person: str | None = Field(description="Person in the file; null if it concerns all people.")
+    format: str | None = Field(description="Format of a person's or of all people's motion, a value of `exports`.")
+    preset: str | None = Field(description="Preset of a BVH file; null of other files.")
+    download_name: str = Field(description="Name under which clients save the file; it tells takes apart.")
     media_type: str = Field(description="Content type of the file.")
     num_bytes: int = Field(description="Size of the file.")
     sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
     link: str = Field(description="Path of the file.")
 
     @classmethod
-    def of(cls, job_id: str, result: Result) -> Self:
-        """Build the response from a result."""
-        return cls(link=f"/v1/jobs/{job_id}/results/{result.name}", **fields_of(result, cls, without=("link",)))
+    def of(cls, job: Job, result: Result) -> Self:
+        """Build the response from a result of a job."""
+        return cls(
+            format=result.kind if result.kind in FILE_FORMATS else None,
+            preset=job.spec.bvh if result.kind == "bvh" else None,
+            download_name=result_name(job.session_name, result.name),
+            link=f"/v1/jobs/{job.id}/results/{result.name}",
+            **fields_of(result, cls, without=("format", "preset", "download_name", "link")),
+        )
 
 
 class ResultList(ResponseModel):

@@ -47,6 +47,9 @@ def test_list(live: Live, job_id: str, path: str) -> None:
                 "name": "person-1.bvh",
                 "kind": "bvh",
                 "person": "person-1",
+                "format": "bvh",
+                "preset": "default",
+                "download_name": "untitled_person-1.bvh",
                 "media_type": "text/plain; charset=utf-8",
                 "num_bytes": len(RESULT),
                 "sha256": ETAG.strip('"'),
@@ -63,9 +66,8 @@ def test_whole_file(live: Live, path: str) -> None:
     assert answer.headers["etag"] == ETAG
     assert answer.headers["accept-ranges"] == "bytes"
     assert answer.headers["content-type"] == "text/plain; charset=utf-8"
-    assert (
-        answer.headers["content-disposition"] == "attachment; filename=\"person-1.bvh\"; filename*=utf-8''person-1.bvh"
-    )
+    named = "filename=\"untitled_person-1.bvh\"; filename*=utf-8''untitled_person-1.bvh"
+    assert answer.headers["content-disposition"] == f"attachment; {named}"
     assert answer.headers["content-length"] == str(len(RESULT))
 
 
@@ -129,12 +131,18 @@ def test_all_as_one_archive(live: Live, job_id: str) -> None:
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
         assert archive.testzip() is None
         packed = {name: archive.read(name) for name in archive.namelist()}
-    listed = [result["name"] for result in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]]
-    assert packed == {name: live.client.get(f"/v1/jobs/{job_id}/results/{name}").content for name in listed}
+    listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
+    assert [result["person"] for result in listed] == ["person-1"]
+    assert packed == {
+        f"person-1/{result['download_name']}": live.client.get(result["link"]).content for result in listed
+    }
 
 
-@pytest.mark.parametrize("name", ["take", 'Größe "2"; 撮影 / ..\\a', "a" * 100])
-def test_the_archive_bears_the_sessions_name(live: Live, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [("take", "take"), ('Größe "2"; 撮影 / ..\\a', "größe-2-撮影-a"), ("a" * 150, "a" * 120), ("?", "take")],
+)
+def test_the_archive_bears_the_sessions_name(live: Live, name: str, kept: str) -> None:
     manifest = ("manifest", ("manifest.json", json.dumps({"name": name}).encode(), "application/json"))
     session = live.client.post("/v1/sessions", files=[*form(), manifest])
     assert session.status_code == 201, session.text
@@ -143,7 +151,7 @@ def test_the_archive_bears_the_sessions_name(live: Live, name: str) -> None:
     header = live.client.get(f"/v1/jobs/{job_id}/results.zip").headers["Content-Disposition"]
     assert header.isascii()
     assert header.startswith("attachment; filename=")
-    assert unquote(header.rpartition("filename*=utf-8''")[2]) == f"{name}.zip"
+    assert unquote(header.rpartition("filename*=utf-8''")[2]) == f"{kept}.zip"
 
 
 def test_no_archive_of_nothing(live: Live) -> None:

@@ -200,7 +200,7 @@ def test_downloads_and_ranges(studio: Studio) -> None:
     with zipfile.ZipFile(
         io.BytesIO(studio.live.client.get(studio.link("file", "results.zip")["url"]).content)
     ) as found:
-        assert found.read("person-1.bvh") == RESULT
+        assert found.read("person-1/untitled_person-1.bvh") == RESULT
     part = studio.live.client.get(studio.link("video", "cam_0")["url"], headers={"Range": "bytes=1-3"})
     assert (part.status_code, part.content) == (206, b"ide")
     # Pages of other origins may show it, and learn nothing from their address.

@@ -1,0 +1,45 @@
+"""Names of downloads: they tell takes apart, every file system takes them, and a header states them (RFC 6266)."""
+
+import unicodedata
+from urllib.parse import quote
+
+_MAX_BYTES = 120
+"""Longest name of a take; file systems take names of 255 bytes."""
+
+_KEPT = frozenset(
+    "LNM"
+)  # first letters of the Unicode categories of letters, numbers, and marks that belong to letters
+
+
+def take_name(session_name: str) -> str:
+    """Name of a take for files: letters and digits of the session's name in lower case, hyphens between words.
+
+    >>> take_name("Handshake, take 3")
+    'handshake-take-3'
+    """
+    text = unicodedata.normalize("NFC", session_name.lower())
+    words = "".join(one if unicodedata.category(one)[0] in _KEPT else " " for one in text).split()
+    short = "-".join(words).encode()[:_MAX_BYTES].decode(errors="ignore").rstrip("-")
+    return short or "take"
+
+
+def result_name(session_name: str, name: str) -> str:
+    """Name under which clients save a result file of a session.
+
+    >>> result_name("Handshake, take 3", "person-1.bvh")
+    'handshake-take-3_person-1.bvh'
+    """
+    return f"{take_name(session_name)}_{name}"
+
+
+def archived_name(session_name: str, name: str, person: str | None) -> str:
+    """Path of a result file in the archive of all of them: a folder for each person."""
+    folder = "" if person is None else f"{take_name(person)}/"
+    return folder + result_name(session_name, name)
+
+
+def disposition_of(name: str, disposition: str = "attachment") -> dict[str, str]:
+    """Header with the name of a file: in ASCII, and with all its characters (RFC 6266, section 4.3)."""
+    ascii_name = "".join(one if one.isascii() and one.isprintable() and one not in '"\\%' else "_" for one in name)
+    both = f"filename=\"{ascii_name}\"; filename*=utf-8''{quote(name, safe='')}"
+    return {"Content-Disposition": f"{disposition}; {both}"}
