@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
+from pipeline.edits import PeopleEdit
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
 from worker.jobs.model import ChunkPlan, Claim, InputFile, StagePlan, config_of
@@ -32,6 +33,7 @@ def plan_job(
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
     codes: Mapping[str, str] | None = None,
     making: CalibrationChoices | None = None,
+    edits: tuple[PeopleEdit, ...] = (),
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.
 
@@ -39,10 +41,10 @@ def plan_job(
     ----------
     codes
         Digests of the stages' code; ``None``: of this process's.
-    making
+    making, edits
         See ``worker.jobs.model.Job``.
     """
-    stages = plan(session_facts(session), config_of(spec, making), codes or stage_codes(), chunk_frames)
+    stages = plan(session_facts(session), config_of(spec, making, edits), codes or stage_codes(), chunk_frames)
     return tuple(StagePlan(stage.name, _Chunks(stage), stage.code_sha256) for stage in stages)
 
 

@@ -57,9 +57,9 @@ def reap(
             if not store.plans.is_run(stage_codes().values()):
                 return  # workers of this version may start later
             job = store.jobs.get(job_id)
-            if store.plans.replace(
-                job_id, plan_job(store.sessions.get(job.session_id), job.spec, chunk_frames, making=job.making)
-            ):
+            session = store.sessions.get(job.session_id)
+            stages = plan_job(session, job.spec, chunk_frames, making=job.making, edits=job.edits)
+            if store.plans.replace(job_id, stages):
                 log.info("job_planned_again", job=job_id)
                 publish()
 

@@ -174,6 +174,7 @@ class Runner:
             results=results,
             warnings=output.warnings,
             calibration=None if output.calibration is None else MadeCalibration(**output.calibration),
+            people=output.people,
         )
 
     def _reusable(self, claim: Claim) -> tuple[str, int] | None:
@@ -232,7 +233,7 @@ class Runner:
         return [content for content in contents if content is not None]
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
-        key = result_key(claim.job_id, file.name)
+        key = result_key(claim.job_id, file.name, claim.revision)
         num_bytes = file.path.stat().st_size
         with file.path.open("rb") as content:
             sha256 = hashlib.file_digest(content, "sha256").hexdigest()

@@ -114,7 +114,7 @@ def write_results(
     for track, motion in zip(shown.tracks, shown.motions, strict=True):
         skeleton_m = forward_kinematics(motion)
         for export in formats:
-            path = folder / f"{motion.name}.{export}"
+            path = folder / f"person-{track.track_id}.{export}"
             person = Person(track, motion, shown.joints, shown.timebase, path.name, preset)
             expected_m = skeleton_m if FILE_FORMATS[export].holds == "motion" else track.xyz_m
             with _replacing(path, FORMATS[export].encode(person)) as part:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import Animation, Camera, Observations, SkeletonMotion, Timebase, Track3D
+from pipeline.data import Animation, Camera, Floor, Observations, SkeletonMotion, Timebase, Track3D
 from pipeline.joints import FINGER_JOINTS, MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
 from pipeline.progress import OnShare, ignore, split
 from pipeline.skeleton.feet.floor import estimate_floor
@@ -34,6 +34,7 @@ def animate(
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
     offsets: JointOffsets = MARKED_AT_CENTERS,
+    floor: Floor | None = None,
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
@@ -52,6 +53,8 @@ def animate(
         Called with the progress after each window of a track's frames.
     offsets
         Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
+    floor
+        Floor under the people; ``None``: it is estimated from their feet.
 
     Raises
     ------
@@ -70,9 +73,10 @@ def animate(
         fits.append(_prepare(*of_body, cameras, timebase, body, config, offsets, next(parts)))
         motions.append(fits[-1].motion(next(parts)))
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
-    floor = estimate_floor(
-        [one.ankles_m for one in points], [one.ankles_known for one in points], timebase.frame_rate_hz
-    )
+    if floor is None:
+        floor = estimate_floor(
+            [one.ankles_m for one in points], [one.ankles_known for one in points], timebase.frame_rate_hz
+        )
     finals: list[Track3D] = []
     for number, (track, seen) in enumerate(zip(tracks, observations, strict=True)):
         contacts = contacts_of(points[number], floor, timebase.frame_rate_hz, config.feet)

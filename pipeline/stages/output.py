@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.findings import Finding
+from pipeline.edits import PersonSpan
 
 VIEWER = "viewer"
 """Kind of the files that viewers read; lists of downloads leave them out."""
@@ -40,6 +41,8 @@ class Output:
         Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
     calibration
         Calibration that the job has made: ``files``, texts by format, and ``report``.
+    people
+        People whom the job has found, before any edit; ``None`` of a task that writes no results.
     """
 
     content: bytes
@@ -47,3 +50,4 @@ class Output:
     warnings: tuple[Finding, ...] = ()
     interim: bytes | None = None
     calibration: Mapping[str, Any] | None = None
+    people: tuple[PersonSpan, ...] | None = None

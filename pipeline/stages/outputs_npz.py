@@ -1,10 +1,9 @@
 """Outputs of stages: NumPy archives without pickles, byte-identical for equal records."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, replace
 from pathlib import Path
-from typing import TypeVar, overload
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from pipeline.data import (
 from pipeline.detect.profiles.sizes import CameraSizes
 from pipeline.geometry.rigid import Rigid3
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
+from pipeline.stages.stored import StoredSequence
 
 _FIELD_ARRAYS = ("frame", "peak_row", "peak_joint", "peak_px", "peak_score", "fields", "limbs")
 _POSE_ARRAYS = ("frame", "xyz_m", "points_px", "score", "approximate")
@@ -57,35 +57,6 @@ _CONTACT = np.dtype(
 )
 _DOUBT = np.dtype([("frame", np.int64), ("confidence", np.float64), ("other", np.int64)])
 _DAMAGED_VIDEOS = "damaged_videos"
-_Record = TypeVar("_Record")
-
-
-class _Stored(Sequence[_Record]):
-    """Records in a file, each read anew whenever it is asked for: all of a long session's are large.
-
-    Parameters
-    ----------
-    num_records
-        How many there are.
-    read
-        Reads the one with a number.
-    """
-
-    def __init__(self, num_records: int, read: Callable[[int], _Record]) -> None:
-        self._numbers, self._read = range(num_records), read
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    @overload
-    def __getitem__(self, index: int) -> _Record: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[_Record]: ...
-
-    def __getitem__(self, index: int | slice) -> _Record | Sequence[_Record]:
-        numbers = self._numbers[index]
-        return self._read(numbers) if isinstance(numbers, int) else [self._read(number) for number in numbers]
 
 
 def encode_sizes(sizes: CameraSizes) -> bytes:
@@ -263,7 +234,7 @@ def open_people(path: Path) -> People:
         doubts = [[Doubt(*next(all_doubts)) for _ in range(number)] for number in archive["num_doubts"].tolist()]
         has_leftovers = f"left_{_LEFTOVER_ARRAYS[0]}" in archive.files
         leftovers = Leftovers(*(archive[f"left_{name}"] for name in _LEFTOVER_ARRAYS)) if has_leftovers else None
-    tracks, seen = _Stored(num_people, track), _Stored(num_people, observations)
+    tracks, seen = StoredSequence(num_people, track), StoredSequence(num_people, observations)
     return People(tracks, seen, num_approximate_frames, doubts, leftovers)
 
 

@@ -17,9 +17,10 @@ from typing import Any, Literal
 
 from pipeline.calibration_choices import BOARD_FRAMES
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
+from pipeline.edits import document_of
 
 LOOK, DETECT, REFINE, LENGTHS, POSES, ASSOCIATE = "look", "detect", "refine", "lengths", "poses", "associate"
-IDENTIFY, FIT, EXPORT = "identify", "fit", "export"
+IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
 FIND_BOARD, CALIBRATE = "find_board", "make_calibration"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
@@ -171,6 +172,10 @@ def _is_refining(_: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and config.refine_calibration == "auto"
 
 
+def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None and bool(config.edits)
+
+
 STAGES = (
     Stage(
         LOOK,
@@ -265,10 +270,28 @@ STAGES = (
         function="fit_skeletons",
     ),
     Stage(
+        EDIT,
+        "Edit people",
+        cut="whole",
+        follows=(IDENTIFY,),
+        choices=("edits",),
+        function="edit_people",
+        is_planned=_is_edited,
+    ),
+    Stage(
+        REFIT,
+        "Fit edited people",
+        cut="whole",
+        follows=(REFINE, IDENTIFY, FIT, EDIT),
+        choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
+        function="refit_skeletons",
+        is_planned=_is_edited,
+    ),
+    Stage(
         EXPORT,
         "Write files",
         cut="whole",
-        follows=(REFINE, IDENTIFY, FIT),
+        follows=(REFINE, IDENTIFY, FIT, EDIT, REFIT),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
         is_reusable=False,
@@ -398,6 +421,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "joints": None if config.detector != "auto" else detected_joints(config),
         "exports": sorted(config.exports),
         "making": None if config.making is None else asdict(config.making),
+        "edits": [document_of(edit) for edit in config.edits],
         "tracking": None if is_clustering else dict(config.tracking),
         "clustering": dict(config.clustering) if is_clustering else None,
         "output": "fields" if config.uses_fields else "bodies",

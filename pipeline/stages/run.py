@@ -26,6 +26,7 @@ from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import joints_of, load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
+from pipeline.edits import PersonSpan
 from pipeline.errors import PipelineError, listed
 from pipeline.export.results import METRICS, write_results
 from pipeline.findings import Finding
@@ -45,6 +46,7 @@ from pipeline.stages.association import (
     tell_apart,
     track,
 )
+from pipeline.stages.editing import animate_again, cut, edited_take, put_together, spans
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.outputs_npz import (
     decode_animation,
@@ -70,6 +72,7 @@ from pipeline.stages.outputs_npz import (
 from pipeline.stages.plan import (
     ASSOCIATE,
     DETECT,
+    EDIT,
     FIND_BOARD,
     FIT,
     IDENTIFY,
@@ -78,6 +81,7 @@ from pipeline.stages.plan import (
     LOOKED_AT_FRAMES,
     POSES,
     REFINE,
+    REFIT,
     STAGE_BY_NAME,
     FrameCut,
     SessionFacts,
@@ -88,7 +92,7 @@ from pipeline.stages.viewer import viewer_files
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 
-_PEOPLE = "people.npz"
+_PEOPLE, _EDITED, _FOUND = "people.npz", "edited.npz", "found.npz"
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"} | {
     f".{name}": file_format.media_type for name, file_format in FILE_FORMATS.items()
 }
@@ -371,6 +375,38 @@ def fit_skeletons(task: Task, context: Context) -> Output:
     return Output(encode_animation(_animation(task, context)))
 
 
+def edit_people(task: Task, context: Context) -> Output:
+    """Put the people together as the edits say, from those who were found."""
+    archive = _archive_of_people(context, IDENTIFY)
+    people, damaged = open_people(archive), decode_damaged_videos(archive)
+    session, _ = _wanted(context, context.outline())
+    take = edited_take(spans(people.tracks), context.config, session.timebase)
+    edited = context.scratch / _EDITED
+    write_people(edited, put_together(people, take), damaged)
+    _on_share(task, context)(1.0)
+    return Output(edited.read_bytes())
+
+
+def refit_skeletons(task: Task, context: Context) -> Output:
+    """Animate the people whom edits changed; the others keep their animation."""
+    session, joints = _wanted(context, context.outline())
+    found = spans_found(context)
+    edited = open_people(_archive_of_people(context, EDIT, _EDITED))
+    animation = animate_again(
+        decode_animation(*context.outputs(FIT)),
+        found,
+        edited,
+        edited_take(found, context.config, session.timebase),
+        session.cameras,
+        session.timebase,
+        joints,
+        context.config,
+        _on_share(task, context),
+        used_offsets(session, context.config),
+    )
+    return Output(encode_animation(animation))
+
+
 def export(task: Task, context: Context) -> Output:
     """Write the result files, and an index of them."""
     reconstruction = assemble(context)
@@ -379,22 +415,25 @@ def export(task: Task, context: Context) -> Output:
     paths = write_results(reconstruction, context.scratch, config.exports, config.bvh, config.output_rate_hz, on_share)
     files = [_result_file(path) for path in paths]
     report = json.loads((context.scratch / METRICS).read_bytes())
-    files += viewer_files(reconstruction, context.outline(), report, context.scratch)
+    frames = kept_frames(context)
+    first_frame = 0 if frames is None else frames.start
+    files += viewer_files(reconstruction, context.outline(), report, context.scratch, first_frame)
     index = json.dumps({"files": [file.name for file in files]}).encode()
-    return Output(index, tuple(files), tuple(all_checks(report)))
+    return Output(index, tuple(files), tuple(all_checks(report)), people=spans_found(context))
 
 
 def assemble(context: Context) -> Reconstruction:
-    """Assemble the reconstruction from the outputs of association and fit.
+    """Assemble the reconstruction from the outputs of association and fit, edited if it was.
 
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
     session, joints = _wanted(context, context.outline())
-    archive = _archive_of_people(context, IDENTIFY)
-    animation = decode_animation(*context.outputs(FIT))
+    is_edited = bool(context.config.edits)
+    archive = _archive_of_people(context, EDIT if is_edited else IDENTIFY)
+    animation = decode_animation(*context.outputs(REFIT if is_edited else FIT))
     refined = _refinement(context, session.cameras)
     people = open_people(archive)
-    return Reconstruction(
+    reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
         timebase=session.timebase,
@@ -408,6 +447,19 @@ def assemble(context: Context) -> Reconstruction:
         offsets=used_offsets(session, context.config),
         refinement=None if refined is None else refined[1],
     )
+    frames = kept_frames(context)
+    return reconstruction if frames is None else cut(reconstruction, frames)
+
+
+def kept_frames(context: Context) -> range | None:
+    """Frames that edits keep, in the numbering of the reconstruction; ``None``: all."""
+    timebase = wanted_session(context.outline(), context.config)[0].timebase
+    return edited_take(spans_found(context), context.config, timebase).frames if context.config.edits else None
+
+
+def spans_found(context: Context) -> tuple[PersonSpan, ...]:
+    """Frames of the people who were found, before any edit."""
+    return spans(open_people(_archive_of_people(context, IDENTIFY, _FOUND)).tracks)
 
 
 def _wanted(context: Context, session: Session) -> tuple[Session, JointSet]:
@@ -489,9 +541,9 @@ def _animation(task: Task, context: Context) -> Animation:
     )
 
 
-def _archive_of_people(context: Context, stage: str) -> Path:
+def _archive_of_people(context: Context, stage: str, name: str = _PEOPLE) -> Path:
     """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
-    archive = context.scratch / _PEOPLE
+    archive = context.scratch / name
     archive.write_bytes(*context.outputs(stage))
     return archive
 
@@ -516,6 +568,8 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         associate_people,
         identify_people,
         fit_skeletons,
+        edit_people,
+        refit_skeletons,
         export,
     )
 }

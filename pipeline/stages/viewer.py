@@ -12,7 +12,7 @@ from pipeline.stages.output import DESCRIPTION, MOTION, VIEWER, ResultFile
 
 
 def viewer_files(
-    reconstruction: Reconstruction, session: Session, report: Mapping[str, Any], folder: Path
+    reconstruction: Reconstruction, session: Session, report: Mapping[str, Any], folder: Path, first_frame: int = 0
 ) -> Iterator[ResultFile]:
     """Write the files for viewers into a folder.
 
@@ -22,8 +22,10 @@ def viewer_files(
         At the session's frame rate.
     report
         Content of ``metrics.json``.
+    first_frame
+        Number of the first frame before the take was cut.
     """
-    motion = ViewerMotion(reconstruction, footage_of(session), report)
+    motion = ViewerMotion(reconstruction, footage_of(session), report, first_frame)
     with (folder / MOTION).open("wb") as file:
         file.writelines(motion.encode())
     yield ResultFile(MOTION, VIEWER, None, "application/octet-stream", folder / MOTION)

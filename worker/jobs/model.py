@@ -5,6 +5,7 @@
     job     queued -> running -> succeeded | failed
             queued | running -> canceling -> canceled
             failed | canceled -> queued          (retry: attempt + 1)
+            succeeded | failed | canceled -> queued   (edits of people: attempt + 1, revision + 1)
             succeeded | failed | canceled -> expired
 
     chunk   waiting -> ready -> running -> done
@@ -24,6 +25,7 @@ from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import ReconstructionConfig
 from pipeline.findings import Finding
+from pipeline.edits import PeopleEdit, PersonSpan
 from worker.jobs.spec import JobSpec
 
 
@@ -54,13 +56,15 @@ JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
     JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.FAILED}),
     JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING}),
     JobState.CANCELING: frozenset({JobState.CANCELED}),
-    JobState.SUCCEEDED: frozenset({JobState.EXPIRED}),
+    JobState.SUCCEEDED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
     JobState.FAILED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
     JobState.CANCELED: frozenset({JobState.QUEUED, JobState.EXPIRED}),
     JobState.EXPIRED: frozenset(),
 }
 
-RETRYABLE = frozenset(state for state, targets in JOB_TRANSITIONS.items() if JobState.QUEUED in targets)
+RETRYABLE = frozenset({JobState.FAILED, JobState.CANCELED})
+EDITABLE = RETRYABLE | {JobState.SUCCEEDED}
+"""States of jobs whose people can be edited, if they have been found."""
 CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
 AT_WORK = (JobState.QUEUED, JobState.RUNNING)
 """States of jobs that have chunks to claim."""
@@ -298,7 +302,8 @@ class Job:
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
     units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
     those of ``result_warnings``. ``making`` has the choices of the calibration that it makes; without it, the job
-    reconstructs.
+    reconstructs. ``edits`` are the edits of its people, ``revision`` the number of times that they were changed, and
+    ``people`` those whom the reconstruction found, before any edit; ``None`` until its first results are written.
     """
 
     id: str
@@ -321,6 +326,9 @@ class Job:
     warnings: tuple[str, ...]
     result_warnings: tuple[Finding, ...]
     making: CalibrationChoices | None = None
+    edits: tuple[PeopleEdit, ...] = ()
+    revision: int = 0
+    people: tuple[PersonSpan, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,14 +482,18 @@ class Claim:
     attempt: int  # try of the chunk, from 1
     job_attempt: int
     trace: str | None  # W3C traceparent of the request for the job
-    making: CalibrationChoices | None = None  # as of ``Job``
+    making: CalibrationChoices | None = None  # as of ``Job``, like the next two
+    edits: tuple[PeopleEdit, ...] = ()
+    revision: int = 0
 
     @property
     def config(self) -> ReconstructionConfig:
         """Configuration of the job."""
-        return config_of(self.spec, self.making)
+        return config_of(self.spec, self.making, self.edits)
 
 
-def config_of(spec: JobSpec, making: CalibrationChoices | None) -> ReconstructionConfig:
-    """Configuration of a job by its spec and, if it makes a calibration, the choices of this."""
-    return replace(spec.config, making=making)
+def config_of(
+    spec: JobSpec, making: CalibrationChoices | None = None, edits: tuple[PeopleEdit, ...] = ()
+) -> ReconstructionConfig:
+    """Configuration of a job by its spec, the choices of the calibration that it makes, and the edits of its people."""
+    return replace(spec.config, making=making, edits=edits)

@@ -57,12 +57,18 @@ class ViewerMotion:
         Frames of each camera, by its name.
     report
         Content of ``metrics.json``.
+    first_frame
+        Number of the first frame before the take was cut; 0 if it was not.
     """
 
     def __init__(
-        self, reconstruction: Reconstruction, footage: Mapping[str, Footage], report: Mapping[str, Any]
+        self,
+        reconstruction: Reconstruction,
+        footage: Mapping[str, Footage],
+        report: Mapping[str, Any],
+        first_frame: int = 0,
     ) -> None:
-        self._take, self._footage, self._report = reconstruction, footage, report
+        self._take, self._footage, self._report, self._first_frame = reconstruction, footage, report, first_frame
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = skeleton_of(num_bones) if num_bones else ()
         self._dtype = record_type(len(reconstruction.joints.names), num_bones, len(reconstruction.cameras))
@@ -88,6 +94,7 @@ class ViewerMotion:
             "frame_rate_hz": take.timebase.frame_rate_hz,
             "start_time_s": take.timebase.start_time_s,
             "num_frames": take.timebase.num_frames,
+            "first_frame": self._first_frame,
             "joint_names": take.joints.names,
             "bones": take.joints.bones,
             "skeleton": {

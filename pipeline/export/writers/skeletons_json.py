@@ -38,9 +38,9 @@ def _joints_or_null(values: Float[np.ndarray, "frames joints *values"], decimals
     ]
 
 
-def _track_parts(track: Track3D) -> Iterator[str]:
+def _track_parts(track: Track3D, name: str) -> Iterator[str]:
     """JSON object of a track, block by block: all numbers as Python objects would need too much memory."""
-    head = {"id": track.track_id, "name": f"person-{track.track_id}", "start_frame": track.start_frame}
+    head = {"id": track.track_id, "name": name, "start_frame": track.start_frame}
     yield _dumps(head).removesuffix("}")
     series: dict[str, Callable[[slice], Sequence[object]]] = {
         "positions_m": lambda rows: _joints_or_null(track.xyz_m[rows], 4),
@@ -51,8 +51,8 @@ def _track_parts(track: Track3D) -> Iterator[str]:
     uncertainty_m = track.uncertainty_m
     if uncertainty_m is not None:
         series["uncertainty_m"] = lambda rows: _joints_or_null(uncertainty_m[rows], 4)
-    for name, frames_of in series.items():
-        yield f',"{name}":['
+    for field, frames_of in series.items():
+        yield f',"{field}":['
         for rows in frame_blocks(track.num_frames):
             yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
         yield "]"
@@ -71,9 +71,9 @@ def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
         "bones": joints.bones,
     }
     yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
-    for number, track in enumerate(reconstruction.tracks):
+    for number, (track, motion) in enumerate(zip(reconstruction.tracks, reconstruction.motions, strict=True)):
         yield b",\n" if number else b""
-        for part in _track_parts(track):
+        for part in _track_parts(track, motion.name):
             yield part.encode("ascii")
     yield b"\n]}\n"
 

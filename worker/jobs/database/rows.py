@@ -11,6 +11,7 @@ from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
 from pipeline.findings import Finding
+from pipeline.edits import PeopleEdit, PersonSpan, edit_of
 from pipeline.stages.plan import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
@@ -120,7 +121,15 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
         ),
         result_warnings=found,
         making=making_of(row.making),
+        edits=edits_of(row.edits),
+        revision=row.revision,
+        people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
     )
+
+
+def edits_of(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
+    """Edits of a job's people, from their column."""
+    return tuple(map(edit_of, documents))
 
 
 def making_of(choices: Mapping[str, Any] | None) -> CalibrationChoices | None:

@@ -97,6 +97,9 @@ jobs = Table(
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # of its session
     Column("warnings", JSON, nullable=False, server_default="[]"),  # about its results: objects with code and message
     Column("making", JSON(none_as_null=True)),  # choices of the calibration that it makes; null: it reconstructs
+    Column("edits", JSON, nullable=False, server_default="[]"),  # of its people
+    Column("revision", Integer, nullable=False, server_default="0"),  # number of changes of the edits
+    Column("people", JSON(none_as_null=True)),  # who was found, before any edit; null until there are results
     Index(None, "session_id", "id"),
     Index(None, "tenant", "id"),
     Index(None, "state", "queued_at"),

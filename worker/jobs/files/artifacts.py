@@ -75,9 +75,14 @@ def interim_key(job_id: str, attempt: int, output_key: str) -> str:
     return f"{interim_prefix(job_id, attempt)}{output_key}"
 
 
-def result_key(job_id: str, name: str) -> str:
+def results_prefix(job_id: str, revision: int = 0) -> str:
+    """Prefix of the keys of the result files of a revision of a job."""
+    return f"{job_prefix(job_id)}results/" if revision == 0 else f"{job_prefix(job_id)}revisions/{revision}/"
+
+
+def result_key(job_id: str, name: str, revision: int = 0) -> str:
     """Key of a result file."""
-    return f"{job_prefix(job_id)}results/{name}"
+    return f"{results_prefix(job_id, revision)}{name}"
 
 
 class ArtifactStore(Protocol):

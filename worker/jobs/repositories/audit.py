@@ -22,6 +22,7 @@ class AuditAction(StrEnum):
     JOB_CREATED = "job-created"
     JOB_CANCELED = "job-canceled"
     JOB_RETRIED = "job-retried"
+    JOB_EDITED = "job-edited"
     JOB_DELETED = "job-deleted"
     UPLOAD_CREATED = "upload-created"
     UPLOAD_DELETED = "upload-deleted"

@@ -8,6 +8,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
 from pipeline.calibration_choices import CalibrationChoices
+from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import remove_later
@@ -15,13 +16,13 @@ from worker.jobs.database.rows import jobs_of, select_jobs
 from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
-from worker.jobs.files.artifacts import job_prefix
-from worker.jobs.model import FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
+from worker.jobs.files.artifacts import job_prefix, results_prefix
+from worker.jobs.model import EDITABLE, FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
 from worker.jobs.repositories.sessions import lock_session
-from worker.jobs.repositories.work.plans import insert_chunks
+from worker.jobs.repositories.work.plans import insert_chunks, plan_changes
 from worker.jobs.spec import JobSpec
 
 
@@ -167,6 +168,55 @@ class Jobs:
             connection.execute(delete(results).where(results.c.job_id == job_id))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
             insert_chunks(connection, job_id, stages)
+            return self._read(connection, job_id)
+
+    def edit(
+        self,
+        job_id: str,
+        edits: Sequence[PeopleEdit],
+        stages: Sequence[StagePlan],
+        revision: int | None = None,
+        trace: str | None = None,
+    ) -> Job:
+        """Replace the edits of a job's people and queue it again, as its next revision and attempt.
+
+        Chunks that are done under the same keys stay done. The caller publishes that there is work.
+
+        Parameters
+        ----------
+        stages
+            Plan of the job with these edits.
+        revision
+            Revision that the edits were made for; ``None``: any.
+        trace
+            As in ``add``.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The job is unfinished or expired, has found nobody yet, or has another revision.
+        QuotaExceeded
+        """
+        with self._access.writing() as connection:
+            self._access.require_room(connection, unfinished_jobs=1)
+            job = job_row(connection, self._access, job_id, lock=True)
+            if revision is not None and revision != job.revision:
+                raise Conflict(f"The job has the revision {job.revision} now, not {revision}.")
+            if job.people is None:
+                raise Conflict("The job has no results yet, so its people can't be edited.")
+            changed = {"edits": [document_of(edit) for edit in edits], "revision": job.revision + 1}
+            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
+            unended = {"started_at": None, "finished_at": None, "expires_at": None}
+            if job.state not in EDITABLE or not move_job(
+                connection, job_id, JobState.QUEUED, **unended, **again, **changed
+            ):
+                raise Conflict(f"The people of a finished job can be edited; this one is {job.state}.")
+            record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_EDITED, job_id)
+            keep_attempt(connection, job)
+            remove_later(connection, results_prefix(job_id, job.revision))
+            connection.execute(delete(results).where(results.c.job_id == job_id))
+            plan_changes(connection, job_id, stages)
             return self._read(connection, job_id)
 
     def delete(self, job_id: str) -> None:

@@ -8,8 +8,9 @@ from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.findings import Finding
+from pipeline.edits import PersonSpan
 from worker.jobs.database.connection import now, upsert
-from worker.jobs.database.rows import making_of
+from worker.jobs.database.rows import edits_of, making_of
 from worker.jobs.database.tables import artifacts, chunks, jobs, results
 from worker.jobs.database.totals import Total, count
 from worker.jobs.database.transactions import Transactions
@@ -104,6 +105,8 @@ class Leases:
             job_attempt=job.attempt,
             trace=job.trace,
             making=making_of(job.making),
+            edits=edits_of(job.edits),
+            revision=job.revision,
         )
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
@@ -135,8 +138,9 @@ class Leases:
         results: Sequence[Result] = (),
         warnings: Sequence[Finding] = (),
         calibration: MadeCalibration | None = None,
+        people: Sequence[PersonSpan] | None = None,
     ) -> bool:
-        """Record the output of a chunk, and what it has of its job: result files, their warnings, a calibration.
+        """Record the output of a chunk, and what it has of its job: result files, warnings, people, a calibration.
 
         Returns
         -------
@@ -157,7 +161,7 @@ class Leases:
                     "num_bytes": num_bytes,
                 },
             )
-            _record_results(connection, job.id, results, warnings)
+            _record_results(connection, job.id, results, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
             move_chunk(connection, chunk_id, ChunkState.DONE, done_units=chunk.unit_count, reused=reused)
@@ -323,9 +327,18 @@ def _output_damaged(chunk: Row[Any]) -> Problem:
     )
 
 
-def _record_results(connection: Connection, job_id: str, found: Sequence[Result], warnings: Sequence[Finding]) -> None:
+def _record_results(
+    connection: Connection,
+    job_id: str,
+    found: Sequence[Result],
+    warnings: Sequence[Finding],
+    people: Sequence[PersonSpan] | None,
+) -> None:
     if found:
         connection.execute(insert(results), [{"job_id": job_id, **asdict(result)} for result in found])
     if warnings:
         said = [asdict(warning) for warning in warnings]
         connection.execute(update(jobs).where(jobs.c.id == job_id).values(warnings=said))
+    if people is not None:
+        spans = [asdict(person) for person in people]
+        connection.execute(update(jobs).where(jobs.c.id == job_id).values(people=spans))

@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert, or_, select
 
+from pipeline.stages.plan import STAGE_BY_NAME
 from worker.jobs.database.tables import chunks, jobs
 from worker.jobs.database.transactions import Transactions
 from worker.jobs.database.transitions import lock_job
@@ -53,20 +54,46 @@ class Plans:
             return True
 
 
-def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
-    """Insert the chunks of all stages, some at a time: a long session has too many for the memory."""
+def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePlan], num_done: int = 0) -> None:
+    """Insert the chunks of all stages, some at a time: a long session has too many for the memory.
+
+    The first ``num_done`` stages are done, and have their chunks already.
+    """
     if not stages or any(next(iter(stage.chunks), None) is None for stage in stages):
         raise ValueError("a job needs a stage, and every stage a chunk")
     rows = (
-        _chunk_row(job_id, stage_index, stage, chunk)
+        _chunk_row(job_id, stage_index, stage, chunk, is_first=stage_index == num_done)
         for stage_index, stage in enumerate(stages)
+        if stage_index >= num_done
         for chunk in stage.chunks
     )
     while some := list(islice(rows, _ROWS_AT_ONCE)):
         connection.execute(insert(chunks), some)
 
 
-def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan) -> dict[str, Any]:
+def plan_changes(connection: Connection, job_id: str, stages: Sequence[StagePlan]) -> None:
+    """Plan a finished job again; the first stages stay done whose chunks are done under the same keys."""
+    num_kept = 0
+    for stage in stages:
+        if not _is_done(connection, job_id, num_kept, stage):
+            break
+        num_kept += 1
+    connection.execute(delete(chunks).where(chunks.c.job_id == job_id, chunks.c.stage_index >= num_kept))
+    insert_chunks(connection, job_id, stages, num_kept)
+
+
+def _is_done(connection: Connection, job_id: str, stage_index: int, stage: StagePlan) -> bool:
+    """Whether all chunks of a stage are done, under the keys of a plan, and may stay."""
+    query = select(chunks.c.stage, chunks.c.state, chunks.c.output_key).where(
+        chunks.c.job_id == job_id, chunks.c.stage_index == stage_index
+    )
+    rows = connection.execute(query.order_by(chunks.c.chunk_index)).all()
+    if not STAGE_BY_NAME[stage.name].is_reusable:
+        return False
+    return [(stage.name, ChunkState.DONE, chunk.output_key) for chunk in stage.chunks] == [tuple(row) for row in rows]
+
+
+def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan, is_first: bool) -> dict[str, Any]:
     return {
         "job_id": job_id,
         "stage_index": stage_index,
@@ -76,5 +103,5 @@ def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan
         "payload": dict(chunk.payload),
         "output_key": chunk.output_key,
         "unit_count": chunk.unit_count,
-        "state": ChunkState.READY if stage_index == 0 else ChunkState.WAITING,
+        "state": ChunkState.READY if is_first else ChunkState.WAITING,
     }

@@ -1,0 +1,310 @@
+"""Edits of people: who is who, put right by hand. Standard library only: the web API imports this module.
+
+Edits are data. Each one is applied to the people whom the earlier edits leave, and the list of all of them says what a
+take is; without the list it is what the reconstruction found. Frames are those of the reconstruction, also after a cut.
+"""
+
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+from pipeline.errors import InputError, Problem
+
+MAX_EDITS = 1000
+"""Largest number of edits of a take."""
+MAX_NAME_LENGTH = 100
+"""Largest number of characters of a person's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class PersonSpan:
+    """A person of a take, with the frames from the first to the last one."""
+
+    id: int
+    start_frame: int
+    num_frames: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rename:
+    """Give a person a name."""
+
+    action: Literal["rename"] = "rename"
+    person: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Remove:
+    """Remove a person from the take."""
+
+    action: Literal["remove"] = "remove"
+    person: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Merge:
+    """Make one person of two. ``person`` stays; in frames of both, ``person`` counts and ``other`` is left out."""
+
+    action: Literal["merge"] = "merge"
+    person: int
+    other: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Split:
+    """Make two people of one. From ``frame`` on it is a new person, with the next free number."""
+
+    action: Literal["split"] = "split"
+    person: int
+    frame: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exchange:
+    """Exchange two people from ``start_frame`` on, up to ``stop_frame`` or else to the end."""
+
+    action: Literal["exchange"] = "exchange"
+    person: int
+    other: int
+    start_frame: int
+    stop_frame: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cut:
+    """Keep the frames from ``start_frame`` to the one before ``stop_frame`` alone."""
+
+    action: Literal["cut"] = "cut"
+    start_frame: int
+    stop_frame: int
+
+
+PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut
+"""An edit of people."""
+
+_BY_ACTION: Mapping[str, type[PeopleEdit]] = {
+    "rename": Rename,
+    "remove": Remove,
+    "merge": Merge,
+    "split": Split,
+    "exchange": Exchange,
+    "cut": Cut,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Frames of a person of the reconstruction."""
+
+    person: int
+    start_frame: int
+    stop_frame: int
+
+
+@dataclass(frozen=True, slots=True)
+class EditedPerson:
+    """A person after all edits.
+
+    Parameters
+    ----------
+    id
+        Number of the person.
+    pieces
+        Frames of people of the reconstruction, ascending, without overlaps, at least one.
+    name
+        Name that was given; ``None``: none was.
+    """
+
+    id: int
+    pieces: tuple[Piece, ...]
+    name: str | None = None
+
+    @property
+    def start_frame(self) -> int:
+        """First frame."""
+        return self.pieces[0].start_frame
+
+    @property
+    def stop_frame(self) -> int:
+        """Frame after the last one."""
+        return self.pieces[-1].stop_frame
+
+
+@dataclass(frozen=True, slots=True)
+class EditedTake:
+    """People after all edits, in the order of their numbers, and the frames that a cut keeps; ``None``: all."""
+
+    people: tuple[EditedPerson, ...]
+    frames: range | None = None
+
+
+def edit_of(document: Mapping[str, Any]) -> PeopleEdit:
+    """Edit from its JSON object, as ``document_of`` makes it."""
+    return _BY_ACTION[document["action"]](**document)
+
+
+def document_of(edit: PeopleEdit) -> dict[str, Any]:
+    """JSON object of an edit."""
+    return asdict(edit)
+
+
+def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], num_frames: int) -> EditedTake:
+    """Find out what is whose after all edits.
+
+    Parameters
+    ----------
+    people
+        People of the reconstruction.
+    edits
+        In the order in which they were made.
+    num_frames
+        Frames of the reconstruction.
+
+    Raises
+    ------
+    InputError
+        With the problems of the first edit that can't be made; the field is ``edits/NUMBER/NAME``, numbers from 0.
+    """
+    take = _Take(
+        {
+            one.id: EditedPerson(one.id, (Piece(one.id, one.start_frame, one.start_frame + one.num_frames),))
+            for one in people
+        },
+        num_frames,
+    )
+    if len(edits) > MAX_EDITS:
+        message = f"There are {len(edits):,} edits; at most {MAX_EDITS:,} are allowed."
+        raise InputError([Problem("too_many_edits", message, field="edits")])
+    for number, edit in enumerate(edits):
+        take.at = f"edits/{number}"
+        take.apply(edit)
+    return EditedTake(tuple(take.people[number] for number in sorted(take.people)), take.frames)
+
+
+@dataclass(slots=True)
+class _Take:
+    """State of a take between two edits."""
+
+    people: dict[int, EditedPerson]
+    num_frames: int
+    frames: range | None = None
+    at: str = "edits"
+    _last_id: int = field(init=False)
+
+    _CODE: ClassVar[str] = "edit_impossible"
+
+    def __post_init__(self) -> None:
+        self._last_id = max(self.people, default=0)
+
+    def apply(self, edit: PeopleEdit) -> None:
+        """Make an edit; ``InputError`` if it can't be made."""
+        match edit:
+            case Rename(person=person, name=name):
+                self.people[person] = replace(self._person(person), name=self._name(name))
+            case Remove(person=person):
+                del self.people[self._person(person).id]
+            case Merge(person=person, other=other):
+                kept, added = self._two(person, other)
+                del self.people[added.id]
+                self.people[kept.id] = replace(
+                    kept, pieces=_united(kept.pieces, added.pieces), name=kept.name or added.name
+                )
+            case Split(person=person, frame=frame):
+                self._split(self._person(person), frame)
+            case Exchange(person=person, other=other, start_frame=start, stop_frame=stop):
+                self._exchange(*self._two(person, other), start, self.num_frames if stop is None else stop)
+            case Cut(start_frame=start, stop_frame=stop):
+                self.frames = self._range(start, stop)
+
+    def _person(self, number: int, name: str = "person") -> EditedPerson:
+        if number not in self.people:
+            there = ", ".join(map(str, sorted(self.people))) or "none"
+            self._refuse(name, f"There is no person {number} at this point.", f"The people are: {there}.")
+        return self.people[number]
+
+    def _two(self, person: int, other: int) -> tuple[EditedPerson, EditedPerson]:
+        if person == other:
+            self._refuse("other", f"Person {person} is named twice.", "Name two people.")
+        return self._person(person), self._person(other, "other")
+
+    def _name(self, name: str) -> str:
+        stripped = unicodedata.normalize("NFC", name).strip()
+        if not 0 < len(stripped) <= MAX_NAME_LENGTH:
+            self._refuse("name", f"A name has 1 to {MAX_NAME_LENGTH} characters.", "Choose another name.")
+        if any(unicodedata.category(character).startswith("C") for character in stripped):
+            self._refuse("name", "Control characters are not allowed in a name.", "Choose another name.")
+        return stripped
+
+    def _split(self, person: EditedPerson, frame: int) -> None:
+        if not person.start_frame < frame < person.stop_frame:
+            first, last = person.start_frame + 1, person.stop_frame - 1
+            hint = f"Choose a frame from {first} to {last}." if first <= last else "It has a single frame."
+            self._refuse("frame", f"Person {person.id} can't be split at frame {frame}.", hint)
+        self._last_id += 1
+        self.people[person.id] = replace(person, pieces=_within(person.pieces, person.start_frame, frame))
+        self.people[self._last_id] = EditedPerson(self._last_id, _within(person.pieces, frame, person.stop_frame))
+
+    def _exchange(self, one: EditedPerson, other: EditedPerson, start: int, stop: int) -> None:
+        self._range(start, stop)
+        exchanged = {
+            mine.id: _united(
+                (*_within(mine.pieces, 0, start), *_within(mine.pieces, stop, self.num_frames)),
+                _within(theirs.pieces, start, stop),
+            )
+            for mine, theirs in ((one, other), (other, one))
+        }
+        if exchanged[one.id] == one.pieces:
+            self._refuse("start_frame", "Neither person is there in these frames.", "Choose other frames.")
+        for person in (one, other):
+            if exchanged[person.id]:
+                self.people[person.id] = replace(person, pieces=exchanged[person.id])
+            else:
+                del self.people[person.id]
+
+    def _range(self, start: int, stop: int) -> range:
+        if not 0 <= start < stop <= self.num_frames:
+            message = f"The frames {start} to {stop} are not a part of the take."
+            self._refuse(
+                "stop_frame", message, f"The take has the frames 0 to {self.num_frames}; the last is excluded."
+            )
+        return range(start, stop)
+
+    def _refuse(self, name: str, message: str, hint: str) -> None:
+        raise InputError([Problem(self._CODE, message, field=f"{self.at}/{name}", hint=hint)])
+
+
+def _within(pieces: Sequence[Piece], start: int, stop: int) -> tuple[Piece, ...]:
+    """Parts of pieces within frames."""
+    inside = (
+        replace(one, start_frame=max(one.start_frame, start), stop_frame=min(one.stop_frame, stop)) for one in pieces
+    )
+    return tuple(one for one in inside if one.start_frame < one.stop_frame)
+
+
+def _united(first: Sequence[Piece], second: Sequence[Piece]) -> tuple[Piece, ...]:
+    """Pieces of both, ascending; where they overlap, those of the first."""
+    found = sorted([*first, *_outside(first, second)], key=lambda one: one.start_frame)
+    joined: list[Piece] = []
+    for piece in found:
+        last = joined[-1] if joined else None
+        if last is not None and last.person == piece.person and last.stop_frame == piece.start_frame:
+            joined[-1] = replace(last, stop_frame=piece.stop_frame)
+        else:
+            joined.append(piece)
+    return tuple(joined)
+
+
+def _outside(covering: Sequence[Piece], pieces: Sequence[Piece]) -> Iterator[Piece]:
+    """Parts of pieces in frames that no covering piece has."""
+    for piece in pieces:
+        start = piece.start_frame
+        for cover in sorted(covering, key=lambda one: one.start_frame):
+            if cover.stop_frame <= start or cover.start_frame >= piece.stop_frame:
+                continue
+            if start < cover.start_frame:
+                yield replace(piece, start_frame=start, stop_frame=cover.start_frame)
+            start = max(start, cover.stop_frame)
+        if start < piece.stop_frame:
+            yield replace(piece, start_frame=start)

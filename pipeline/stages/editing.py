@@ -1,0 +1,265 @@
+"""Edited people of a take: pieces of tracks put together, fits of those who changed, and the cut."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.config import ReconstructionConfig
+from pipeline.data import (
+    Animation,
+    Camera,
+    Doubt,
+    FootContact,
+    Observations,
+    People,
+    Reconstruction,
+    SkeletonMotion,
+    Source,
+    Timebase,
+    Track3D,
+    no_detections,
+    read_only,
+)
+from pipeline.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
+from pipeline.joints import JointOffsets, JointSet
+from pipeline.progress import OnShare
+from pipeline.skeleton.animate import animate
+from pipeline.stages.stored import StoredSequence
+from pipeline.video.timeline import cut_timebase
+
+
+def spans(tracks: Sequence[Track3D]) -> tuple[PersonSpan, ...]:
+    """Frames of each person, of tracks one each a person."""
+    return tuple(PersonSpan(track.track_id, track.start_frame, track.num_frames) for track in tracks)
+
+
+def edited_take(found: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
+    """People after the edits of a configuration; without edits as they were found."""
+    return apply_edits(found, config.edits, timebase.num_frames)
+
+
+def put_together(people: People, take: EditedTake) -> People:
+    """Tracks and observations of the edited people, from those of the people who were found.
+
+    Frames between two pieces are absent. People without a single known joint are left out. Doubts remain of people who
+    did not change: others were decided by hand.
+    """
+    found = spans(people.tracks)
+    number_of = {span.id: number for number, span in enumerate(found)}
+    tracks, observations, doubts = [], [], []
+    for person in take.people:
+        if (source := unchanged_from(person, found)) is not None:
+            number = number_of[source]
+            tracks.append(replace(people.tracks[number], track_id=person.id))
+            observations.append(replace(people.observations[number], track_id=person.id))
+            doubts.append(_doubts(people, take, number) if people.doubts else [])
+            continue
+        parts = [people.tracks[number_of[piece.person]] for piece in person.pieces]
+        track = _track(person, parts)
+        known = np.flatnonzero(np.isfinite(track.xyz_m).all(-1).any(-1))
+        if not len(known):
+            continue
+        kept = slice(int(known[0]), int(known[-1]) + 1)
+        seen = _observations(person, parts, [people.observations[number_of[piece.person]] for piece in person.pieces])
+        tracks.append(part_of_track(track, kept))
+        observations.append(part_of_observations(seen, kept))
+        doubts.append([])
+    return People(tracks, observations, people.num_approximate_frames, doubts if people.doubts else ())
+
+
+def unchanged_from(person: EditedPerson, found: Sequence[PersonSpan]) -> int | None:
+    """Number of the person who was found with the same frames; ``None`` if the edits changed them."""
+    if len(person.pieces) == 1:
+        (piece,) = person.pieces
+        for span in found:
+            if span == PersonSpan(piece.person, piece.start_frame, piece.stop_frame - piece.start_frame):
+                return span.id
+    return None
+
+
+def animate_again(
+    fitted: Animation,
+    found: Sequence[PersonSpan],
+    edited: People,
+    take: EditedTake,
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    joints: JointSet,
+    config: ReconstructionConfig,
+    on_share: OnShare,
+    offsets: JointOffsets,
+) -> Animation:
+    """Animation of the edited people: the fit of those who did not change, a new one of the others.
+
+    The floor is that of the people who were found: it does not depend on who is who.
+
+    Parameters
+    ----------
+    fitted, found
+        Animation and frames of the people who were found.
+    edited, take
+        The edited people, as ``put_together`` made them.
+    """
+    numbers = {span.id: number for number, span in enumerate(found)}
+    edits = {person.id: person for person in take.people}
+    kept = {track.track_id: unchanged_from(edits[track.track_id], found) for track in edited.tracks}
+    new = [number for number, track in enumerate(edited.tracks) if kept[track.track_id] is None]
+    made = animate(
+        [edited.tracks[number] for number in new],
+        [edited.observations[number] for number in new],
+        cameras,
+        timebase,
+        joints,
+        config,
+        on_share,
+        offsets,
+        floor=fitted.floor,
+    )
+    by_number = dict(zip(new, zip(made.tracks, made.motions, strict=True), strict=True))
+    tracks, motions = [], []
+    for number, located in enumerate(edited.tracks):
+        person, source = edits[located.track_id], kept[located.track_id]
+        if source is None:
+            track, motion = by_number[number]
+        else:
+            track, motion = fitted.tracks[numbers[source]], fitted.motions[numbers[source]]
+        name = person.name or f"person-{person.id}"
+        tracks.append(replace(track, track_id=person.id))
+        motions.append(replace(motion, track_id=person.id, name=name))
+    return Animation(tuple(tracks), tuple(motions), fitted.floor)
+
+
+def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
+    """Keep some frames of a reconstruction, numbered from 0; people who are not there are left out."""
+    kept, tracks, motions = [], [], []
+    for number, (track, motion) in enumerate(zip(reconstruction.tracks, reconstruction.motions, strict=True)):
+        rows = _rows(track, frames)
+        if rows.start < rows.stop:
+            kept.append((number, rows))
+            tracks.append(_moved(part_of_track(track, rows), frames.start))
+            motions.append(replace(_part_of_motion(motion, rows), start_frame=tracks[-1].start_frame))
+    located, observations, doubts = reconstruction.located, reconstruction.observations, reconstruction.doubts
+    return replace(
+        reconstruction,
+        timebase=cut_timebase(reconstruction.timebase, frames),
+        located=StoredSequence(
+            len(kept), lambda k: _moved(part_of_track(located[kept[k][0]], kept[k][1]), frames.start)
+        ),
+        observations=StoredSequence(len(kept), lambda k: part_of_observations(observations[kept[k][0]], kept[k][1])),
+        doubts=[
+            [
+                doubt._replace(frame=doubt.frame - frames.start)
+                for doubt in doubts[number]
+                if frames.start <= doubt.frame < frames.stop
+            ]
+            for number, _ in kept
+        ]
+        if doubts
+        else (),
+        animation=Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor),
+    )
+
+
+def part_of_track(track: Track3D, rows: slice) -> Track3D:
+    """Some rows of a track."""
+    return replace(
+        track,
+        start_frame=track.start_frame + rows.start,
+        xyz_m=track.xyz_m[rows],
+        score=track.score[rows],
+        source=track.source[rows],
+        error_px=track.error_px[rows],
+        views=track.views[rows],
+        uncertainty_m=None if track.uncertainty_m is None else track.uncertainty_m[rows],
+    )
+
+
+def part_of_observations(seen: Observations, rows: slice) -> Observations:
+    """Some rows of the observations of a track."""
+    return replace(seen, points_px=seen.points_px[rows], score=seen.score[rows], detection=seen.detection[rows])
+
+
+def _part_of_motion(motion: SkeletonMotion, rows: slice) -> SkeletonMotion:
+    contacts = []
+    for contact in motion.contacts:
+        start, stop = max(contact.start_frame, rows.start), min(contact.start_frame + contact.num_frames, rows.stop)
+        if start < stop:
+            contacts.append(_contact(contact, start - rows.start, stop - start))
+    return replace(
+        motion,
+        root_m=motion.root_m[rows],
+        parent_from_joint=motion.parent_from_joint[rows],
+        contacts=tuple(contacts),
+    )
+
+
+def _contact(contact: FootContact, start_frame: int, num_frames: int) -> FootContact:
+    return replace(contact, start_frame=start_frame, num_frames=num_frames)
+
+
+def _rows(track: Track3D, frames: range) -> slice:
+    """Rows of a track within frames; empty without any."""
+    start, stop = max(frames.start, track.start_frame), min(frames.stop, track.start_frame + track.num_frames)
+    return slice(start - track.start_frame, max(start, stop) - track.start_frame)
+
+
+def _moved(track: Track3D, frames: int) -> Track3D:
+    return replace(track, start_frame=track.start_frame - frames)
+
+
+def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
+    """Track of a person from the tracks that the pieces are of."""
+    (num_joints,) = {part.xyz_m.shape[1] for part in parts}
+    num_frames = person.stop_frame - person.start_frame
+    shape = num_frames, num_joints
+    has_uncertainty = any(part.uncertainty_m is not None for part in parts)
+    found: dict[str, np.ndarray] = {
+        "xyz_m": np.full((*shape, 3), np.nan),
+        "score": np.zeros(shape),
+        "source": np.full(shape, Source.ABSENT, parts[0].source.dtype),
+        "error_px": np.full(shape, np.nan),
+        "views": np.zeros(shape, parts[0].views.dtype),
+    }
+    if has_uncertainty:
+        found["uncertainty_m"] = np.full(shape, np.nan)
+    for rows, own_rows, part in _places(person, parts):
+        for name, values in found.items():
+            of_part = getattr(part, name)
+            if of_part is not None:
+                values[rows] = of_part[own_rows]
+    return Track3D(person.id, person.start_frame, **{name: read_only(values) for name, values in found.items()})
+
+
+def _observations(person: EditedPerson, parts: Sequence[Track3D], seen: Sequence[Observations]) -> Observations:
+    num_frames = person.stop_frame - person.start_frame
+    points_px = np.full((num_frames, *seen[0].points_px.shape[1:]), np.nan)
+    score = np.zeros((num_frames, *seen[0].score.shape[1:]))
+    for (rows, own_rows, _), of_part in zip(_places(person, parts), seen, strict=True):
+        points_px[rows] = of_part.points_px[own_rows]
+        score[rows] = of_part.score[own_rows]
+    # Identities are decided: the rows of the detections are needed for nothing else.
+    return Observations(person.id, read_only(points_px), read_only(score), no_detections())
+
+
+def _places(person: EditedPerson, parts: Sequence[Track3D]) -> Iterator[tuple[slice, slice, Track3D]]:
+    """Rows of each piece in the person's track, and in the track that it is of."""
+    for piece, part in zip(person.pieces, parts, strict=True):
+        num_frames = piece.stop_frame - piece.start_frame
+        row, own_row = piece.start_frame - person.start_frame, piece.start_frame - part.start_frame
+        yield slice(row, row + num_frames), slice(own_row, own_row + num_frames), part
+
+
+def _doubts(people: People, take: EditedTake, number: int) -> list[Doubt]:
+    """Doubts about a person who did not change, with the other person's present number; 0 if there is none."""
+    return [doubt._replace(other=_present(take, doubt)) for doubt in people.doubts[number]]
+
+
+def _present(take: EditedTake, doubt: Doubt) -> int:
+    holders: Mapping[int, int] = {
+        piece.person: person.id
+        for person in take.people
+        for piece in person.pieces
+        if piece.start_frame <= doubt.frame < piece.stop_frame
+    }
+    return holders.get(doubt.other, 0)
