@@ -37,6 +37,7 @@ from api.routes import (
     motion,
     options,
     page,
+    people,
     results,
     sessions,
     uploads,
@@ -93,6 +94,7 @@ def create_app(settings: Settings) -> FastAPI:
             results.router,
         ),
         motion.router,
+        people.router,
         options.router,
     ):
         app.include_router(router, responses=contract.problems(401, 429))

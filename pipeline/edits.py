@@ -7,7 +7,7 @@ take is; without the list it is what the reconstruction found. Frames are those 
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NoReturn
 
 from pipeline.errors import InputError, Problem
 
@@ -26,8 +26,16 @@ class PersonSpan:
     num_frames: int
 
 
+class _Edit:
+    """Base of the edits."""
+
+    __slots__ = ()
+    # The web API's parser refuses unknown fields.
+    __pydantic_config__: ClassVar[Mapping[str, str]] = {"extra": "forbid"}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rename:
+class Rename(_Edit):
     """Give a person a name."""
 
     action: Literal["rename"] = "rename"
@@ -36,7 +44,7 @@ class Rename:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Remove:
+class Remove(_Edit):
     """Remove a person from the take."""
 
     action: Literal["remove"] = "remove"
@@ -44,7 +52,7 @@ class Remove:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Merge:
+class Merge(_Edit):
     """Make one person of two. ``person`` stays; in frames of both, ``person`` counts and ``other`` is left out."""
 
     action: Literal["merge"] = "merge"
@@ -53,7 +61,7 @@ class Merge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Split:
+class Split(_Edit):
     """Make two people of one. From ``frame`` on it is a new person, with the next free number."""
 
     action: Literal["split"] = "split"
@@ -62,7 +70,7 @@ class Split:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exchange:
+class Exchange(_Edit):
     """Exchange two people from ``start_frame`` on, up to ``stop_frame`` or else to the end."""
 
     action: Literal["exchange"] = "exchange"
@@ -73,7 +81,7 @@ class Exchange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cut:
+class Cut(_Edit):
     """Keep the frames from ``start_frame`` to the one before ``stop_frame`` alone."""
 
     action: Literal["cut"] = "cut"
@@ -174,9 +182,6 @@ def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], num_f
         },
         num_frames,
     )
-    if len(edits) > MAX_EDITS:
-        message = f"There are {len(edits):,} edits; at most {MAX_EDITS:,} are allowed."
-        raise InputError([Problem("too_many_edits", message, field="edits")])
     for number, edit in enumerate(edits):
         take.at = f"edits/{number}"
         take.apply(edit)
@@ -192,8 +197,6 @@ class _Take:
     frames: range | None = None
     at: str = "edits"
     _last_id: int = field(init=False)
-
-    _CODE: ClassVar[str] = "edit_impossible"
 
     def __post_init__(self) -> None:
         self._last_id = max(self.people, default=0)
@@ -271,8 +274,8 @@ class _Take:
             )
         return range(start, stop)
 
-    def _refuse(self, name: str, message: str, hint: str) -> None:
-        raise InputError([Problem(self._CODE, message, field=f"{self.at}/{name}", hint=hint)])
+    def _refuse(self, name: str, message: str, hint: str) -> NoReturn:
+        raise InputError([Problem("edit_impossible", message, field=f"{self.at}/{name}", hint=hint)])
 
 
 def _within(pieces: Sequence[Piece], start: int, stop: int) -> tuple[Piece, ...]:

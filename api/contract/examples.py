@@ -74,6 +74,13 @@ DOCUMENTS: dict[str, Any] = {
     },
     "link": {"scope": "file", "name": "person-1.bvh", "expires_in_s": 900.0},
     "rename": {"name": "Handshake, take 4"},
+    "edits": {
+        "edits": [
+            {"action": "merge", "person": 1, "other": 3},
+            {"action": "rename", "person": 1, "name": "Anna"},
+            {"action": "cut", "start_frame": 25, "stop_frame": 250},
+        ]
+    },
     "calibration_spec": {"method": "board", "name": "Studio B", "board": "charuco:7x5:0.06:0.045:DICT_4X4_50"},
 }
 
@@ -182,6 +189,7 @@ _JOB: dict[str, Any] = {
     "state": "running",
     "spec": DOCUMENTS["spec"],
     "attempt": 1,
+    "revision": 0,
     "stages": [
         _stage(LOOK, "done", 24, 24),
         _stage(DETECT, "running", 150, 600),
@@ -207,6 +215,7 @@ _JOB: dict[str, Any] = {
         "events": f"/v1/jobs/{_JOB_ID}/events",
         "results": f"/v1/jobs/{_JOB_ID}/results",
         "results_zip": f"/v1/jobs/{_JOB_ID}/results.zip",
+        "people": None,
         "cancel": f"/v1/jobs/{_JOB_ID}/cancel",
         "retry": None,
     },
@@ -352,6 +361,30 @@ _MOTION: dict[str, Any] = {
     },
 }
 
+_PEOPLE: dict[str, Any] = {
+    "revision": 1,
+    "num_frames": 300,
+    "found": [
+        {"id": 1, "start_frame": 0, "num_frames": 120},
+        {"id": 2, "start_frame": 0, "num_frames": 300},
+        {"id": 3, "start_frame": 140, "num_frames": 160},
+    ],
+    "edits": DOCUMENTS["edits"]["edits"],
+    "people": [
+        {
+            "id": 1,
+            "name": "Anna",
+            "pieces": [
+                {"person": 1, "start_frame": 0, "stop_frame": 120},
+                {"person": 3, "start_frame": 140, "stop_frame": 300},
+            ],
+        },
+        {"id": 2, "name": "person-2", "pieces": [{"person": 2, "start_frame": 0, "stop_frame": 300}]},
+    ],
+    "start_frame": 25,
+    "stop_frame": 250,
+}
+
 ANSWERS: dict[str, dict[str, Any]] = {
     "MotionDescription": _MOTION,
     "Calibration": _CALIBRATION,
@@ -361,6 +394,7 @@ ANSWERS: dict[str, dict[str, Any]] = {
     "SessionPage": {"sessions": [_SESSION], "next_cursor": None},
     "Job": _JOB,
     "JobPage": {"jobs": [_JOB], "next_cursor": None},
+    "People": _PEOPLE,
     "AttemptList": _ATTEMPTS,
     "ResultList": _RESULTS,
     "NewLink": _LINK | {"url": f"/v1/jobs/{_JOB_ID}/results/person-1.bvh?link=mcl_..."},

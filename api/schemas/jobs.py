@@ -125,6 +125,7 @@ class JobLinks(ResponseModel):
     events: str = Field(description="Path of the job's event stream.")
     results: str = Field(description="Path of the list of result files.")
     results_zip: str = Field(description="Path of the archive of all result files.")
+    people: str | None = Field(description="Path of the job's people, to edit them; null until they are found.")
     cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
     retry: str | None = Field(
         description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
@@ -144,6 +145,7 @@ class JobOut(ResponseModel):
     state: JobState = Field(description="State of the job.")
     spec: JobSpec = Field(description="Choices of the job.")
     attempt: int = Field(description="Number of the current attempt, from 1.")
+    revision: int = Field(description="Number of times that the edits of the job's people were changed.")
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
     progress: float = Field(
         ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
@@ -186,6 +188,7 @@ class JobOut(ResponseModel):
                 events=f"{address}/events",
                 results=f"{address}/results",
                 results_zip=f"{address}/results.zip",
+                people=None if job.people is None else f"{address}/people",
                 cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
                 retry=f"{address}/retry" if is_worth_a_retry(job.state, job.problem) else None,
             ),

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.findings import Finding
 from pipeline.edits import PersonSpan
+from pipeline.findings import Finding
 
 VIEWER = "viewer"
 """Kind of the files that viewers read; lists of downloads leave them out."""

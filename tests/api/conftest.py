@@ -23,6 +23,7 @@ from api.app import create_app
 from api.dependencies import Services
 from api.http.server import server_config
 from api.settings import Settings
+from pipeline.edits import PersonSpan
 from pipeline.findings import Finding
 from worker.jobs.files.artifacts import result_key
 from worker.jobs.model import Result
@@ -111,19 +112,27 @@ class Live:
         content: bytes = RESULT,
         warnings: Sequence[Finding] = (),
         motion: Mapping[str, bytes] = MappingProxyType({}),
+        people: Sequence[PersonSpan] | None = None,
     ) -> None:
         """Finish a job as a worker would; ``motion`` are the files for viewers by name."""
-        result = self._put(job_id, "person-1.bvh", "bvh", content)
-        files = [result, *(self._put(job_id, name, "viewer", one) for name, one in motion.items())]
+        revision = self.services.store.jobs.get(job_id).revision
+        result = self._put(job_id, "person-1.bvh", "bvh", content, revision)
+        files = [result, *(self._put(job_id, name, "viewer", one, revision) for name, one in motion.items())]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
-            results, said = (files, warnings) if claim.stage == "export" else ([], ())
+            results, said, found = (files, warnings, people) if claim.stage == "export" else ([], (), None)
             self.services.store.leases.finish(
-                claim.chunk_id, claim.lease_token, result.sha256, len(content), results=results, warnings=said
+                claim.chunk_id,
+                claim.lease_token,
+                result.sha256,
+                len(content),
+                results=results,
+                warnings=said,
+                people=found,
             )
 
-    def _put(self, job_id: str, name: str, kind: str, content: bytes) -> Result:
-        key, digest = result_key(job_id, name), hashlib.sha256(content).hexdigest()
+    def _put(self, job_id: str, name: str, kind: str, content: bytes, revision: int) -> Result:
+        key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
         person = "person-1" if kind == "bvh" else None
         return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest)

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
+from pipeline.edits import PersonSpan
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
+from pipeline.stages.plan import ASSOCIATE, DETECT, EDIT, EXPORT, FIT, IDENTIFY, LOOK, REFIT
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
@@ -21,6 +22,8 @@ from worker.runner import Runner
 NUM_FRAMES, CHUNK_FRAMES = 40, 10
 
 RESULT = b"squares: " + b",".join(str(k * k).encode() for k in range(NUM_FRAMES))
+
+FOUND = (PersonSpan(1, 0, NUM_FRAMES), PersonSpan(2, 10, 20))
 
 
 def look(work: Work) -> Output:
@@ -51,8 +54,16 @@ def fit(work: Work) -> Output:
 
 def export(work: Work) -> Output:
     path = work.scratch / "person-1.bvh"
-    path.write_bytes(work.outputs(FIT)[0])
-    return Output(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),))
+    path.write_bytes(work.outputs(REFIT if work.claim.edits else FIT)[0])
+    return Output(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),), people=FOUND)
+
+
+def edit(work: Work) -> Output:
+    return Output(repr(work.claim.edits).encode())
+
+
+def refit(work: Work) -> Output:
+    return Output(work.outputs(FIT)[0] + work.outputs(EDIT)[0])
 
 
 @dataclass
@@ -70,6 +81,8 @@ class Bench:
             ASSOCIATE: associate,
             IDENTIFY: identify,
             FIT: fit,
+            EDIT: edit,
+            REFIT: refit,
             EXPORT: export,
         }
     )

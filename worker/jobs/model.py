@@ -24,8 +24,8 @@ from typing import Any, Literal
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import ReconstructionConfig
-from pipeline.findings import Finding
 from pipeline.edits import PeopleEdit, PersonSpan
+from pipeline.findings import Finding
 from worker.jobs.spec import JobSpec
 
 

@@ -11,7 +11,7 @@ from api.contract.problem_codes.findings import FILES
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from api.contract.problem_codes.requests import ANSWERS, FIELDS, PARTS
 from api.contract.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
-from api.contract.problem_codes.work import JOBS, READINESS, SPECS, WARNINGS
+from api.contract.problem_codes.work import EDITS, JOBS, READINESS, SPECS, WARNINGS
 
 __all__ = ["FIELDS", "GROUPS", "STATUSES", "CodeGroup", "ProblemCode"]
 
@@ -25,6 +25,7 @@ GROUPS: tuple[CodeGroup, ...] = (
     KEYPOINTS,
     TIMES,
     FILES,
+    EDITS,
     JOBS,
     READINESS,
     WARNINGS,

@@ -46,6 +46,19 @@ SPECS = CodeGroup(
     ),
 )
 
+EDITS = CodeGroup(
+    "Edits of people",
+    "Values of `code` in `errors` of `PATCH /v1/jobs/{id}/people`; `pointer` leads to the edit.",
+    (
+        ProblemCode(
+            "edit_impossible",
+            ("422",),
+            "The edit can't be made at this point: there is no such person, or no such frame.",
+            "Read the people again. Each edit is applied to the people whom the edits before it leave.",
+        ),
+    ),
+)
+
 JOBS = CodeGroup(
     "Errors of jobs",
     "Values of `error.code` of a failed job, and of a failed attempt in `GET /v1/jobs/{id}/attempts`. Problems of "

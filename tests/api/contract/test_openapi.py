@@ -54,8 +54,8 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert sorted(names) == [
         "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createLink",
         "createSession", "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession",
-        "deleteUpload", "describeUploads", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller",
-        "getHealth", "getJob", "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness",
+        "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller",
+        "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness",
         "getResult", "getSample", "getSampleFile", "getSession", "getSessionVideo", "getUpload", "listAttempts",
         "listCalibrations", "listJobs", "listLinks", "listResults", "listSessionJobs", "listSessions",
         "openBrowserSession", "renameSession", "retryJob", "revokeLink", "streamJobEvents",

@@ -10,8 +10,8 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, 
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
-from pipeline.findings import Finding
 from pipeline.edits import PeopleEdit, PersonSpan, edit_of
+from pipeline.findings import Finding
 from pipeline.stages.plan import DETECT
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions

@@ -17,7 +17,7 @@ from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, results_prefix
-from worker.jobs.model import EDITABLE, FINISHED, Attempt, Change, ChunkState, Job, JobState, StagePlan
+from worker.jobs.model import EDITABLE, FINISHED, RETRYABLE, Attempt, Change, ChunkState, Job, JobState, StagePlan
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
@@ -161,7 +161,7 @@ class Jobs:
             job = job_row(connection, self._access, job_id, lock=True)
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
-            if not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
+            if job.state not in RETRYABLE or not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_RETRIED, job_id)
             keep_attempt(connection, job)

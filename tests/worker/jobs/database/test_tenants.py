@@ -54,6 +54,7 @@ ACTS: dict[str, Act] = {
     "links.of_job": lambda records, session_id, job_id: records.links.of_job(job_id),
     "jobs.cancel": lambda records, session_id, job_id: records.jobs.cancel(job_id),
     "jobs.retry": lambda records, session_id, job_id: records.jobs.retry(job_id, stages(1)),
+    "jobs.edit": lambda records, session_id, job_id: records.jobs.edit(job_id, (), stages(1)),
     "jobs.delete": lambda records, session_id, job_id: records.jobs.delete(job_id),
 }
 

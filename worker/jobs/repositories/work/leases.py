@@ -7,8 +7,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, case, func, insert, select, update
 from uuid_utils import uuid7
 
-from pipeline.findings import Finding
 from pipeline.edits import PersonSpan
+from pipeline.findings import Finding
 from worker.jobs.database.connection import now, upsert
 from worker.jobs.database.rows import edits_of, making_of
 from worker.jobs.database.tables import artifacts, chunks, jobs, results

@@ -1,0 +1,108 @@
+"""People of a job by the API: read, edited, undone, refused with the edit's place."""
+
+from typing import Any
+
+import pytest
+
+from pipeline.edits import PersonSpan
+from tests.api.conftest import Live, problem_of
+
+FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))
+ANNA = {"action": "rename", "person": 1, "name": "Anna"}
+CUT = {"action": "cut", "start_frame": 5, "stop_frame": 50}
+
+
+@pytest.fixture
+def job_id(live: Live) -> str:
+    job_id = live.job_id()
+    live.finish(job_id, people=FOUND)
+    return job_id
+
+
+def people(live: Live, job_id: str) -> dict[str, Any]:
+    answer = live.client.get(f"/v1/jobs/{job_id}/people")
+    assert answer.status_code == 200, answer.text
+    document: dict[str, Any] = answer.json()
+    return document
+
+
+def edit(live: Live, job_id: str, *edits: object, **headers: str) -> Any:
+    return live.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits}, headers=headers)
+
+
+def test_people_are_edited_and_the_edits_undone(live: Live, job_id: str) -> None:
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["people"] == f"/v1/jobs/{job_id}/people"
+    before = people(live, job_id)
+    assert (before["revision"], before["edits"], before["num_frames"]) == (0, [], 60)
+    assert [person["name"] for person in before["people"]] == ["person-1", "person-2"]
+
+    answer = edit(live, job_id, ANNA, CUT, {"action": "exchange", "person": 1, "other": 2, "start_frame": 20})
+    assert (answer.status_code, answer.headers["location"]) == (202, f"/v1/jobs/{job_id}")
+    job = answer.json()
+    assert (job["state"], job["revision"], job["attempt"]) == ("queued", 1, 2)
+    assert [stage["name"] for stage in job["stages"] if stage["state"] != "done"] == ["edit", "refit", "export"]
+    live.finish(job_id, people=FOUND)
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "succeeded"
+    after = people(live, job_id)
+    assert (after["start_frame"], after["stop_frame"]) == (5, 50)
+    assert after["edits"][2] == {
+        "action": "exchange", "person": 1, "other": 2, "start_frame": 20, "stop_frame": None,
+    }  # fmt: skip
+    assert after["people"][0] == {
+        "id": 1,
+        "name": "Anna",
+        "pieces": [
+            {"person": 1, "start_frame": 0, "stop_frame": 20},
+            {"person": 2, "start_frame": 20, "stop_frame": 50},
+        ],
+    }
+
+    assert edit(live, job_id).status_code == 202
+    live.finish(job_id, people=FOUND)
+    assert people(live, job_id) == before | {"revision": 2}
+
+
+def test_an_old_entity_tag_is_a_conflict(live: Live, job_id: str) -> None:
+    etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
+    assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
+    assert edit(live, job_id, ANNA, **{"If-Match": etag}).status_code == 202
+    live.finish(job_id, people=FOUND)
+    problem_of(edit(live, job_id, **{"If-Match": etag}), 409, "conflict")
+    assert people(live, job_id)["edits"] == [ANNA]
+
+
+def test_impossible_edits_are_named(live: Live, job_id: str) -> None:
+    answer = edit(live, job_id, ANNA, {"action": "split", "person": 2, "frame": 55})
+    (error,) = problem_of(answer, 422, "invalid_request")["errors"]
+    assert (error["code"], error["pointer"]) == ("edit_impossible", "/edits/1/frame")
+    assert "11 to 49" in error["hint"]
+    assert people(live, job_id)["revision"] == 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"action": "teleport", "person": 1},
+        {"person": 1},
+        {"action": "remove", "person": "first"},
+        {"action": "remove", "person": 1, "really": True},
+        {"action": "cut", "start_frame": 0},
+        "remove",
+    ],
+)
+def test_malformed_edits_are_refused(live: Live, job_id: str, wrong: object) -> None:
+    (error, *_) = problem_of(edit(live, job_id, wrong), 422, "invalid_request")["errors"]
+    assert error["pointer"].startswith("/edits/0")
+
+
+def test_an_unfinished_job_has_no_people(live: Live) -> None:
+    job_id = live.job_id()
+    problem_of(live.client.get(f"/v1/jobs/{job_id}/people"), 409, "conflict")
+    problem_of(edit(live, job_id, ANNA), 409, "conflict")
+    live.client.post(f"/v1/jobs/{job_id}/cancel")
+
+
+def test_edits_wait_for_the_job(live: Live, job_id: str) -> None:
+    assert edit(live, job_id, ANNA).status_code == 202
+    problem_of(edit(live, job_id), 409, "conflict")
+    live.finish(job_id, people=FOUND)
