@@ -31,17 +31,13 @@ from api.requests.preflight import PreflightProgram
 from api.routes import (
     calibrations,
     callers,
-    events,
     health,
-    jobs,
-    motion,
     options,
     page,
-    people,
-    results,
     sessions,
     uploads,
 )
+from api.routes.job import events, jobs, motion, people, results
 from api.routes.viewing import links, videos
 from api.settings import Settings
 from api.tus.files import UploadSpool

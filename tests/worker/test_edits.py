@@ -1,10 +1,14 @@
 """Edits of people in the service: what is done stays done, results are replaced, and every edit can be undone."""
 
+from collections.abc import Callable
+
 import pytest
 
 from pipeline.edits import PeopleEdit, Remove, Rename
+from pipeline.stages.output import Output
 from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, IDENTIFY, REFIT
 from tests.worker.conftest import CHUNK_FRAMES, FOUND, RESULT, Bench
+from worker.chunk import Work
 from worker.jobs.errors import Conflict
 from worker.jobs.files.artifacts import results_prefix
 from worker.jobs.files.removals import remove_files
@@ -35,8 +39,15 @@ def test_edits_run_their_own_stages_alone(bench: Bench, done: Job) -> None:
     queued = edit(bench, done, ANNA)
     assert (queued.state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (ANNA,))
     run: list[str] = []
-    for name, function in list(bench.stages.items()):
-        bench.stages[name] = lambda work, function=function: (run.append(work.claim.stage), function(work))[1]
+
+    def noted(function: Callable[[Work], Output]) -> Callable[[Work], Output]:
+        def run_noted(work: Work) -> Output:
+            run.append(work.claim.stage)
+            return function(work)
+
+        return run_noted
+
+    bench.stages |= {name: noted(function) for name, function in bench.stages.items()}
     bench.runner().work(60.0)
     assert run == [EDIT, REFIT, EXPORT]
     assert bench.store.jobs.get(done.id).state is JobState.SUCCEEDED

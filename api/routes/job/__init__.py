@@ -1,0 +1,1 @@
+"""Routes of a job: its course, events, results, motion and people."""
