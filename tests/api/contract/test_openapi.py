@@ -54,9 +54,9 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     assert sorted(names) == [
         "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createLink",
         "createSession", "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession",
-        "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration", "getCalibrationFile", "getCaller",
-        "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion", "getMotionDescription", "getOptions", "getReadiness",
-        "getResult", "getSample", "getSampleFile", "getSession", "getSessionVideo", "getUpload", "listAttempts",
+        "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration", "getCalibrationFile",
+        "getCaller", "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion", "getMotionDescription", "getOptions",
+        "getReadiness", "getResult", "getSample", "getSampleFile", "getSession", "getSessionVideo", "getUpload", "listAttempts",
         "listCalibrations", "listJobs", "listLinks", "listResults", "listSessionJobs", "listSessions",
         "openBrowserSession", "renameSession", "retryJob", "revokeLink", "streamJobEvents",
     ]  # fmt: skip
