@@ -53,12 +53,13 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
     names = [operation["operationId"] for operation in operations(schema)]
     assert sorted(names) == [
         "cancelJob", "closeBrowserSession", "continueUpload", "createCalibration", "createJob", "createLink",
-        "createSession", "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob", "deleteSession",
-        "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration", "getCalibrationFile",
-        "getCaller", "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion", "getMotionDescription", "getOptions",
-        "getReadiness", "getResult", "getSample", "getSampleFile", "getSession", "getSessionVideo", "getUpload", "listAttempts",
-        "listCalibrations", "listJobs", "listLinks", "listResults", "listSessionJobs", "listSessions",
-        "openBrowserSession", "renameSession", "retryJob", "revokeLink", "streamJobEvents",
+        "createSession", "createSessionAndJob", "createUpload", "deleteCalibration", "deleteJob",
+        "deleteSession", "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration",
+        "getCalibrationFile", "getCaller", "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion",
+        "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSample", "getSampleFile",
+        "getSession", "getSessionVideo", "getUpload", "listAttempts", "listCalibrations", "listJobs",
+        "listLinks", "listResults", "listSessionJobs", "listSessions", "openBrowserSession", "renameSession",
+        "retryJob", "revokeLink", "streamJobEvents",
     ]  # fmt: skip
     assert all(operation["description"] for operation in operations(schema))
     for operation in operations(schema):

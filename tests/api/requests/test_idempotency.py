@@ -16,7 +16,7 @@ from api.contract.openapi import COMMITTED
 from api.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from tests.api.processes import serving
-from tests.api.routes.test_events import wait_until
+from tests.api.routes.job.test_events import wait_until
 from tests.api.tus.test_files import PIECE, TUS, Uploader, encoded
 from worker.jobs.repositories.sessions import Sessions
 
