@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.foreign import READERS
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
+from tests.pipeline.media import write_video
 
 # The service is that of the other tests of the page.
 pytestmark = pytest.mark.xdist_group("sample")
@@ -292,3 +294,43 @@ def test_the_keyboard_reaches_everything_in_order(page: Page) -> None:
     ]
     assert order == sorted(order)
     assert seen[-1] == "Send and reconstruct"
+
+
+def test_zips_are_told_apart(page: Page, keypoints: dict[str, Path], tmp_path: Path) -> None:
+    """A zip of images is a camera's video, one of keypoints its keypoints, one of other files a calibration."""
+    script = """async () => {
+      const { kindOf } = await import("/portal/send/files.js");
+      const files = document.querySelector("#probe").files;
+      return Promise.all(Array.from(files, kindOf));
+    }"""
+    paths = [keypoints["cam_00.zip"]]
+    for name, entries in (("images", ["a/0001.PNG", "a/0002.PNG"]), ("colmap", ["cameras.txt", "images.txt"])):
+        paths.append(tmp_path / f"{name}.zip")
+        with zipfile.ZipFile(paths[-1], "w") as archive:
+            for entry in entries:
+                archive.writestr(entry, b"content")
+    page.evaluate(
+        "Object.assign(document.body.appendChild(document.createElement('input')), { type: 'file', id: 'probe' })"
+    )
+    page.evaluate("document.getElementById('probe').multiple = true")
+    page.locator("#probe").set_input_files(paths)
+    assert page.evaluate(script) == ["keypoints", "video", "calibration"]
+
+
+def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Served, tmp_path: Path) -> None:
+    video_capture(tmp_path, 5)
+    left, right = (tmp_path / "videos" / f"{name}.mp4" for name in ("left", "right"))
+    # A frame a second is dropped: the times of the video say so.
+    write_video(right, 50, stamps=[40 * (number + number // 24) for number in range(50)])
+    page.get_by_label("Choose files").set_input_files([left, right, tmp_path / "calibration.json"])
+    expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=30_000)
+    with page.expect_response("**/v1/sessions", timeout=60_000) as answer:
+        page.get_by_role("button", name="Send and check only").click()
+    findings = [one for one in answer.value.json()["preflight"]["findings"] if one["camera"] == "right"]
+    assert findings
+    row = page.get_by_role("row").filter(has=page.get_by_label("Camera of right.mp4"))
+    beside = row.locator("xpath=following-sibling::tr[1]")
+    expect(beside).to_contain_text(findings[0]["message"])
+    expect(page.get_by_role("region", name="Send").get_by_text(findings[0]["message"])).to_have_count(0)
+    page.get_by_role("button", name="Discard the capture").click()
+    expect(page.get_by_text("Drop the videos")).to_be_visible()

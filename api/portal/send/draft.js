@@ -5,7 +5,7 @@ const KEY = "multicap.draft";
 export const FACTS = ["name", "size", "modified", "kind", "camera", "isUsed", "offset_s", "rate", "url", "sent", "isSent"];
 
 export function emptyDraft(kept = {}) {
-  return { name: "", calibrationId: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
+  return { name: "", calibrationId: null, clock: "declared", spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
 }
 
 export function loadDraft() {
@@ -32,7 +32,7 @@ export function saveDraft(draft) {
 export function rowOf(facts, file = null) {
   return {
     camera: null, isUsed: true, offset_s: 0, rate: null, url: null, sent: 0, isSent: false, ...facts,
-    file, preview: file !== null && facts.kind === "video" ? URL.createObjectURL(file) : null, problem: null, isActive: false,
+    file, preview: file?.type.startsWith("video/") ? URL.createObjectURL(file) : null, problem: null, isActive: false,
   };
 }
 

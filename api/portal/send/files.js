@@ -4,20 +4,39 @@ import { stem } from "../shared/format.js";
 
 const KINDS = {
   video: ["mp4", "mov", "m4v", "mkv", "webm", "avi", "ts", "mts", "m2ts", "mpg", "mpeg"],
-  keypoints: ["zip"],
   timestamps: ["csv"],
   calibration: ["toml", "json", "yml", "yaml", "xml", "txt", "npz", "pickle", "pkl"],
 };
+const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
 const MOST_FILES = 1000; // of a dropped folder
+// The directory of a zip is at its end; its first entries are enough to tell what the zip has.
+const TAIL_BYTES = 1 << 16;
+const ENTRY = "PK\u0001\u0002";
+const [NAME_LENGTH_AT, NAME_AT] = [28, 46];
 
-export const ACCEPTED = [...Object.values(KINDS).flat().map((ending) => `.${ending}`), "video/*"].join(",");
+export const ACCEPTED = ["zip", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
 
+const endingOf = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
+
 // Kind of a file; null for a file that belongs to no capture.
-export function kindOf(file) {
-  const ending = file.name.slice(file.name.lastIndexOf(".") + 1).toLowerCase();
+export async function kindOf(file) {
+  const ending = endingOf(file.name);
+  if (ending === "zip") return kindOfZip(await file.slice(-TAIL_BYTES).arrayBuffer());
   const found = Object.entries(KINDS).find(([, endings]) => endings.includes(ending));
   return found?.[0] ?? (file.type.startsWith("video/") ? "video" : null);
+}
+
+// A zip has the images of a camera in place of its video, or its keypoints, or it is a calibration of several files.
+function kindOfZip(tail) {
+  const text = new TextDecoder("latin1").decode(tail);
+  const bytes = new DataView(tail);
+  const endings = new Set();
+  for (let at = text.indexOf(ENTRY); at >= 0 && at + NAME_AT < tail.byteLength; at = text.indexOf(ENTRY, at + 1)) {
+    endings.add(endingOf(text.substr(at + NAME_AT, bytes.getUint16(at + NAME_LENGTH_AT, true))));
+  }
+  if (IMAGES.some((ending) => endings.has(ending))) return "video";
+  return endings.has("json") ? "keypoints" : "calibration";
 }
 
 // All files of what was dropped, also those in dropped folders.

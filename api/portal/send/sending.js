@@ -91,7 +91,7 @@ class Sending extends EventTarget {
     const calibrations = [];
     const others = [];
     for (const file of files) {
-      const kind = kindOf(file);
+      const kind = await kindOf(file);
       if (kind === "calibration") calibrations.push(file);
       else if (kind === null) others.push(file.name);
       else this.#addRow(file, kind);
@@ -99,7 +99,7 @@ class Sending extends EventTarget {
     if (calibrations.length > 1) {
       this.notes.push(`Several files may be the calibration: ${calibrations.map(({ name }) => name).join(", ")}. The first is used.`);
     }
-    if (others.length) this.notes.push(`Left out: ${others.join(", ")}. A capture has videos, or zips of keypoints, and a calibration.`);
+    if (others.length) this.notes.push(`Left out: ${others.join(", ")}. A capture has videos, or zips of images or of keypoints, and a calibration.`);
     if (!this.draft.name && this.rows.length) this.draft.name = folderOf(files) ?? "";
     this.assignCameras();
     announce(`${count(this.rows.length, "file")} chosen`);
@@ -133,7 +133,7 @@ class Sending extends EventTarget {
 
   clear() {
     for (const row of this.rows) this.removeRow(row);
-    this.draft = emptyDraft({ calibrationId: this.draft.calibrationId, spec: this.draft.spec });
+    this.draft = emptyDraft(this.#kept);
     this.phase = "draft";
     this.session = this.problem = null;
     this.notes = [];
@@ -270,12 +270,17 @@ class Sending extends EventTarget {
     }
   }
 
+  // The next take has the same cameras and, most often, the same choices.
+  get #kept() {
+    const { calibrationId, clock, spec } = this.draft;
+    return { calibrationId, clock, spec };
+  }
+
   #sent(job) {
     feed.put(job);
     this.lastJob = job.id;
     for (const { preview } of this.rows) if (preview) URL.revokeObjectURL(preview);
-    // The next take has the same cameras and, most often, the same choices.
-    this.draft = emptyDraft({ calibrationId: this.draft.calibrationId, spec: this.draft.spec });
+    this.draft = emptyDraft(this.#kept);
     this.session = null;
     this.#go("draft");
     announce(`${job.session_name} is sent. Its job waits.`);
@@ -364,10 +369,10 @@ class Sending extends EventTarget {
       name: row.camera, file: row.name, offset_s: row.offset_s, ...(row.rate !== null && { rate: row.rate }),
     }));
     const [timestamps] = ids("timestamps");
-    const name = this.draft.name.trim();
+    const name = this.draft.name.trim() || `Take of ${new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" })}`;
     return {
       videos: ids("video"), keypoints: ids("keypoints"), ...(timestamps && { timestamps }),
-      calibration_id: this.draft.calibrationId, manifest: { ...(name && { name }), cameras },
+      calibration_id: this.draft.calibrationId, manifest: { name, cameras, clock: this.draft.clock },
     };
   }
 }

@@ -3,7 +3,7 @@
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { count, percent, size } from "../shared/format.js";
-import { html, nothing, render, typed } from "../shared/lit.js";
+import { html, live, nothing, render, typed } from "../shared/lit.js";
 import { readOptions } from "../shared/options.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { calibrationPart } from "./calibration.js";
@@ -16,6 +16,9 @@ import { sampleButton } from "./sample.js";
 import { sending } from "./sending.js";
 
 const MOST_CALIBRATIONS = 100;
+const CLOCKS = [
+  ["declared", "together, but for their offsets"], ["timecode", "at their timecodes"], ["creation_time", "at their times of creation"],
+];
 
 export function open(place) {
   let options = null;
@@ -59,7 +62,7 @@ export function open(place) {
         <label class="button">Choose a folder<input class="unseen" type="file" webkitdirectory ?disabled=${isLocked} @change=${chosen}></label>
         ${isEmpty ? sampleButton({ sending, draw, failed }) : html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => { sending.clear(); place.querySelector("#choose-files").focus(); }}>Remove all</button>`}
       </div>
-      ${isEmpty ? html`<p class="quiet">One file a camera. Zips of 2D keypoints do instead of videos.</p>` : nothing}
+      ${isEmpty ? html`<p class="quiet">One file a camera. A zip of images or of 2D keypoints does instead of a video.</p>` : nothing}
     </div>`;
   }
 
@@ -71,6 +74,9 @@ export function open(place) {
       ${dropPart(isLocked)}
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}
+      ${sending.rows.some(({ kind }) => kind === "video") ? html`<label class="field clock"><span>The videos start</span>
+        <select ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
+          ${CLOCKS.map(([clock, label]) => html`<option value=${clock} .selected=${live(clock === sending.draft.clock)}>${label}</option>`)}</select></label>` : nothing}
       ${sending.rows.length && sending.isGuessed ? html`<p class="notice">No file has the name of a camera. Files and cameras are paired in the order of their names: check them.</p>` : nothing}
     </section>`;
   }
