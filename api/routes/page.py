@@ -20,8 +20,8 @@ _SERVED = frozenset({".css", ".html", ".js", ".map", ".png", ".svg"})
 _REVALIDATED = {"Cache-Control": "no-cache"}
 _POLICY = SAFE_HEADERS["Content-Security-Policy"]
 # The page shows videos and pictures of captures, also those that it draws itself.
-_PAGE_POLICY = _POLICY.replace(
-    "img-src 'self'", "img-src 'self' blob: data:; media-src 'self' blob:; worker-src 'self'"
+_PAGE_POLICY = _POLICY.replace("img-src 'self'", "img-src 'self' blob: data:").replace(
+    "media-src 'self'", "media-src 'self' blob:"
 )
 # Swagger UI's style sheet contains its arrows as data: images.
 _DOCS_POLICY = _POLICY.replace("img-src 'self'", "img-src 'self' data:")
