@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BufferedWriter
 from pathlib import Path
+from typing import BinaryIO
 
 from api.errors import ApiError, ErrorItem, pointer_to
 
@@ -23,9 +24,13 @@ VIEWS = (VIDEOS, KEYPOINTS)
 CALIBRATION_ID = "calibration_id"
 """Document that names a stored calibration in place of a file."""
 
+SESSION_ID = "session_id"
+"""Field that names a stored session whose footage is used in place of files."""
+
 _MAX_NAME_BYTES = 200
 # Limit on the parts beside the files of cameras: the errors of any number of wrong parts would fill the memory.
 _MAX_OTHER_PARTS = 32
+_BLOCK_BYTES = 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +164,7 @@ class Parts:
         self._names: set[str] = set()
         self._documents: dict[str, bytearray] = {}
         self._errors: list[ErrorItem] = []
+        self._refused = False
         self._num_parts = 0
         self._total_bytes = 0
         self._open: _OpenFile | None = None
@@ -220,6 +226,25 @@ class Parts:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             self._files[part].append(ReceivedFile(name, path, num_bytes, sha256))
 
+    def copy(self, part: str, name: str, source: BinaryIO) -> None:
+        """Add a copy of an open file."""
+        self.begin(part, name)
+        try:
+            while block := source.read(_BLOCK_BYTES):
+                self.write(block)
+            self.end()
+        finally:
+            self.close()
+
+    def has(self, part: str) -> bool:
+        """Whether the client sent a file of a part, even a refused one."""
+        return self._counts[part] > 0
+
+    def reject_field(self, field: str, code: str, message: str, hint: str) -> None:
+        """Record an error about a field that stands for files, which are not reported as missing then."""
+        self._errors.append(ErrorItem(code=code, message=message, pointer=pointer_to(field), hint=hint))
+        self._refused = True
+
     def lack(self, part: str, code: str, message: str, hint: str, file: str | None = None) -> None:
         """Record an error about a missing or unusable file of a part."""
         self._errors.append(
@@ -230,7 +255,8 @@ class Parts:
         """Return all parts, for the end of the body; ``documents`` are names of further documents that were sent."""
         sent = dict.fromkeys((*self._documents, *documents), 1) | {name: n for name, n in self._counts.items() if n}
         for code, message, part in self._kind.faults(Counter(sent)):
-            self._add_error(code, message, f"/{part}")
+            if not (self._refused and code == "missing_part" and part in VIEWS):
+                self._add_error(code, message, f"/{part}")
         return Form(
             files={part: tuple(files) for part, files in self._files.items()},
             documents={name: bytes(content) for name, content in self._documents.items()},

@@ -24,7 +24,10 @@ from api.requests.form import (
     CALIBRATION,
     CALIBRATION_ID,
     INTRINSICS,
+    KEYPOINTS,
     SESSION_FORM,
+    SESSION_ID,
+    TIMESTAMPS,
     VIDEOS,
     Form,
     FormKind,
@@ -48,6 +51,9 @@ MANIFEST, SPEC = "manifest", "spec"
 
 # Kinds of files that differ from the name of the form's part.
 _KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
+
+# Parts of a form for the kinds of files that are the footage of a session.
+_FOOTAGE = {"video": VIDEOS, KEYPOINTS: KEYPOINTS, TIMESTAMPS: TIMESTAMPS}
 
 # Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "rate"}
@@ -324,7 +330,30 @@ def adopted(services: Services, records: TenantRecords, folder: Path, sent: Uplo
             parts.lack(part, "upload_unfinished", message, "Send the rest of it first.", upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.path(upload.id))
+    if (source_id := sent.source_id()) is not None:
+        _copy_footage(services, records, source_id, parts)
     return parts.form(sent.named())
+
+
+def _copy_footage(services: Services, records: TenantRecords, session_id: str, parts: Parts) -> None:
+    """Copy the videos or keypoints of a stored session to the parts of a form.
+
+    Copies, so that each session has files of its own: either may be deleted.
+    """
+    if any(parts.has(part) for part in _FOOTAGE.values()):
+        message = "The footage is that of a session: files of footage can't be sent too."
+        parts.reject_field(SESSION_ID, "part_not_allowed", message, "Omit session_id, or the files.")
+        return
+    try:
+        files = records.sessions.get(session_id).files
+        for file in files:
+            if (part := _FOOTAGE.get(file.kind)) is None:
+                continue
+            services.disk.require_room(file.num_bytes)
+            with services.artifacts.open(file.key, file.sha256) as source:
+                parts.copy(part, file.name, source)
+    except NotFound:
+        parts.reject_field(SESSION_ID, "session_unknown", "There is no such session.", "GET /v1/sessions lists them.")
 
 
 def _named(services: Services, records: TenantRecords, folder: Path, sent: UploadedSession) -> Arrival:

@@ -113,6 +113,10 @@ class UploadedFiles(BaseModel):
         """Names of the form's documents that the fields stand for."""
         return ()
 
+    def source_id(self) -> str | None:
+        """Id of the session whose footage takes the place of files; ``None`` if files are sent."""
+        return None
+
     def upload_ids(self) -> tuple[str, ...]:
         """Ids of all uploads."""
         return tuple(sorted({str(upload_id) for _, upload_id in self.uploads()}))
@@ -134,6 +138,11 @@ class UploadedSession(UploadedFiles):
         default=None,
         description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
     )
+    session_id: UUID | None = Field(
+        default=None,
+        description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
+        "the session of a calibration. Name, offsets and rates are those of `manifest`.",
+    )
     manifest: Manifest = Manifest()
 
     def uploads(self) -> list[tuple[str, UUID]]:
@@ -145,6 +154,10 @@ class UploadedSession(UploadedFiles):
     def named(self) -> Iterable[str]:
         """Names of the form's documents that the fields stand for."""
         return () if self.calibration_id is None else ("calibration_id",)
+
+    def source_id(self) -> str | None:
+        """Id of the session whose videos or keypoints are copied."""
+        return None if self.session_id is None else str(self.session_id)
 
 
 class UploadedCapture(UploadedSession):

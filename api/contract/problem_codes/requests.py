@@ -340,6 +340,12 @@ PARTS = CodeGroup(
             "List the calibrations, or send the file.",
         ),
         ProblemCode(
+            "session_unknown",
+            _FIELD,
+            "There is no session with this id.",
+            "List the sessions, or send the files.",
+        ),
+        ProblemCode(
             "not_a_capture",
             _FIELD,
             "The session was sent for a calibration, and is no capture.",

@@ -34,6 +34,7 @@ def making(make_settings: Callable[..., Settings]) -> Iterator[Live]:
         "max_session_bytes": 60_000_000,
         "max_keypoints_bytes": 20_000_000,
         "max_calibration_bytes": 1_000_000,
+        "preflight_timeout_s": 120.0,
     }
     with running(make_settings(preflight_command=Settings().preflight_command, **limits)) as live:
         yield live
@@ -186,6 +187,73 @@ def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulatio
     # The capture stays when the calibration goes.
     assert making.client.delete(f"/v1/calibrations/{job['id']}").status_code == 204
     assert making.client.get(session["links"]["self"]).status_code == 200
+
+
+def test_footage_of_a_calibration_is_reconstructed_without_sending_it_again(making: Live, videos: list[Path]) -> None:
+    job = send(making, videos, method="board", board=SPEC).json()
+    work(making)
+    body = {"session_id": job["session_id"], "calibration_id": job["id"], "manifest": {"name": "The take itself"}}
+    answer = making.client.post("/v1/sessions", json=body)
+    assert answer.status_code == 201, answer.text
+    session = answer.json()
+    assert (session["name"], session["id"] != job["session_id"]) == ("The take itself", True)
+    sent = making.client.get(job["links"]["session"]).json()["files"]
+    kinds = [(one["kind"], one["name"], one["sha256"]) for one in session["files"]]
+    assert [one for one in kinds if one[0] == "video"] == [
+        (one["kind"], one["name"], one["sha256"]) for one in sent if one["kind"] == "video"
+    ]
+    assert [one[1] for one in kinds if one[0] == "calibration"] == [f"calibration-{job['id']}.json"]
+    # Each has files of its own: the calibration goes with its session, and the new session stays whole.
+    assert making.client.delete(f"/v1/calibrations/{job['id']}").status_code == 204
+    problem_of(making.client.get(job["links"]["session"]), 404, "not_found")
+    artifacts, stored = making.services.artifacts, making.services.store.sessions.get(session["id"])
+    for file in stored.files:
+        with artifacts.open(file.key, file.sha256) as content:
+            assert len(content.read()) == file.num_bytes
+    assert making.client.delete(session["links"]["self"]).status_code == 204
+    assert not any(artifacts.exists(file.key) for file in stored.files)
+
+
+def test_a_capture_of_keypoints_is_reconstructed_with_a_calibration_of_its_own_people(
+    making: Live, walk: Simulation
+) -> None:
+    session = keypoint_session(making, walk)
+    calibration = send(making, [], method="people", session_id=session["id"], stature_m=[1.7]).json()
+    work(making)
+    body = {"session_id": session["id"], "calibration_id": calibration["id"], "spec": {"exports": ["csv"]}}
+    answer = making.client.post("/v1/jobs", json=body)
+    assert answer.status_code == 202, answer.text
+    job = answer.json()
+    other = making.client.get(job["links"]["session"]).json()
+    assert other["preflight"]["timebase"] == session["preflight"]["timebase"]
+    assert {one["kind"] for one in other["files"]} == {"keypoints", "timestamps", "calibration"}
+    # The first session goes before the job of the second one begins.
+    assert making.client.delete(session["links"]["self"]).status_code == 204
+    work(making)
+    done = making.client.get(job["links"]["self"]).json()
+    assert (done["state"], done["error"]) == ("succeeded", None)
+    metrics = making.client.get(f"{job['links']['results']}/metrics.json").json()
+    assert len(metrics["people"]) == 2
+
+
+def test_footage_that_cannot_be_used_is_named(making: Live, walk: Simulation) -> None:
+    unknown = "0190b7a4-0000-7000-8000-000000000000"
+    session = keypoint_session(making, walk)
+    for body, expected in (
+        ({"session_id": unknown}, {("session_unknown", "/session_id"), ("missing_part", "/calibration")}),
+        ({"session_id": session["id"]}, {("missing_part", "/calibration")}),
+        (
+            {"session_id": session["id"], "videos": [unknown], "calibration_id": unknown},
+            {
+                ("upload_unknown", "/videos/0"),
+                ("part_not_allowed", "/session_id"),
+                ("calibration_unknown", "/calibration_id"),
+            },
+        ),
+        ({"session_id": "session 1"}, {("wrong_format", "/session_id")}),
+    ):
+        problem = problem_of(making.client.post("/v1/sessions", json=body), 422, "invalid_request")
+        assert {(one["code"], one["pointer"]) for one in problem["errors"]} == expected
 
 
 def test_what_people_need_is_said(making: Live, videos: list[Path]) -> None:
