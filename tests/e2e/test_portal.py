@@ -334,3 +334,13 @@ def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Ser
     expect(page.get_by_role("region", name="Send").get_by_text(findings[0]["message"])).to_have_count(0)
     page.get_by_role("button", name="Discard the capture").click()
     expect(page.get_by_text("Drop the videos")).to_be_visible()
+
+
+@pytest.mark.benchmark
+def test_the_first_view_is_there_within_a_second(served: Served) -> None:
+    """From the request to the drawn list of captures, with an empty cache, on loopback."""
+    with opened("about:blank") as page:
+        page.goto(f"{served.client.base_url}#/captures")
+        expect(page.get_by_role("heading", name="Captures", level=1)).to_be_visible()
+        shown_ms = page.evaluate("Math.max(...performance.getEntries().map((one) => one.responseEnd ?? one.startTime))")
+        assert shown_ms <= 1000

@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from api.cli.commands.serve import READY
+from hatch_build import install_page_libraries
 from pipeline.runtime.packages.storage import home
 from pipeline.stages.code import stage_codes
 from tests.e2e.captures import keypoint_capture, video_capture
@@ -101,6 +103,27 @@ def test_the_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
     for name in ("api", "pipeline", "worker"):
         text = f"import importlib.util; print(importlib.util.find_spec({name!r}))"
         assert run(programs / "python", "-P", "-c", text, cwd=tmp_path) == "None\n"
+
+
+def test_the_page_of_the_wheel_has_its_libraries(programs: Path, tmp_path: Path) -> None:
+    if not (ROOT / "api/portal/vendor").is_dir():
+        pytest.skip("the page's libraries are not installed (`make setup`)")
+    text = "import multicap, pathlib; print(pathlib.Path(multicap.__file__).parent / 'api' / 'portal')"
+    portal = Path(run(programs / "python", "-P", "-c", text, cwd=tmp_path).strip())
+    for name in ("vendor/lit-html/lit-html.js", "vendor/three/three.module.js", "send/view.js", "index.html"):
+        assert (portal / name).read_bytes() == (ROOT / "api/portal" / name).read_bytes()
+    assert not (portal / "node_modules").exists()
+
+
+def test_a_build_installs_the_page_s_libraries_from_npm(tmp_path: Path) -> None:
+    for name in ("package.json", "package-lock.json", "vendor.mjs"):
+        shutil.copy(ROOT / "api/portal" / name, tmp_path)
+    if not install_page_libraries(tmp_path):
+        pytest.skip("npm's packages can't be installed here")
+    names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert "vendor/three/three.core.js" in names
+    assert not any(name.startswith("node_modules") for name in names)
+    assert "from '../../three.module.js'" in (tmp_path / "vendor/three/addons/controls/OrbitControls.js").read_text()
 
 
 def test_stages_have_the_codes_of_the_checkout(programs: Path, foreign: Path) -> None:

@@ -51,7 +51,7 @@ export function fileTable({ sending, change, remove }) {
         </div></td>
         <td>${cameraField(row, sending, change, isLocked)}</td>
         ${hasVideos ? html`<td>${timing(row, "offset_s", { label: "Offset in seconds", empty: "0", change, isLocked })}</td>
-          <td>${timing(row, "rate", { label: "Frame rate in Hz", empty: "of the file", change, isLocked })}</td>` : nothing}
+          <td>${timing(row, "rate", { label: "Frame rate in Hz", empty: "as is", change, isLocked })}</td>` : nothing}
         <td class="sent">
           ${row.sent || row.isActive ? html`<progress max="1" .value=${row.size ? row.sent / row.size : 1} aria-label="Sent of ${row.name}"></progress>` : nothing}
           <span class="quiet">${stateOf(row)}</span>

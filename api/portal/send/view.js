@@ -67,10 +67,12 @@ export function open(place) {
   }
 
   function filesPart(isLocked) {
-    const interrupted = sending.draft.wasSending && sending.phase === "draft" && sending.missing.length > 0;
+    const isMissing = sending.phase === "draft" && sending.missing.length > 0;
     return html`<section class="panel" aria-labelledby="files-title">
       <h2 id="files-title">Videos</h2>
-      ${interrupted ? html`<p class="notice" role="status">The upload was interrupted at ${percent(sending.fraction)}. Choose the same files again: it goes on where it stopped.</p>` : nothing}
+      ${isMissing ? html`<p class="notice" role="status">${sending.draft.wasSending
+    ? `The upload was interrupted at ${percent(sending.fraction)}. Choose the same files again: it goes on where it stopped.`
+    : "The page was loaded anew, and browsers keep no files. Choose the same files again."}</p>` : nothing}
       ${dropPart(isLocked)}
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}

@@ -23,15 +23,26 @@ function factsOf(session) {
   ];
 }
 
-function cameraTable(session) {
+function thumbnail(camera) {
+  if (!camera.video_link) return nothing;
+  return html`<video class="thumb" src="${camera.video_link}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>`;
+}
+
+function cameraTable(view, session) {
   const { cameras, findings = [], warnings } = session.preflight;
   const sizes = new Map(session.files.map(({ name, num_bytes: bytes }) => [name, bytes]));
   const known = new Set(findings.map(({ message }) => message));
-  return html`<details class="cameras">
+  // Pictures are loaded once they are seen.
+  const isOpen = view.shown.has(session.id);
+  const toggle = (event) => {
+    if (event.target.open) view.shown.add(session.id); else view.shown.delete(session.id);
+    view.draw();
+  };
+  return html`<details class="cameras" @toggle=${toggle}>
     <summary>Cameras${findings.length || warnings.length ? html` <span class="badge" data-tone="warn">${count(findings.length || warnings.length, "finding")}</span>` : nothing}</summary>
     <div class="scroll" role="region" aria-label="Cameras of ${session.name}" tabindex="0"><table>
       <thead><tr><th scope="col">Camera</th><th scope="col">File</th><th scope="col">Picture</th><th scope="col">Rate</th><th scope="col">Frames</th><th scope="col">Starts at</th><th scope="col">Size</th></tr></thead>
-      <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${camera.file}</td>
+      <tbody>${cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
         <td>${camera.size_px.join(" × ")}</td><td>${Number(camera.frame_rate_hz.toFixed(2))} Hz</td><td>${camera.num_frames}</td>
         <td>${camera.start_time_s.toFixed(3)} s</td><td>${sizes.has(camera.file) ? size(sizes.get(camera.file)) : ""}</td></tr>
         ${findingList(findings.filter((finding) => finding.camera === camera.name), (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
@@ -120,6 +131,6 @@ export function captureCard(view, session) {
     ${view.opened.has(session.id) ? runAgainForm(view, session) : nothing}
     ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job, index) => jobRow(view, job, jobs.length > 1 ? jobs.length - index : null))}</ol>`
       : html`<p class="quiet">No job yet.</p>`}
-    ${cameraTable(session)}
+    ${cameraTable(view, session)}
   </li>`;
 }

@@ -32,6 +32,7 @@ class Captures {
   filter = "";
   problems = new Map(); // of an action, by the id of the job or session
   opened = new Map(); // form for another run by the session's id: its choices
+  shown = new Set(); // sessions whose cameras are shown
   renamed = null; // id of the session whose name is being changed
   #isClosed = false;
   #number = 0; // of the last request, so that a slow answer does not replace a later one
