@@ -33,7 +33,7 @@ _FINISHED = frozenset({"succeeded", "failed", "canceled"})
 _OUR_FAULT = frozenset({"internal_error", "worker_lost", "timed_out"})
 _UNFINISHED_JOBS = 6
 
-# Field of the form, file name, content.
+# Field of the form, file name (empty: a field that is no file), content.
 Part = tuple[str, str, bytes]
 
 
@@ -109,7 +109,7 @@ class Campaign:
     def send(self, parts: Sequence[Part], spec: Mapping[str, Any] | None = None) -> httpx2.Response:
         """Send a session, and its job with ``spec``; wait as ``Retry-After`` demands."""
         path = "/v1/sessions" if spec is None else "/v1/jobs"
-        files: list[Any] = [(name, (file, content)) for name, file, content in parts]
+        files: list[Any] = [(name, (file or None, content)) for name, file, content in parts]
         if spec is not None:
             files.append(("spec", (None, json.dumps(spec))))
         while True:
@@ -128,7 +128,7 @@ class Campaign:
         if answer.status_code in REFUSED:
             self.report.codes.update({one["code"] for one in answer.json()["errors"]})
         elif answer.status_code == 202:
-            self._jobs.put(answer.json())
+            self._jobs.put(answer.json() | {"videos": [file for part, file, _ in parts if part == "videos"]})
         elif answer.status_code != 201:
             self.report.faults.append(f"{answer.status_code}: {answer.text[:500]}")
         return answer
@@ -178,6 +178,8 @@ class Campaign:
     def _note_end(self, job: Mapping[str, Any]) -> None:
         code = job["error"]["code"] if job["error"] else ""
         self.report.job_ends[" ".join(filter(None, [job["state"], code]))] += 1
+        if code and job["videos"] and not any(name in job["error"]["detail"] for name in job["videos"]):
+            self.report.faults.append(f"a job of videos failed without the name of one: {job['error']}")
         if code in _OUR_FAULT or job["state"] == "canceled":
             self.report.faults.append(f"job {job['state']}: {job['error']}")
         self.delete(job["session_id"])

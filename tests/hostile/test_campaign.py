@@ -1,7 +1,7 @@
 """Hostile media, calibrations, keypoints and timestamps in the real service, with jobs of accepted sessions.
 
-A short campaign is part of the suite; ``make hostile`` sends 5,000 videos, 500 calibrations and 500 sessions of
-keypoints. ``MULTICAP_HOSTILE_SEED`` is the seed, ``MULTICAP_HOSTILE_SHARE`` the share of these counts.
+A short campaign is part of the suite; ``make hostile`` sends 5,000 videos and archives of images, 500 calibrations and
+500 sessions of keypoints. ``MULTICAP_HOSTILE_SEED`` is the seed, ``MULTICAP_HOSTILE_SHARE`` the share of these counts.
 """
 
 import json
@@ -68,7 +68,12 @@ def _camera(name: str, angle_rad: float) -> dict[str, object]:
 def video_session(videos: Mapping[str, bytes]) -> list[Part]:
     """Parts of a session of videos by their file names."""
     names = [Path(name).stem for name in videos]
-    return [*(("videos", name, content) for name, content in videos.items()), ("calibration", "rig.json", rig(names))]
+    return [
+        *(("videos", name, content) for name, content in videos.items()),
+        ("calibration", "rig.json", rig(names)),
+        # Archives of images have no frame rate.
+        ("manifest", "", b'{"frame_rate_hz": 25}'),
+    ]
 
 
 def keypoint_session(files: Mapping[str, bytes]) -> list[Part]:
