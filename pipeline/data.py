@@ -31,6 +31,16 @@ def no_frames() -> Int[np.ndarray, " 0"]:
     return read_only(np.empty(0, np.int64))
 
 
+def no_changes() -> Float[np.ndarray, " 0"]:
+    """Return an empty, read-only array of changes of pictures."""
+    return read_only(np.empty(0, np.float32))
+
+
+def no_samples() -> UInt8[np.ndarray, " 0"]:
+    """Return an empty, read-only array of samples of a picture."""
+    return read_only(np.empty(0, np.uint8))
+
+
 def no_colours() -> UInt8[np.ndarray, "0 0 0"]:
     """Return an empty, read-only array of colour histograms: colours were not measured."""
     return read_only(np.empty((0, 0, 0), np.uint8))
@@ -104,6 +114,26 @@ class FrameTimes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PictureChanges:
+    """Changes of a camera's pictures from one frame to the next, see ``detect.doubled``.
+
+    Parameters
+    ----------
+    frame
+        Numbers of the frames that were decoded, ascending.
+    change
+        Difference of each picture from the picture of the frame before, in grey levels; NaN where that is unknown.
+    first, last
+        Samples of the first and the last picture.
+    """
+
+    frame: Int[np.ndarray, " frames"] = field(default_factory=no_frames)
+    change: Float[np.ndarray, " frames"] = field(default_factory=no_changes)
+    first: UInt8[np.ndarray, " samples"] = field(default_factory=no_samples)
+    last: UInt8[np.ndarray, " samples"] = field(default_factory=no_samples)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Detections:
     """2D bodies in the frames of one camera, sorted by frame.
 
@@ -124,6 +154,8 @@ class Detections:
     colour
         Histograms of the colours of each body's parts, see ``detect.appearance``; zeros where a part is unknown. No
         rows: colours were not measured.
+    changes
+        Changes of the pictures; none in detections of other programs.
     """
 
     camera: str
@@ -133,6 +165,7 @@ class Detections:
     box_px: Float[np.ndarray, "n 4"]
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
     colour: UInt8[np.ndarray, "coloured parts bins"] = field(default_factory=no_colours)
+    changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +216,8 @@ class PafFields:
         Positions of the fields' cells on the image.
     damaged
         Numbers of the frames whose picture is damaged or missing, ascending; a missing frame is not in ``frame``.
+    changes
+        Changes of the pictures.
     """
 
     camera: str
@@ -195,6 +230,7 @@ class PafFields:
     limbs: Int[np.ndarray, "limbs 2"]
     grid: MapGrid
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
+    changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -473,7 +509,7 @@ class Animation:
 
 @dataclass(frozen=True, slots=True)
 class DamagedVideo:
-    """A video with damaged or missing pictures among the frames that a reconstruction uses.
+    """A video with damaged, missing or doubled pictures among the frames that a reconstruction uses.
 
     Parameters
     ----------
@@ -482,7 +518,9 @@ class DamagedVideo:
     num_damaged, num_frames
         Number of damaged frames, and of all frames that are used.
     first_s, last_s
-        Times of the first and the last damaged frame since the start of the video.
+        Times of the first and the last damaged frame since the start of the video; 0 if none is damaged.
+    doubled_s
+        Times of the frames that show the picture before once more, since the start of the video.
     """
 
     camera: str
@@ -491,6 +529,7 @@ class DamagedVideo:
     num_frames: int
     first_s: float
     last_s: float
+    doubled_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from pipeline.detect.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.openpose import LIMBS
 from pipeline.detect.detector import Bodies, Detector
+from pipeline.detect.doubled import ChangeMeter, join_changes
 from pipeline.detect.profiles.detection import BodyDetector
 from pipeline.errors import InputError
 from pipeline.joints import JointSet
@@ -52,16 +53,18 @@ def detect_chunk(
         See ``decode``.
     """
     damaged: list[int] = []
+    meter = ChangeMeter()
     bodies: list[tuple[int, Bodies]] = []
     colours: list[UInt8[np.ndarray, "n parts bins"]] = []
     with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
         for frame, image_rgb in frames:
+            meter.add(frame, image_rgb)
             found = detector.detect(image_rgb)
             bodies.append((frame, found))
             if measures_colours:
                 colours.append(colour_histograms(image_rgb, found.keypoints_px, found.score, detector.joints))
     detections = _as_detections(camera, bodies, len(detector.joints.names))
-    return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours))
+    return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours), changes=meter.changes())
 
 
 def measure_colours(
@@ -110,9 +113,13 @@ def detect_fields_chunk(
         Detector whose network has part affinity fields.
     """
     damaged: list[int] = []
+    meter = ChangeMeter()
+    fields: list[tuple[int, ImageFields]] = []
     with closing(_images(session, camera, span_s, on_frame, damaged.append)) as frames:
-        fields = [(frame, detector.detect_fields(image_rgb)) for frame, image_rgb in frames]
-    return replace(stack_fields(camera, fields), damaged=_frame_numbers(damaged))
+        for frame, image_rgb in frames:
+            meter.add(frame, image_rgb)
+            fields.append((frame, detector.detect_fields(image_rgb)))
+    return replace(stack_fields(camera, fields), damaged=_frame_numbers(damaged), changes=meter.changes())
 
 
 def _images(
@@ -250,4 +257,5 @@ def _join(camera: str, chunks: Sequence[Detections], num_joints: int) -> Detecti
         box_px=np.concatenate([np.empty((0, 4)), *(chunk.box_px for chunk in chunks)]),
         damaged=np.concatenate([no_frames(), *(chunk.damaged for chunk in chunks)]),
         colour=_join_colours([chunk.colour for chunk in chunks]),
+        changes=join_changes([chunk.changes for chunk in chunks]),
     )

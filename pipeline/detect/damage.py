@@ -7,7 +7,8 @@ from jaxtyping import Int
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
-from pipeline.data import DamagedVideo
+from pipeline.data import DamagedVideo, PictureChanges
+from pipeline.detect.doubled import doubled_frames, join_changes
 from pipeline.errors import InputError, Problem
 from pipeline.video.timeline import frames_in, session_timebase, span_s
 
@@ -20,9 +21,11 @@ DamagedFrames = tuple[str, Int[np.ndarray, " _"]]
 
 
 def damaged_videos(
-    session: CaptureSession | KeypointSession, damaged: Iterable[DamagedFrames]
+    session: CaptureSession | KeypointSession,
+    damaged: Iterable[DamagedFrames],
+    changes: Iterable[tuple[str, PictureChanges]] = (),
 ) -> tuple[DamagedVideo, ...]:
-    """Summarise the damaged frames of each video, in the cameras' order; a keypoint session has none.
+    """Summarise the damaged and doubled frames of each video, in the cameras' order; a keypoint session has none.
 
     Parameters
     ----------
@@ -30,6 +33,8 @@ def damaged_videos(
         Session, restricted to the output frames of the reconstruction.
     damaged
         Damaged frames of ranges; the ranges of a camera are in order of time.
+    changes
+        Cameras and changes of the pictures of the same ranges.
 
     Raises
     ------
@@ -44,17 +49,22 @@ def damaged_videos(
     of_camera: dict[str, list[int]] = {camera.name: [] for camera in session.cameras}
     for camera, frames in damaged:
         of_camera[camera] += frames.tolist()
+    parts: dict[str, list[PictureChanges]] = {camera.name: [] for camera in session.cameras}
+    for camera, part in changes:
+        parts[camera].append(part)
+    doubled = {camera: doubled_frames(join_changes(of_ranges)) for camera, of_ranges in parts.items()}
     videos = tuple(
         DamagedVideo(
             camera=camera.name,
             file=video.path.name,
             num_damaged=len(numbers),
             num_frames=len(frames_in(session.times[camera.name], *span)),
-            first_s=float(video.time_s[numbers[0]]),
-            last_s=float(video.time_s[numbers[-1]]),
+            first_s=float(video.time_s[numbers[0]]) if numbers else 0.0,
+            last_s=float(video.time_s[numbers[-1]]) if numbers else 0.0,
+            doubled_s=tuple(video.time_s[doubled[camera.name]].tolist()),
         )
         for camera, video in zip(session.cameras, session.videos, strict=True)
-        if (numbers := of_camera[camera.name])
+        if (numbers := of_camera[camera.name]) or len(doubled[camera.name])
     )
     if problems := [_problem(video) for video in videos if video.num_damaged > MAX_DAMAGED_SHARE * video.num_frames]:
         raise InputError(problems)

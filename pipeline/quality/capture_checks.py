@@ -16,6 +16,9 @@ from pipeline.quality.names import first_names
 _MIN_VIEWS = 3
 # Confidence in the identity of a person below which somebody should look.
 _UNCERTAIN = 0.9
+_SHOWN_TIMES = 5
+# A single doubled picture does no harm.
+_MAX_DOUBLED = 0.01
 
 
 def capture_checks(
@@ -32,6 +35,7 @@ def capture_checks(
     checks = (
         _check_rig(names),
         _check_videos(reconstruction.damaged),
+        _check_doubled(reconstruction.damaged),
         _check_people(seen),
         _check_cameras(names, seen),
         _check_views(names, seen),
@@ -50,7 +54,29 @@ def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
         )
 
 
-def _check_videos(damaged: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+    described = [
+        f"{video.file} ({len(video.doubled_s)} of {video.num_frames} frames, {_times(video.doubled_s)})"
+        for video in videos
+        if len(video.doubled_s) > _MAX_DOUBLED * video.num_frames
+    ]
+    if described:
+        yield (
+            "frames_doubled",
+            f"Frames show the picture before once more in {first_names(described)}. People lag behind by a frame "
+            "there; record with a camera that keeps its rate, or export without a constant rate.",
+        )
+
+
+def _times(time_s: Sequence[float]) -> str:
+    more = len(time_s) - _SHOWN_TIMES
+    return f"at {', '.join(f'{one:.2f}' for one in time_s[:_SHOWN_TIMES])} s" + (
+        f" and {more} more" if more > 0 else ""
+    )
+
+
+def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+    damaged = [video for video in videos if video.num_damaged]
     if not damaged:
         return
     described = [
@@ -58,11 +84,11 @@ def _check_videos(damaged: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
         f"from {video.first_s:.1f} to {video.last_s:.1f} s)"
         for video in damaged
     ]
-    videos = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
+    subject = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
     yield (
         "damaged_video",
-        f"{videos} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's next "
-        "keyframe.",
+        f"{subject} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's "
+        "next keyframe.",
     )
 
 

@@ -24,6 +24,7 @@ from pipeline.data import (
     Observations,
     PafFields,
     People,
+    PictureChanges,
     Poses3D,
     Refinement,
     SkeletonMotion,
@@ -56,6 +57,7 @@ _CONTACT = np.dtype(
     ]
 )
 _DOUBT = np.dtype([("frame", np.int64), ("confidence", np.float64), ("other", np.int64)])
+_CHANGE_ARRAYS = ("frame", "change", "first", "last")
 _DAMAGED_VIDEOS = "damaged_videos"
 
 
@@ -112,7 +114,7 @@ def decode_refinement(cameras: Sequence[Camera], content: bytes) -> tuple[tuple[
 def encode_detections(detections: Detections) -> bytes:
     """Write the detections of one camera without their colours, which are not kept with a session."""
     arrays = {name: np.asarray(getattr(detections, name)) for name in DETECTION_ARRAYS}
-    return encode_arrays({"camera": np.array(detections.camera), **arrays, **_damaged(detections)})
+    return encode_arrays({"camera": np.array(detections.camera), **arrays, **_of_pictures(detections)})
 
 
 def decode_detections(content: bytes) -> Detections:
@@ -121,6 +123,7 @@ def decode_detections(content: bytes) -> Detections:
     return Detections(
         str(arrays["camera"]),
         damaged=arrays.get("damaged", no_frames()),
+        changes=_decode_changes(arrays),
         **{name: arrays[name] for name in DETECTION_ARRAYS},
     )
 
@@ -135,16 +138,22 @@ def with_colours(detections: Detections, content: bytes) -> Detections:
     return replace(detections, colour=decode_arrays(content)["colour"])
 
 
-def _damaged(found: Detections | PafFields) -> dict[str, np.ndarray]:
-    """Array of damaged frames; absent where there are none, for archives of undamaged videos keep their bytes."""
-    return {"damaged": found.damaged} if len(found.damaged) else {}
+def _of_pictures(found: Detections | PafFields) -> dict[str, np.ndarray]:
+    """Arrays of damaged frames, absent where there are none, and of the pictures' changes, where they were measured."""
+    changes = {f"picture_{name}": getattr(found.changes, name) for name in _CHANGE_ARRAYS}
+    return ({"damaged": found.damaged} if len(found.damaged) else {}) | (changes if len(found.changes.frame) else {})
+
+
+def _decode_changes(arrays: Mapping[str, np.ndarray]) -> PictureChanges:
+    names = {name: f"picture_{name}" for name in _CHANGE_ARRAYS}
+    return PictureChanges(**{name: arrays[key] for name, key in names.items() if key in arrays})
 
 
 def encode_fields(fields: PafFields) -> bytes:
     """Write the peaks and fields of one camera."""
     arrays = {name: np.asarray(getattr(fields, name)) for name in _FIELD_ARRAYS}
     grid = np.array([fields.grid.offset_px, fields.grid.pitch_px])
-    return encode_arrays({"camera": np.array(fields.camera), "grid": grid, **arrays, **_damaged(fields)})
+    return encode_arrays({"camera": np.array(fields.camera), "grid": grid, **arrays, **_of_pictures(fields)})
 
 
 def decode_fields(content: bytes) -> PafFields:
@@ -155,6 +164,7 @@ def decode_fields(content: bytes) -> PafFields:
         str(arrays["camera"]),
         grid=MapGrid(offset_px, pitch_px),
         damaged=arrays.get("damaged", no_frames()),
+        changes=_decode_changes(arrays),
         **{name: arrays[name] for name in _FIELD_ARRAYS},
     )
 
@@ -179,7 +189,7 @@ def decode_damaged_videos(content: bytes | Path) -> tuple[DamagedVideo, ...]:
     """Read the damaged videos, and nothing else, from what ``encode_lengths`` or ``write_people`` wrote."""
     with open_archive(content) as archive:
         written = json.loads(str(archive[_DAMAGED_VIDEOS])) if _DAMAGED_VIDEOS in archive.files else []
-    return tuple(DamagedVideo(**one) for one in written)
+    return tuple(DamagedVideo(**{**one, "doubled_s": tuple(one["doubled_s"])}) for one in written)
 
 
 def encode_poses(poses: Poses3D) -> bytes:

@@ -19,7 +19,7 @@ from pipeline.calibration.report import MadeCalibration, report_document
 from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
-from pipeline.data import Animation, Camera, DamagedVideo, Detections, Reconstruction, Refinement
+from pipeline.data import Animation, Camera, DamagedVideo, Detections, PictureChanges, Reconstruction, Refinement
 from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.entries import entry_of
@@ -312,15 +312,17 @@ def measure_lengths(task: Task, context: Context) -> Output:
     session, joints = _wanted(context, context.session())
     cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
     damaged: list[DamagedFrames] = []
+    changes: list[tuple[str, PictureChanges]] = []
 
     def ranges() -> Iterator[tuple[range, DetectionsByCamera]]:
         for number, frames in enumerate(cut):
             detected = _detected(context, session, joints, number)
             damaged.extend((camera, of_camera.damaged) for camera, of_camera in detected.items())
+            changes.extend((camera, of_camera.changes) for camera, of_camera in detected.items())
             yield _from_first(frames, task.frames.start), detected
 
     lengths = measure_bones(session, ranges(), joints, context.config, context.on_unit)
-    return Output(encode_lengths(lengths, damaged_videos(session, damaged)))
+    return Output(encode_lengths(lengths, damaged_videos(session, damaged, changes)))
 
 
 def find_poses(task: Task, context: Context) -> Output:
@@ -518,7 +520,11 @@ def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
         if isinstance(session, KeypointSession)
         else _bodies(session, joints, _coloured(context, map(decode_detections, context.outputs(DETECT))))
     )
-    damaged = damaged_videos(session, [(camera, of_camera.damaged) for camera, of_camera in detections.items()])
+    damaged = damaged_videos(
+        session,
+        [(camera, of_camera.damaged) for camera, of_camera in detections.items()],
+        [(camera, of_camera.changes) for camera, of_camera in detections.items()],
+    )
     return gather(session.cameras, session.times, detections), damaged
 
 

@@ -150,6 +150,12 @@ WARNINGS = CodeGroup(
             "Copy the files again; see [formats](formats.md#videos).",
         ),
         ProblemCode(
+            "frames_doubled",
+            _WARNING,
+            "Frames of a video show the picture before once more: people lag behind there.",
+            "Record with a camera that keeps its rate, or export without a constant rate.",
+        ),
+        ProblemCode(
             "camera_without_people",
             _WARNING_AND_FINDING,
             "A camera was matched with no person.",

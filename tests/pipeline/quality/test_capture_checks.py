@@ -94,6 +94,18 @@ def test_damaged_videos_are_named_with_what_is_damaged() -> None:
     assert check["message"].startswith("2 videos are damaged: left.mp4 (3 of 60 frames, from 0.8 to 0.9 s), right.mp4 ")
 
 
+def test_doubled_pictures_are_counted_with_their_times() -> None:
+    take = reconstruction(TRACK, observations=(observe(TRACK),), cameras=CAMERAS)
+    doubled_s = tuple(np.arange(8) / 4)
+    one = DamagedVideo("left", "left.mp4", 0, 60, 0.0, 0.0, doubled_s)
+    (check,) = quality_report(replace(take, damaged=(one,)))["capture_checks"]
+    assert check["code"] == "frames_doubled"
+    assert "in left.mp4 (8 of 60 frames, at 0.00, 0.25, 0.50, 0.75, 1.00 s and 3 more)." in check["message"]
+    both = replace(one, num_damaged=2, first_s=0.1, last_s=0.4)
+    checks = quality_report(replace(take, damaged=(both,)))["capture_checks"]
+    assert [check["code"] for check in checks] == ["damaged_video", "frames_doubled"]
+
+
 def test_only_people_whose_identity_is_uncertain_are_named() -> None:
     certain = replace(reconstruction(TRACK, observations=(observe(TRACK),)), doubts=[(Doubt(5, 0.95, 0),)])
     assert all_checks(quality_report(certain)) == []
