@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.board.pattern import draw_pattern
 from pipeline.calibration.board.spec import Board
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import center_in_world, project
@@ -24,16 +25,9 @@ _FLOOR = Rigid3(read_only(np.diag([1.0, -1.0, -1.0])), read_only(np.zeros(3)))
 def board_texture(board: Board) -> tuple[UInt8[np.ndarray, "height width"], Float[np.ndarray, " 2"]]:
     """Draw a board, a texel a millimetre, with a white margin of a square; and the place of its origin in texels."""
     square = round(board.square_m / _TEXEL_M)
-    if board.kind == "charuco":
-        size = (board.cols * square, board.rows * square)
-        image = np.asarray(board.charuco.generateImage(size))
-        origin = np.array([square, square])
-    else:
-        cells = np.indices((board.rows + 1, board.cols + 1)).sum(0) % 2 == 0
-        # The square behind the first inner corner is black.
-        image = np.where(np.kron(cells, np.ones((square, square))) > 0, 0, 255).astype(np.uint8)
-        origin = np.array([2 * square, 2 * square])
-    return np.pad(image, square, constant_values=255), origin - 0.5
+    first = 1 if board.kind == "charuco" else 2
+    origin = np.array([first * square, first * square])
+    return np.pad(draw_pattern(board, square), square, constant_values=255), origin - 0.5
 
 
 class BoardPainter:

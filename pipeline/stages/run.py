@@ -260,14 +260,22 @@ def calibrate(task: Task, context: Context) -> Output:
             else _bodies(session, joints, map(decode_detections, context.outputs(DETECT)))
         )
         made = calibrate_people(
-            session.cameras, session.times, detections, joints, making.stature_m, making.has_intrinsics, on_share
+            session.cameras,
+            session.times,
+            detections,
+            joints,
+            making.stature_m,
+            making.has_intrinsics,
+            on_share,
+            making.known_points,
         )
         return _calibrated(made, context)
     outline = context.outline()
     given = {camera.name: camera for camera in outline.cameras} if making.has_intrinsics else None
     views = [decode_views(content) for content in context.outputs(FIND_BOARD)]
     board, rate_hz = parse_board(making.board), outline.timebase.frame_rate_hz
-    return _calibrated(calibrate_board(views, board, given, rate_hz, on_share=on_share), context)
+    made = calibrate_board(views, board, given, rate_hz, on_share=on_share, known_points=making.known_points)
+    return _calibrated(made, context)
 
 
 def _calibrated(made: MadeCalibration, context: Context) -> Output:

@@ -6,7 +6,7 @@ from api.contract.problem_codes.model import CodeGroup, ProblemCode
 _FILES = ("422", "command")
 # Places of codes of calibrations that are made.
 _MADE = ("job", "command")
-# Places of codes that are also reported when the frames are decoded.
+# Places of codes that the check of a request reports, or later the job.
 _FRAMES = ("422", "job", "command")
 
 CALIBRATIONS = CodeGroup(
@@ -51,6 +51,30 @@ CALIBRATIONS = CodeGroup(
             _MADE,
             "A camera shares too few views of the board with the others.",
             "Film the board where the camera and a neighbour both see it.",
+        ),
+        ProblemCode(
+            "known_points_invalid",
+            _FRAMES,
+            "A known point is malformed, is named twice, or is not in the picture.",
+            "Correct it as [calibration](calibration.md#known-points) says.",
+        ),
+        ProblemCode(
+            "known_points_few",
+            _FRAMES,
+            "Fewer than three known points are seen by two cameras.",
+            "Mark each point in the pictures of two cameras or more, under the same name.",
+        ),
+        ProblemCode(
+            "known_points_on_a_line",
+            _FRAMES,
+            "The known points are on a line, about which the world could turn.",
+            "Add a point beside the line.",
+        ),
+        ProblemCode(
+            "known_points_misfit",
+            _MADE,
+            "The known points don't fit to where the cameras see them: a wrong unit, mirrored axes, or a wrong point.",
+            "`hint` has the reason if it was found.",
         ),
         ProblemCode(
             "people_one_camera",

@@ -261,6 +261,12 @@ WARNINGS = CodeGroup(
             "Lay it flat on the floor for a second, or state the time (`--floor-time`).",
         ),
         ProblemCode(
+            "known_points_doubtful",
+            _WARNING,
+            "A known point is far from where the cameras see it, or all cameras are below the points.",
+            "Check its coordinates and its marked pixels, and that Z points up.",
+        ),
+        ProblemCode(
             "upside_down", _WARNING_AND_FINDING, "Heads are below feet.", "Turn the calibration: Z must point up."
         ),
         ProblemCode(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.normal import State, build, cost, residuals_px
 from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, Parameters, move_camera
@@ -91,6 +91,14 @@ def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> P
     is_open = (vectors[:, ~is_known] ** 2).sum(1) > np.sqrt(_UNDETERMINED)
     sigma[problem.free] = np.where(is_open, np.inf, np.sqrt(variance))[: problem.free.sum()]
     return read_only(sigma)
+
+
+def block_covariance(
+    problem: AdjustmentProblem, adjusted: Adjustment, blocks: Int[np.ndarray, " blocks"]
+) -> Float[np.ndarray, "unknowns unknowns"]:
+    """Compute the covariance of the parameters of some blocks of an adjusted structure, one block after the other."""
+    state = State(adjusted.cameras, adjusted.structure, adjusted.lengths_m)
+    return build(problem, state, adjusted.sigma_px).block_covariance(blocks)
 
 
 def _noise_px(problem: AdjustmentProblem, state: State) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse import bsr_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
 
@@ -60,6 +60,23 @@ class Normal:
     def reduced(self) -> Float[np.ndarray, "parameters parameters"]:
         """Normal matrix of free parameters and lengths after the elimination: the inverse of their covariance."""
         return self.fixed - self.mixed.T @ self._solver(0.0)(self.mixed)
+
+    def block_covariance(self, chosen: Int[np.ndarray, " chosen"]) -> Float[np.ndarray, "unknowns unknowns"]:
+        """Covariance of the parameters of some blocks, with what the cameras leave open.
+
+        Inverse of a matrix in four parts: Triggs et al. 2000, appendix B.
+        """
+        size = self.blocks.shape[1]
+        rows = (size * np.asarray(chosen)[:, None] + np.arange(size)).ravel()
+        columns = np.zeros((len(self.mixed), len(rows)))
+        columns[rows, np.arange(len(rows))] = 1.0
+        solve = self._solver(0.0)
+        eliminated = solve(self.mixed)
+        reduced = self.fixed - self.mixed.T @ eliminated
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(reduced), np.finfo(float).tiny))
+        of_cameras = scale[:, None] * np.linalg.pinv(scale[:, None] * reduced * scale, hermitian=True) * scale
+        covariance: np.ndarray = solve(columns)[rows] + eliminated[rows] @ of_cameras @ eliminated[rows].T
+        return covariance
 
     def step(self, damping: float) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, "blocks size"]]:
         """Damped step of free parameters and lengths, and of the blocks.

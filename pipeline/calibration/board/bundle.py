@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.adjust import Adjustment, adjust, block_covariance
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
     EXTRINSICS,
@@ -103,12 +103,8 @@ def _median_px(seen_px: np.ndarray, projected_px: np.ndarray) -> float:
 
 def refine_boards(cameras: Sequence[Camera], placed: Sequence[Placed], board: Board) -> list[Placed]:
     """Fit the poses of the board to the views of all cameras, which stay."""
-    adjusted, _ = _adjust(cameras, none_free(len(cameras)), placed, board)
-    bodies = cast("Bodies", adjusted.structure)
-    return [
-        replace(one, root_from_board=Rigid3(read_only(rotation), read_only(translation_m)))
-        for one, rotation, translation_m in zip(placed, bodies.rotation, bodies.translation_m, strict=True)
-    ]
+    fitted = _fit(cameras, none_free(len(cameras)), [[one] for one in placed], board)
+    return [replace(one, root_from_board=pose) for one, pose in zip(placed, fitted.root_from_boards, strict=True)]
 
 
 def alike_numbered(placed: Sequence[Placed], board: Board) -> list[Placed]:
@@ -121,30 +117,57 @@ def alike_numbered(placed: Sequence[Placed], board: Board) -> list[Placed]:
         # The trace of a rotation by more than a quarter about the board's normal is below 1.
         trace = np.trace(alike[-1].root_from_board.rotation.T @ one.root_from_board.rotation)
         turned = one.root_from_board @ half_turn
-        trace_turned = np.trace(alike[-1].root_from_board.rotation.T @ turned.rotation)
-        alike.append(replace(one, root_from_board=turned) if trace_turned > trace else one)
+        if np.trace(alike[-1].root_from_board.rotation.T @ turned.rotation) > trace:
+            corners_px = {number: seen_px[::-1] for number, seen_px in one.corners_px.items()}
+            alike.append(replace(one, root_from_board=turned, corners_px=corners_px))
+        else:
+            alike.append(one)
     return alike
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardFit:
+    """Cameras and boards that were adjusted together."""
+
+    problem: AdjustmentProblem
+    adjustment: Adjustment
+
+    @property
+    def owner(self) -> Int[np.ndarray, " observations"]:
+        """Number of the camera of each residual."""
+        return self.problem.observations.camera
+
+    @property
+    def root_from_boards(self) -> list[Rigid3]:
+        """Pose of each board."""
+        bodies = cast("Bodies", self.adjustment.structure)
+        return [
+            Rigid3(read_only(turn), read_only(m)) for turn, m in zip(bodies.rotation, bodies.translation_m, strict=True)
+        ]
+
+    def last_covariance(self, number: int) -> Float[np.ndarray, "unknowns unknowns"]:
+        """Covariance of the poses of the last boards: steps of ``adjustment.structure.Bodies``, six a board."""
+        num_blocks = self.adjustment.structure.num_blocks
+        return block_covariance(self.problem, self.adjustment, np.arange(num_blocks - number, num_blocks))
 
 
 def adjust_all(
     cameras: Sequence[Camera],
     root: int,
-    placed: Sequence[Placed],
+    boards: Sequence[Sequence[Placed]],
     board: Board,
     coefficients: Sequence[Sequence[int]] | None,
-) -> tuple[Adjustment, Int[np.ndarray, " observations"]]:
+) -> BoardFit:
     """Adjust cameras and boards together.
 
     Parameters
     ----------
     root
         Number of the camera that stays.
+    boards
+        Instants at which the board has the same pose: usually one, and many where it lies still.
     coefficients
         Numbers of each camera's distortion coefficients that may change; ``None``: the intrinsics are given, and stay.
-
-    Returns
-    -------
-        The adjustment, and the number of the camera of each of its residuals.
     """
     free = none_free(len(cameras))
     free[:, EXTRINSICS] = True
@@ -153,31 +176,31 @@ def adjust_all(
         free[:, FOCAL] = free[:, PRINCIPAL] = True
         for number, chosen in enumerate(coefficients):
             free[number, [DISTORTION.start + k for k in chosen]] = True
-    return _adjust(cameras, free, placed, board)
+    return _fit(cameras, free, boards, board)
 
 
-def _adjust(
-    cameras: Sequence[Camera], free: Free, placed: Sequence[Placed], board: Board
-) -> tuple[Adjustment, Int[np.ndarray, " observations"]]:
+def _fit(cameras: Sequence[Camera], free: Free, boards: Sequence[Sequence[Placed]], board: Board) -> BoardFit:
     bodies = Bodies(
-        read_only(np.array([one.root_from_board.rotation for one in placed])),
-        read_only(np.array([one.root_from_board.translation_m for one in placed])),
+        read_only(np.array([instants[0].root_from_board.rotation for instants in boards])),
+        read_only(np.array([instants[0].root_from_board.translation_m for instants in boards])),
     )
-    observations = _observations(placed, board)
+    observations = _observations(boards, board)
     problem = AdjustmentProblem(tuple(cameras), free, no_prior(len(cameras)), observations, Loss.CAUCHY)
-    return adjust(problem, bodies), observations.camera
+    return BoardFit(problem, adjust(problem, bodies))
 
 
-def _observations(placed: Sequence[Placed], board: Board) -> Observations:
+def _observations(boards: Sequence[Sequence[Placed]], board: Board) -> Observations:
     camera: list[Int[np.ndarray, " n"]] = []
     block, model_m, points_px = [], [], []
-    for number, one in enumerate(placed):
-        for of_camera, corners_px in one.corners_px.items():
-            seen = np.isfinite(corners_px).all(-1)
-            camera.append(np.full(seen.sum(), of_camera))
-            block.append(np.full(seen.sum(), number))
-            model_m.append(board.corners_m[seen])
-            points_px.append(corners_px[seen])
+    views = [
+        (number, *view) for number, instants in enumerate(boards) for one in instants for view in one.corners_px.items()
+    ]
+    for number, of_camera, corners_px in views:
+        seen = np.isfinite(corners_px).all(-1)
+        camera.append(np.full(seen.sum(), of_camera))
+        block.append(np.full(seen.sum(), number))
+        model_m.append(board.corners_m[seen])
+        points_px.append(corners_px[seen])
     return Observations(
         np.concatenate(camera), np.concatenate(block), np.concatenate(model_m), np.concatenate(points_px)
     )

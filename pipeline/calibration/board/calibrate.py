@@ -4,26 +4,38 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float
 
-from pipeline.calibration.adjustment.adjust import Adjustment
 from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
-from pipeline.calibration.board.bundle import Placed, adjust_all, alike_numbered, place_board, refine_boards, with_pose
+from pipeline.calibration.board.bundle import (
+    BoardFit,
+    Placed,
+    adjust_all,
+    alike_numbered,
+    place_board,
+    refine_boards,
+    with_pose,
+)
 from pipeline.calibration.board.checks import (
+    floor_warnings,
+    link_warnings,
     linked_or_refused,
     require_views,
     view_warnings,
-    world_warnings,
 )
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
 from pipeline.calibration.board.pictures import coverage_svg
 from pipeline.calibration.board.poses import possible_poses
-from pipeline.calibration.board.rig import Pair, Rig, all_pairs, match_times, relate, spanning_tree
+from pipeline.calibration.board.rig import Rig, all_pairs, match_times, relate, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views
-from pipeline.calibration.board.world import find_world
+from pipeline.calibration.board.world import Places, World, chosen_instants, find_places, find_world
+from pipeline.calibration.known_points.checks import point_problems
+from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CameraReport, MadeCalibration
+from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera
+from pipeline.errors import InputError, Problem
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.rigid import Rigid3
 from pipeline.progress import OnShare, ignore
@@ -42,6 +54,7 @@ def calibrate_board(
     frame_rate_hz: float = 0.0,
     floor_time_s: float | None = None,
     on_share: OnShare = ignore,
+    known_points: Sequence[KnownPoint] = (),
 ) -> MadeCalibration:
     """Calibrate cameras from views of a board.
 
@@ -57,22 +70,26 @@ def calibrate_board(
     frame_rate_hz
         Rate of the videos: views within half a frame are of one instant. 0 for photographs.
     floor_time_s
-        See ``find_world``.
+        See ``find_places``.
     on_share
         Called with the share of the work that is done.
+    known_points
+        Points that determine the world, in place of the board on the floor.
 
     Raises
     ------
     InputError
-        If a camera has too few views, if cameras share too few, or if they disagree.
+        If a camera has too few views, if cameras share too few, or if they or the known points disagree.
     """
     require_views(views, board, needs_intrinsics=given is None)
+    has_times = all(np.isfinite(one.time_s).all() for one in views)
+    if known_points and (problems := _point_problems(views, known_points, has_times)):
+        raise InputError(problems)
     found = [None if given is not None else calibrate_intrinsics(one, board) for one in views]
     on_share(0.3)
     cameras = tuple(
         one.camera if one is not None else _unposed(given, of.camera) for one, of in zip(found, views, strict=True)
     )
-    has_times = all(np.isfinite(one.time_s).all() for one in views)
     if len(views) == 1 or not has_times:
         return _intrinsics_only(views, found, cameras)
     rig = Rig(
@@ -93,11 +110,37 @@ def calibrate_board(
     on_share(0.6)
     placed = _place_all(rig, posed, board, _chosen_instants(rig, board))
     coefficients = None if given is not None else [one.model.free for one in found if one is not None]
-    adjusted, owner = adjust_all(
-        [posed[k] for k in range(len(views))], root, [one for _, one in placed], board, coefficients
+    boards = [[one] for _, one in placed]
+    fitted = adjust_all([posed[k] for k in range(len(views))], root, boards, board, coefficients)
+    on_share(0.8)
+    doubts = (*view_warnings(views), *link_warnings(views, usable))
+    if known_points:
+        rig_in_world = place_by_points(fitted.adjustment.cameras, known_points, keeps_scale=True)
+        return _made(views, fitted, rig_in_world.cameras, rig_in_world.world, (*doubts, *rig_in_world.warnings))
+    times_s, lying, places = _places(rig, fitted.adjustment.cameras, board, floor_time_s)
+    # The board's poses on the floor are adjusted with everything else: each of them has many instants.
+    boards = [
+        [replace(one, root_from_board=pose)] for (one,), pose in zip(boards, fitted.root_from_boards, strict=True)
+    ]
+    on_floor = [[lying[k] for k in chosen_instants(stretch)] for stretch in places.stretches]
+    fitted = adjust_all(fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients)
+    on_share(0.95)
+    world = find_world(
+        fitted.root_from_boards[-len(on_floor) :], fitted.last_covariance(len(on_floor)), board.corners_m.mean(0)
     )
-    on_share(0.9)
-    return _finish(rig, adjusted, owner, board, usable, floor_time_s)
+    begins_s = [float(times_s[stretch.start]) for stretch in places.stretches]
+    root_from_world = world.world_from_root.inverse()
+    cameras = tuple(with_pose(camera, camera.cam_from_world @ root_from_world) for camera in fitted.adjustment.cameras)
+    doubts = (*doubts, *floor_warnings(places, begins_s[0]))
+    return _made(views, fitted, cameras, _world_sentence(world, begins_s, board), doubts)
+
+
+def _point_problems(views: Sequence[BoardViews], known_points: Sequence[KnownPoint], has_times: bool) -> list[Problem]:
+    """Problems of the known points that can be told before anything is calibrated."""
+    if len(views) == 1 or not has_times:
+        message = "Photographs and single cameras give intrinsics only: there is no world for known points."
+        return [Problem("known_points_invalid", message, field="known_points", hint="Give videos of all cameras.")]
+    return point_problems(known_points, {one.camera: one.size_px for one in views})
 
 
 def _unposed(given: Mapping[str, Camera] | None, name: str) -> Camera:
@@ -160,52 +203,56 @@ def _place_all(
     return found
 
 
-def _finish(
-    rig: Rig,
-    adjusted: Adjustment,
-    owner: Int[np.ndarray, " observations"],
-    board: Board,
-    pairs: Sequence[Pair],
-    floor_time_s: float | None,
-) -> MadeCalibration:
-    """Put the adjusted cameras into the world, and report; ``owner`` has the camera of each residual."""
+def _places(
+    rig: Rig, cameras: Sequence[Camera], board: Board, floor_time_s: float | None
+) -> tuple[Float[np.ndarray, " instants"], list[Placed], Places]:
+    """Times and the board at all instants at which it can be placed, and the places at which it lies on the floor."""
     times_s = np.array([min(rig.views[k].time_s[v] for k, v in enumerate(row) if v >= 0) for row in rig.instants])
     looked_at = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), _FLOOR_INSTANTS)).round().astype(int))
-    placed = _place_all(rig, dict(enumerate(adjusted.cameras)), board, looked_at.tolist())
-    centers_m = np.array([center_in_world(camera) for camera in adjusted.cameras])
-    boards = alike_numbered(refine_boards(adjusted.cameras, [one for _, one in placed], board), board)
-    world = find_world(times_s[[k for k, _ in placed]], boards, centers_m, floor_time_s)
-    root_from_world = world.world_from_root.inverse()
-    cameras = tuple(
-        replace(camera, cam_from_world=camera.cam_from_world @ root_from_world) for camera in adjusted.cameras
-    )
-    reports, median_px = _reports(rig, adjusted, owner, cameras)
+    placed = _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())
+    found_s = times_s[[k for k, _ in placed]]
+    boards = alike_numbered(refine_boards(cameras, [one for _, one in placed], board), board)
+    centers_m = np.array([center_in_world(camera) for camera in cameras])
+    return found_s, boards, find_places(found_s, boards, centers_m, floor_time_s, board.corners_m.mean(0))
+
+
+def _world_sentence(world: World, begins_s: Sequence[float], board: Board) -> str:
     corner = "the first or the last corner" if board.is_ambiguous else "the first corner"
-    return MadeCalibration(
-        cameras,
-        has_extrinsics=True,
-        by_camera=reports,
-        reprojection_error_px=median_px,
-        warnings=(*view_warnings(rig.views), *world_warnings(world, rig.views, pairs)),
-        world=f"Z up, origin at {corner} of the board, x along its rows, as the board lies at {world.time_s:.2f} s.",
-        pictures=_pictures(rig.views),
+    tilt_deg = np.degrees(world.tilt_sigma_rad)
+    others = "".join(f", {begin_s:.2f} s" for begin_s in begins_s[1:])
+    places = f"the places at {begins_s[0]:.2f} s{others}" if others else "one place"
+    return (
+        f"Z up, origin at {corner} of the board, x along its rows, as the board lies at {begins_s[0]:.2f} s. "
+        f"The plane rests on {places} (tilt to {tilt_deg:.2f} degrees)."
     )
+
+
+def _made(
+    views: Sequence[BoardViews],
+    fitted: BoardFit,
+    cameras: tuple[Camera, ...],
+    world: str,
+    warnings: tuple[Problem, ...],
+) -> MadeCalibration:
+    """Report cameras that are in the world."""
+    reports, median_px = _reports(views, fitted, cameras)
+    return MadeCalibration(cameras, True, reports, median_px, warnings, world, _pictures(views))
 
 
 def _reports(
-    rig: Rig, adjusted: Adjustment, owner: Int[np.ndarray, " observations"], cameras: Sequence[Camera]
+    views: Sequence[BoardViews], fitted: BoardFit, cameras: Sequence[Camera]
 ) -> tuple[tuple[CameraReport, ...], float]:
-    distance_px = np.linalg.norm(adjusted.residuals_px, axis=-1)
+    distance_px = np.linalg.norm(fitted.adjustment.residuals_px, axis=-1)
     reports = []
     for number, camera in enumerate(cameras):
-        sigma = adjusted.sigma[number]
-        own = distance_px[owner == number]
+        sigma = fitted.adjustment.sigma[number]
+        own = distance_px[fitted.owner == number]
         reports.append(
             CameraReport(
                 camera.name,
                 float(np.nanmedian(own)) if len(own) else np.nan,
                 float(camera.matrix.diagonal()[:2].mean()),
-                len(rig.views[number]),
+                len(views[number]),
                 float(100 * sigma[FOCAL][0]) or np.nan,
                 float(1000 * np.linalg.norm(sigma[POSITION])),
                 float(np.degrees(np.linalg.norm(sigma[ROTATION]))),

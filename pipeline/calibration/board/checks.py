@@ -9,7 +9,7 @@ from pipeline.calibration.board.pictures import covered_share
 from pipeline.calibration.board.rig import Pair, Rig, match_times, relate, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.calibration.board.world import World
+from pipeline.calibration.board.world import Places
 from pipeline.errors import InputError, Problem
 
 # Two cameras are linked by at least this many instants that agree, and this share of the instants that they share.
@@ -121,17 +121,19 @@ def view_warnings(views: Sequence[BoardViews]) -> Iterator[Problem]:
             yield Problem("board_mirrored", message, camera=one.camera, hint=hint)
 
 
-def world_warnings(world: World, views: Sequence[BoardViews], pairs: Sequence[Pair]) -> Iterator[Problem]:
-    """Doubts about the links between cameras and about the floor."""
+def link_warnings(views: Sequence[BoardViews], pairs: Sequence[Pair]) -> Iterator[Problem]:
+    """Doubts about the links between cameras."""
     for number, one in enumerate(views):
         most = max((pair.num_agreeing for pair in pairs if number in (pair.first, pair.second)), default=0)
         if most < _FEW_SHARED:
             message = f"The camera is linked by {most} views of the board that another camera shares."
             hint = "Film the board where this camera and a neighbour both see it."
             yield Problem("board_few_shared", message, camera=one.camera, hint=hint)
-    if not world.is_certain:
-        message = (
-            f"The board never lies still on the floor; the floor is taken as the board is at {world.time_s:.2f} s."
-        )
+
+
+def floor_warnings(places: Places, time_s: float) -> Iterator[Problem]:
+    """Doubts about the floor, on which the board lies at a time."""
+    if not places.is_certain:
+        message = f"The board never lies still on the floor; the floor is taken as the board is at {time_s:.2f} s."
         hint = "Lay the board flat on the floor for a second, or state the time at which it lies there."
         yield Problem("board_floor_uncertain", message, hint=hint)

@@ -6,14 +6,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from pipeline.calibration.board.corners import align_corners
 from pipeline.calibration.board.spec import Board
 
 # Larger pictures are shrunk for the search of chessboards; corners are then refined in the full picture.
 _SEARCHED_PX = 1280
-_MIN_CHARUCO_CORNERS = 6
-_SUBPIX = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 0.005)
-# Half of the window of the refinement as a share of a square's side in the picture, and its limits.
-_WINDOW_SHARE, _WINDOW_PX = 0.3, (2, 11)
+_MIN_CORNERS = 6
 
 
 class Found(NamedTuple):
@@ -57,18 +55,15 @@ def _find_chessboard(gray: np.ndarray, board: Board) -> Found | None:
     if not is_found:
         return None
     corners_px = (corners.reshape(-1, 2).astype(float) + 0.5) / factor - 0.5
-    corners_px = _refined(gray, corners_px, board)
-    return Found(_numbered(gray, corners_px, board), _blur_px(gray, corners_px))
+    return _aligned(gray, _numbered(gray, corners_px, board), board)
 
 
-def _refined(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> np.ndarray:
-    """Refine corners to where the gradients around them cross, in windows within the squares."""
-    grid = corners_px.reshape(board.rows, board.cols, 2)
-    side_px = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
-    half = int(np.clip(round(_WINDOW_SHARE * side_px), *_WINDOW_PX))
-    refined = cv2.cornerSubPix(gray, corners_px.astype(np.float32).reshape(-1, 1, 2), (half, half), (-1, -1), _SUBPIX)
-    found: np.ndarray = refined.reshape(-1, 2).astype(float)
-    return found
+def _aligned(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> Found | None:
+    """Board with its corners aligned; ``None`` if too few of them look like corners of the board."""
+    edge_px = _edge_px(gray, corners_px[np.isfinite(corners_px).all(-1)])
+    aligned = align_corners(gray, corners_px, board, edge_px)
+    is_enough = np.isfinite(aligned).all(-1).sum() >= min(_MIN_CORNERS, board.num_corners)
+    return Found(aligned, edge_px) if is_enough and _spread(aligned) else None
 
 
 def _numbered(gray: np.ndarray, corners_px: np.ndarray, board: Board) -> np.ndarray:
@@ -100,14 +95,13 @@ def _find_charuco(gray: np.ndarray, board: Board) -> Found | None:
     if found is None:
         mirrored = _charuco_corners(np.ascontiguousarray(gray[:, ::-1]), board)
         return None if mirrored is None else Found(mirrored, np.nan, is_mirrored=True)
-    seen = found[np.isfinite(found).all(-1)]
-    return Found(found, _blur_px(gray, seen))
+    return _aligned(gray, found, board)
 
 
 def _charuco_corners(gray: np.ndarray, board: Board) -> np.ndarray | None:
     detector = cv2.aruco.CharucoDetector(board.charuco)
     corners, ids, _, _ = detector.detectBoard(gray)
-    if ids is None or len(ids) < _MIN_CHARUCO_CORNERS:
+    if ids is None or len(ids) < _MIN_CORNERS:
         return None
     corners_px = np.full((board.num_corners, 2), np.nan)
     corners_px[ids.ravel()] = corners.reshape(-1, 2)
@@ -121,7 +115,7 @@ def _spread(corners_px: np.ndarray) -> bool:
     return bool(widths[1] > 0.05 * widths[0])
 
 
-def _blur_px(gray: np.ndarray, corners_px: np.ndarray, half: int = 6) -> float:
+def _edge_px(gray: np.ndarray, corners_px: np.ndarray, half: int = 6) -> float:
     """Width of edges around corners: contrast over the steepest slope."""
     height, width = gray.shape
     widths = []

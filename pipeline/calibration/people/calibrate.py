@@ -7,6 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
+from pipeline.calibration.known_points.checks import point_problems
+from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.people.bodies import Bodies, gather_bodies
 from pipeline.calibration.people.bundle import Adjusted, adjust_all
 from pipeline.calibration.people.checks import (
@@ -20,7 +22,9 @@ from pipeline.calibration.people.rig import pose_cameras
 from pipeline.calibration.people.tracklets import Tracklet, find_tracklets, instants_of, with_camera
 from pipeline.calibration.people.world import PeopleWorld, find_world
 from pipeline.calibration.report import CameraReport, MadeCalibration
+from pipeline.calibration_choices import KnownPoint
 from pipeline.data import Camera, Detections, FrameTimes, read_only
+from pipeline.errors import InputError
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 
@@ -38,6 +42,7 @@ def calibrate_people(
     stature_m: Sequence[float],
     has_intrinsics: bool,
     on_share: OnShare = ignore,
+    known_points: Sequence[KnownPoint] = (),
 ) -> MadeCalibration:
     """Calibrate cameras from people who walk about.
 
@@ -60,12 +65,16 @@ def calibrate_people(
         estimated.
     on_share
         Called with the share of the work that is done.
+    known_points
+        Points that determine the world with its scale, in place of the people.
 
     Raises
     ------
     InputError
-        If too few people are seen, if cameras can't be linked, or if they disagree.
+        If too few people are seen, if cameras can't be linked, or if they or the known points disagree.
     """
+    if known_points and (problems := point_problems(known_points, {camera.name: camera.size_px for camera in cameras})):
+        raise InputError(problems)
     instants_s = instants_of([times[camera.name] for camera in cameras])
     tracklets = find_tracklets(cameras, times, detections, joints, instants_s)
     rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
@@ -84,7 +93,11 @@ def calibrate_people(
     adjusted = adjust_all(linked, bodies, instants_s, has_free_lenses=not has_intrinsics)
     world = world_or_refused(find_world(adjusted.cameras, bodies, stature_m, rate_hz))
     on_share(1.0)
-    return _made(adjusted, world, bodies, stature_m, has_intrinsics, rate_hz)
+    made = _made(adjusted, world, bodies, stature_m, has_intrinsics, rate_hz)
+    if not known_points:
+        return made
+    placed = place_by_points(made.cameras, known_points, keeps_scale=False)
+    return replace(made, cameras=placed.cameras, world=placed.world, warnings=(*made.warnings, *placed.warnings))
 
 
 def _relate_all(

@@ -7,7 +7,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, case, func, or_, select
 
-from pipeline.calibration_choices import CalibrationChoices
+from pipeline.calibration_choices import CalibrationChoices, KnownPoint
 from pipeline.capture.preflight_record import Preflight
 from pipeline.config import method_warnings
 from pipeline.edits import PeopleEdit, PersonSpan, edit_of
@@ -136,7 +136,12 @@ def making_of(choices: Mapping[str, Any] | None) -> CalibrationChoices | None:
     """Choices of the calibration that a job makes, from its column."""
     if choices is None:
         return None
-    return CalibrationChoices(**{**choices, "stature_m": tuple(choices.get("stature_m", ()))})
+    points = tuple(
+        KnownPoint(one["name"], tuple(one["xyz_m"]), tuple(tuple(view) for view in one["seen_px"]))
+        for one in choices.get("known_points", ())
+    )
+    statures_m = tuple(choices.get("stature_m", ()))
+    return CalibrationChoices(**{**choices, "stature_m": statures_m, "known_points": points})
 
 
 def calibration_of(row: Row[Any]) -> Calibration:

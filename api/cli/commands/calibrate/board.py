@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
-from api.cli.commands.calibrate.written import require_ending, show_made, write_made
+from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import console, reporting, warn
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.source import (
@@ -19,6 +19,7 @@ from pipeline.calibration.board.source import (
 )
 from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
+from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.data import Camera
@@ -42,6 +43,7 @@ def command(
         float | None,
         typer.Option(help="Second at which the board lies on the floor. Default: the longest time it lies still."),
     ] = None,
+    world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
     report: Annotated[Path | None, typer.Option(help="Folder for the report and the pictures of coverage.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
 ) -> None:
@@ -49,6 +51,7 @@ def command(
     with reporting(as_json):
         found = parse_board(board)
         require_ending(out)
+        known_points = read_known_points(world_points) if world_points is not None else ()
         if (videos is None) == (images is None):
             raise InputError(
                 [Problem("sources", "A board is filmed or photographed.", hint="Give --videos or --images.")]
@@ -71,6 +74,7 @@ def command(
                 rate_hz,
                 floor_time,
                 lambda share: progress.update(task, completed=share),
+                known_points,
             )
         write_made(made, out, report)
     show_made(made, out, as_json)

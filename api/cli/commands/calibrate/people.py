@@ -5,9 +5,10 @@ from typing import Annotated, cast
 
 import typer
 
-from api.cli.commands.calibrate.written import require_ending, show_made, write_made
+from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import StageBars, reporting, warn
 from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known
+from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
@@ -47,6 +48,7 @@ def command(
             help="Calibration whose intrinsics are kept; its poses are ignored. Default: focal lengths are estimated."
         ),
     ] = None,
+    world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
     profile: ProfileOption = DEFAULTS.profile,
     detector: DetectorOption = DEFAULTS.detector,
     report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
@@ -55,6 +57,7 @@ def command(
     """Calibrate cameras from people of known stature who walk about: no board."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         require_ending(out)
+        known_points = read_known_points(world_points) if world_points is not None else ()
         _check_sources(videos, keypoints, timestamps, intrinsics, stature_m)
         config = ReconstructionConfig(detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)))
         session: CaptureSession | KeypointSession
@@ -74,6 +77,7 @@ def command(
             stature_m,
             intrinsics is not None,
             lambda share: bars.update(Progress(CALIBRATE, round(_PERCENT * share), _PERCENT)),
+            known_points,
         )
         write_made(made, out, report)
     show_made(made, out, as_json)

@@ -4,9 +4,13 @@ import json
 from pathlib import Path
 
 from api.cli.console import console, emit, print_table, warn
+from pipeline.calibration.known_points.table import COLUMNS
 from pipeline.calibration.report import MadeCalibration, report_document
 from pipeline.calibration.write import ENCODERS
 from pipeline.errors import InputError, PipelineError, Problem
+
+POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
+"""Help of the option that names a table of known points."""
 
 
 def require_ending(out: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.adjust import Adjustment, adjust, block_covariance
 from pipeline.calibration.adjustment.links import Distances, Shifts
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
@@ -90,6 +90,22 @@ def test_standard_deviations_are_those_of_repeats() -> None:
     assert ratio.min() > 0.6
     assert ratio.max() < 1.6
     np.testing.assert_array_equal(stated[~free], 0.0)
+
+
+def test_covariances_of_blocks_are_those_of_repeats() -> None:
+    free, chosen = gauge_fixed(FOCAL), np.array([20, 90])
+    found, stated = [], []
+    for seed in range(10, 40):
+        rng = np.random.default_rng(seed)
+        observations = observations_of_points(seen_px(rng, SIGMA_PX))
+        problem = AdjustmentProblem(CAMERAS, free, no_prior(4), observations, Loss.LINEAR)
+        adjusted = adjust(problem, Points(TRUTH_M))
+        assert isinstance(adjusted.structure, Points)
+        found.append((adjusted.structure.xyz_m - TRUTH_M)[chosen].ravel())
+        stated.append(block_covariance(problem, adjusted, chosen))
+    # Squares of the errors in units of the covariance are chi-squared with six degrees of freedom.
+    squares = [error @ np.linalg.solve(covariance, error) for error, covariance in zip(found, stated, strict=True)]
+    assert 4.5 < np.mean(squares) < 7.5
 
 
 def test_directions_that_nothing_determines_have_infinite_deviations() -> None:

@@ -1,0 +1,1 @@
+"""World of a calibration from points whose coordinates are known."""

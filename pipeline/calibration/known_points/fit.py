@@ -1,0 +1,256 @@
+"""A rig placed in the world by known points: Umeyama's alignment, then the least reprojection error."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
+from pipeline.calibration_choices import KnownPoint
+from pipeline.data import Camera, read_only
+from pipeline.errors import InputError, Problem
+from pipeline.geometry.camera import center_in_world, image_from_world, project
+from pipeline.geometry.rigid import Rigid3
+from pipeline.geometry.triangulation import triangulate
+from pipeline.geometry.undistortion import undistort_px
+
+# Distances of the points from where cameras see them, as metres and as a share of the points' extent: above the first
+# limit a warning, above the second one an error.
+_DOUBTFUL, _WRONG = (0.01, 0.005), (0.05, 0.02)
+# Largest ratio of the scale of the points and of the rig: of a board, whose size is known, and of people.
+_MAX_RATIO = {True: 1.03, False: 1.5}
+# Factors between units of length.
+_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 1 / 0.0254: "inches", 1 / 0.3048: "feet"}
+_UNIT_TOLERANCE = 1.15
+# A wrong point leaves at least this many times the error that remains without it; so does a mirrored world.
+_BETTER = 4.0
+# Scale of the Cauchy loss of a marked point, and the residual of a point behind a camera.
+_MARK_PX, _BEHIND_PX = 2.0, 1e4
+_FEW = 4
+
+
+class Similarity(NamedTuple):
+    """Transform ``scale * rotation @ x + translation_m``; a mirrored one has a rotation of determinant -1."""
+
+    scale: float
+    rotation: Float[np.ndarray, "3 3"]
+    translation_m: Float[np.ndarray, " 3"]
+
+    def apply(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Transform points."""
+        moved: np.ndarray = self.scale * points_m @ self.rotation.T + self.translation_m
+        return moved
+
+    def moved(self, camera: Camera) -> Camera:
+        """Camera in the world."""
+        rotation = camera.cam_from_world.rotation @ self.rotation.T
+        center_m = self.apply(center_in_world(camera))
+        return replace(camera, cam_from_world=Rigid3(read_only(rotation), read_only(-rotation @ center_m)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedRig:
+    """Cameras in the world of the known points.
+
+    Parameters
+    ----------
+    cameras
+        The cameras there.
+    scale
+        Factor by which the rig grew; 1 if its size was known.
+    world
+        Sentence for the report.
+    warnings
+        Doubts.
+    """
+
+    cameras: tuple[Camera, ...]
+    scale: float
+    world: str
+    warnings: tuple[Problem, ...]
+
+
+def umeyama(
+    points_m: Float[np.ndarray, "points 3"],
+    goal_m: Float[np.ndarray, "points 3"],
+    has_scale: bool,
+    is_mirrored: bool = False,
+) -> Similarity:
+    """Find the similarity with the least squares from points to their goals (Umeyama 1991, eq. 39 to 42).
+
+    Parameters
+    ----------
+    has_scale
+        Whether the scale is found too; else it is 1.
+    is_mirrored
+        Whether the best mirrored transform is looked for instead.
+    """
+    centre_m, goal_centre_m = points_m.mean(0), goal_m.mean(0)
+    from_m, to_m = points_m - centre_m, goal_m - goal_centre_m
+    left, values, right = np.linalg.svd(to_m.T @ from_m)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right)) * (-1.0 if is_mirrored else 1.0)])
+    rotation = left @ np.diag(signs) @ right
+    scale = float((values * signs).sum() / (from_m**2).sum()) if has_scale else 1.0
+    return Similarity(scale, rotation, goal_centre_m - scale * rotation @ centre_m)
+
+
+def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], keeps_scale: bool) -> PlacedRig:
+    """Move cameras as a whole into the world of known points.
+
+    Parameters
+    ----------
+    keeps_scale
+        Whether the size of the rig is known, by a board; else it is that of the points.
+
+    Raises
+    ------
+    InputError
+        If fewer than three points are seen by two cameras, if they are on a line, or if they don't fit.
+    """
+    if problems := point_problems(points, {camera.name: camera.size_px for camera in cameras}):
+        raise InputError(problems)
+    seen_px = _seen_px(cameras, points)
+    found_m = _triangulated(cameras, seen_px)
+    is_found = np.isfinite(found_m).all(-1)
+    if is_found.sum() < MIN_POINTS:
+        message = f"{is_found.sum()} of the points have a place in space: the rays of the others are parallel."
+        hint = "Mark the points in cameras that see them from different sides."
+        raise InputError([Problem("known_points_few", message, field="known_points", hint=hint)])
+    goal_m = np.array([one.xyz_m for one in points])
+    names = [one.name for one, is_one in zip(points, is_found, strict=True) if is_one]
+    problems = _misfits(found_m[is_found], goal_m[is_found], names, keeps_scale)
+    if problems:
+        raise InputError(problems)
+    start = umeyama(found_m[is_found], goal_m[is_found], has_scale=not keeps_scale)
+    similarity = _least_error(cameras, start, goal_m, seen_px, keeps_scale)
+    placed = tuple(similarity.moved(camera) for camera in cameras)
+    distance_m = np.linalg.norm(similarity.apply(found_m) - goal_m, axis=-1)
+    error_px = np.linalg.norm(np.stack([project(camera, goal_m) for camera in placed]) - seen_px, axis=-1)
+    worst = int(np.nanargmax(distance_m))
+    world = (
+        f"That of {len(points)} known points, which are seen {1000 * np.nanmedian(distance_m):.1f} mm from their "
+        f"coordinates (median; {points[worst].name} {1000 * distance_m[worst]:.1f} mm), "
+        f"{np.nanmedian(error_px):.1f} px in the pictures."
+    )
+    return PlacedRig(placed, similarity.scale, world, _doubts(placed, goal_m, distance_m, points[worst].name))
+
+
+def _seen_px(cameras: Sequence[Camera], points: Sequence[KnownPoint]) -> Float[np.ndarray, "cameras points 2"]:
+    numbers = {camera.name: number for number, camera in enumerate(cameras)}
+    seen_px = np.full((len(cameras), len(points), 2), np.nan)
+    for k, point in enumerate(points):
+        for name, x_px, y_px in point.seen_px:
+            seen_px[numbers[name], k] = x_px, y_px
+    return seen_px
+
+
+def _triangulated(
+    cameras: Sequence[Camera], seen_px: Float[np.ndarray, "cameras points 2"]
+) -> Float[np.ndarray, "points 3"]:
+    ideal_px = np.stack([undistort_px(camera, one) for camera, one in zip(cameras, seen_px, strict=True)])
+    matrices = np.array([image_from_world(camera) for camera in cameras])
+    return triangulate(matrices, ideal_px, np.ones(ideal_px.shape[:2]))
+
+
+def _limit_m(goal_m: Float[np.ndarray, "points 3"], limit: tuple[float, float]) -> float:
+    return limit[0] + limit[1] * float(np.linalg.norm(np.ptp(goal_m, axis=0)))
+
+
+def _misfits(
+    found_m: Float[np.ndarray, "points 3"],
+    goal_m: Float[np.ndarray, "points 3"],
+    names: Sequence[str],
+    keeps_scale: bool,
+) -> list[Problem]:
+    """Reason for which points don't fit: their unit, a mirrored axis, or a single wrong point."""
+    free = umeyama(found_m, goal_m, has_scale=True)
+    limit_m = _limit_m(goal_m, _WRONG)
+    left_m = _error_m(free, found_m, goal_m)
+    if left_m <= limit_m and max(free.scale, 1 / free.scale) <= _MAX_RATIO[keeps_scale]:
+        return []
+    of_rig = "the board" if keeps_scale else "the statures"
+    if left_m <= limit_m:
+        message = f"The points are {free.scale:.4g} times as far apart as they are by {of_rig}."
+        unit = next((name for factor, name in _UNITS.items() if _is_near(free.scale, factor)), None)
+        hint = "State metres." if unit else f"Check the unit of the points, and the size of {of_rig}."
+        return [_misfit(f"{message} They seem to be in {unit}." if unit else message, hint)]
+    mirrored = umeyama(found_m, goal_m, has_scale=True, is_mirrored=True)
+    if _BETTER * _error_m(mirrored, found_m, goal_m) < left_m:
+        message = "The points fit only when they are mirrored."
+        return [_misfit(message, "Use right-handed axes: exchange x and y, or turn the sign of one axis.")]
+    message = f"The points are seen {left_m:.2f} m from their coordinates (root mean square)."
+    hint = "Check the names, the coordinates and the marked pixels of the points."
+    if len(names) >= _FEW:
+        without = [_error_without(k, found_m, goal_m) for k in range(len(names))]
+        best = int(np.argmin(without))
+        if _BETTER * without[best] < left_m:
+            hint = f"Check {names[best]}: without it the others fit within {without[best]:.3f} m."
+    return [_misfit(message, hint)]
+
+
+def _is_near(ratio: float, factor: float) -> bool:
+    return max(ratio / factor, factor / ratio) < _UNIT_TOLERANCE
+
+
+def _misfit(message: str, hint: str) -> Problem:
+    return Problem("known_points_misfit", message, field="known_points", hint=hint)
+
+
+def _error_m(
+    similarity: Similarity, found_m: Float[np.ndarray, "points 3"], goal_m: Float[np.ndarray, "points 3"]
+) -> float:
+    return float(np.sqrt(((similarity.apply(found_m) - goal_m) ** 2).sum(-1).mean()))
+
+
+def _error_without(k: int, found_m: Float[np.ndarray, "points 3"], goal_m: Float[np.ndarray, "points 3"]) -> float:
+    kept_m, kept_goal_m = np.delete(found_m, k, axis=0), np.delete(goal_m, k, axis=0)
+    return _error_m(umeyama(kept_m, kept_goal_m, has_scale=True), kept_m, kept_goal_m)
+
+
+def _least_error(
+    cameras: Sequence[Camera],
+    start: Similarity,
+    goal_m: Float[np.ndarray, "points 3"],
+    seen_px: Float[np.ndarray, "cameras points 2"],
+    keeps_scale: bool,
+) -> Similarity:
+    """Similarity with the least reprojection error of the known points: near cameras then count more than far ones."""
+    is_seen = np.isfinite(seen_px).all(-1)
+
+    def stepped(step: Float[np.ndarray, " unknowns"]) -> Similarity:
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        factor = 1.0 if keeps_scale else float(np.exp(step[6]))
+        centre_m = goal_m.mean(0)
+        shifted_m = factor * turn @ (start.translation_m - centre_m) + centre_m + step[3:6]
+        return Similarity(start.scale * factor, turn @ start.rotation, shifted_m)
+
+    def residuals_px(step: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " residuals"]:
+        similarity = stepped(step)
+        projected_px = np.stack([project(similarity.moved(camera), goal_m) for camera in cameras])
+        return np.nan_to_num((projected_px - seen_px)[is_seen], nan=_BEHIND_PX).ravel()
+
+    unknowns = np.zeros(6 if keeps_scale else 7)
+    return stepped(least_squares(residuals_px, unknowns, loss="cauchy", f_scale=_MARK_PX, x_scale=0.01).x)
+
+
+def _doubts(
+    cameras: Sequence[Camera],
+    goal_m: Float[np.ndarray, "points 3"],
+    distance_m: Float[np.ndarray, " points"],
+    worst: str,
+) -> tuple[Problem, ...]:
+    doubts = []
+    if np.nanmax(distance_m) > _limit_m(goal_m, _DOUBTFUL):
+        message = f"The point {worst} is seen {np.nanmax(distance_m):.3f} m from its coordinates."
+        hint = "Check its coordinates and its marked pixels."
+        doubts.append(Problem("known_points_doubtful", message, field="known_points", hint=hint))
+    heights_m = np.array([center_in_world(camera)[2] for camera in cameras])
+    if (heights_m < goal_m[:, 2].min()).all():
+        message = "All cameras are below the points."
+        hint = "Z must point up and the axes must be right-handed: exchange x and y if the world is mirrored."
+        doubts.append(Problem("known_points_doubtful", message, field="known_points", hint=hint))
+    return tuple(doubts)
