@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.calibration.board.detect import Found, find_board
+from pipeline.calibration.board.detection.detect import Found, find_board
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration_choices import BOARD_FRAMES

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.board.calibrate import calibrate_board
-from pipeline.calibration.board.detect import find_board
+from pipeline.calibration.board.detection.detect import find_board
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views, decode_views, encode_views
 from pipeline.calibration_choices import KnownPoint

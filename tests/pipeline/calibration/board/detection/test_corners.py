@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.calibration.board.corners import align_corners
+from pipeline.calibration.board.detection.corners import align_corners
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.geometry.camera import project
 from pipeline.simulation.boards import BoardPainter, board_poses

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.calibration.board.corners import align_corners
+from pipeline.calibration.board.detection.corners import align_corners
 from pipeline.calibration.board.spec import Board
 
 # Larger pictures are shrunk for the search of chessboards; corners are then refined in the full picture.

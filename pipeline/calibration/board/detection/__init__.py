@@ -1,0 +1,1 @@
+"""Corners of a board in a picture."""
