@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import Relative
-from pipeline.calibration.people.tracklets import JOINTS, Tracklet
+from pipeline.calibration.people.tracklets import Tracklet
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.triangulation import triangulate_robust

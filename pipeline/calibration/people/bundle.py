@@ -20,7 +20,7 @@ from pipeline.calibration.adjustment.parameters import (
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Observations
 from pipeline.calibration.adjustment.structure import Points
 from pipeline.calibration.people.bodies import Bodies
-from pipeline.calibration.people.tracklets import JOINTS
+from pipeline.calibration.people.following import JOINTS
 from pipeline.data import Camera, read_only
 from pipeline.geometry.camera import center_in_world, project
 

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.calibration.people.tracklets import JOINTS, MIN_INSTANTS, Tracklet
+from pipeline.calibration.people.following import JOINTS
+from pipeline.calibration.people.tracklets import MIN_INSTANTS, Tracklet
 from pipeline.data import read_only
 from pipeline.geometry.rigid import Rigid3
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.calibration.people.tracklets import JOINTS
+from pipeline.calibration.people.following import JOINTS
 
 # Shin, thigh and trunk as shares of stature (Drillis and Contini 1966).
 _SHARE = 0.246 + 0.245 + 0.288

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.people.bodies import Bodies
+from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.stature import scale_from, statures
-from pipeline.calibration.people.tracklets import JOINTS
 from pipeline.calibration.vertical import turn_upright, upright_direction
 from pipeline.data import Camera, Floor, read_only
 from pipeline.geometry.camera import center_in_world

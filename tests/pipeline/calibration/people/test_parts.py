@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import relate, sampson
 from pipeline.calibration.people.stature import scale_from, statures
-from pipeline.calibration.people.tracklets import JOINTS, Tracklet, find_tracklets, instants_of
+from pipeline.calibration.people.tracklets import Tracklet, find_tracklets, instants_of
 from pipeline.data import Detections, FrameTimes
 from pipeline.geometry.camera import project
 from pipeline.joints import JointSet

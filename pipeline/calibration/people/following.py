@@ -1,0 +1,150 @@
+"""Bodies followed from frame to frame through the images of one camera, without geometry."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+
+from pipeline.data import Detections
+from pipeline.joints import JointSet
+
+JOINTS = (
+    "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",
+    "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+)  # fmt: skip
+"""Joints of the body that calibrate cameras, as far as the detector finds them."""
+
+_MIN_SCORE = 0.3
+_MIN_JOINTS = 4
+# Limits of a body's shift from one frame to the next: a share of its height, and of the shift of the second-best body.
+_MAX_SHIFT, _AMBIGUOUS = 0.25, 0.6
+
+MAX_GAP_S = 0.25
+"""Longest gap over which a body is followed, and over which its joints are interpolated."""
+
+
+@dataclass(slots=True, eq=False)
+class _Growing:
+    """Tracklet that is being followed."""
+
+    times_s: list[float] = field(default_factory=list)
+    points_px: list[np.ndarray] = field(default_factory=list)
+
+    def predicted_px(self, time_s: float) -> np.ndarray:
+        """Joints at the mean velocity of the body over the last frames; NaN for joints not seen in the last one."""
+        if len(self.times_s) < 2:
+            return self.points_px[-1]
+        back = max(0, len(self.times_s) - 4)
+        moved = self.points_px[-1] - self.points_px[back]
+        is_known = np.isfinite(moved).all(-1)
+        if not is_known.any():
+            return self.points_px[-1]
+        velocity = np.median(moved[is_known], axis=0) / (self.times_s[-1] - self.times_s[back])
+        return self.points_px[-1] + velocity * (time_s - self.times_s[-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A body in one camera's frames, one after the other.
+
+    Parameters
+    ----------
+    times_s
+        Times of the frames in which it was found.
+    points_px
+        Distorted pixels of ``JOINTS``; NaN where a joint is not seen.
+    """
+
+    times_s: Float[np.ndarray, " frames"]
+    points_px: Float[np.ndarray, "frames joints 2"]
+
+    @property
+    def height_px(self) -> float:
+        """Median height of the body in the image: the larger side of the box around its joints."""
+        extent: np.ndarray = np.nanmax(self.points_px, axis=1) - np.nanmin(self.points_px, axis=1)
+        return float(np.median(extent.max(-1)))
+
+
+def follow_bodies(time_s: Float[np.ndarray, " frames"], detected: Detections, joints: JointSet) -> list[Followed]:
+    """Follow bodies from frame to frame of one camera; a body ends where another one comes so close that both may swap.
+
+    Parameters
+    ----------
+    time_s
+        Times of the camera's frames.
+    detected
+        Bodies with the joints ``joints``.
+    """
+    points_px = _chosen(detected, joints)
+    starts = np.searchsorted(detected.frame, np.arange(len(time_s) + 1))
+    done: list[_Growing] = []
+    growing: list[_Growing] = []
+    for frame in np.unique(detected.frame):
+        now_s = float(time_s[frame])
+        bodies = points_px[starts[frame] : starts[frame + 1]]
+        bodies = bodies[np.isfinite(bodies).all(-1).sum(-1) >= _MIN_JOINTS]
+        kept = [one for one in growing if now_s - one.times_s[-1] <= MAX_GAP_S]
+        done += [one for one in growing if now_s - one.times_s[-1] > MAX_GAP_S]
+        growing, ended = _continued(kept, bodies, now_s)
+        done += ended
+    return [Followed(np.array(one.times_s), np.array(one.points_px)) for one in (*done, *growing)]
+
+
+def _chosen(detected: Detections, joints: JointSet) -> Float[np.ndarray, "n joints 2"]:
+    """Joints of ``JOINTS``; NaN where the detector has no such joint or does not trust it."""
+    points_px = np.full((len(detected.frame), len(JOINTS), 2), np.nan)
+    for place, name in enumerate(JOINTS):
+        if name in joints.names:
+            number = joints.index(name)
+            is_seen = detected.score[:, number] >= _MIN_SCORE
+            points_px[is_seen, place] = detected.keypoints_px[is_seen, number]
+    return points_px
+
+
+def _continued(
+    growing: list[_Growing], bodies: Float[np.ndarray, "bodies joints 2"], now_s: float
+) -> tuple[list[_Growing], list[_Growing]]:
+    """Continue tracklets with the bodies of a frame.
+
+    Returns
+    -------
+        Tracklets that go on, new ones included, and those that end because more than one body may be theirs.
+    """
+    shift = np.full((len(growing), len(bodies)), np.inf)
+    if len(growing) and len(bodies):
+        predicted = np.array([one.predicted_px(now_s) for one in growing])
+        shift = _shifts(predicted, bodies)
+    limited = np.minimum(shift, 10.0)
+    rows, columns = linear_sum_assignment(limited) if shift.size else (np.empty(0, int), np.empty(0, int))
+    going, ended = [], []
+    taken: set[int] = set()
+    matched: dict[int, int] = {int(row): int(column) for row, column in zip(rows, columns, strict=True)}
+    for number, one in enumerate(growing):
+        column = matched.get(number)
+        if column is None or shift[number, column] > _MAX_SHIFT:
+            going.append(one)
+            continue
+        rivals = np.concatenate([np.delete(shift[number], column), np.delete(shift[:, column], number)])
+        if shift[number, column] > _AMBIGUOUS * rivals.min(initial=np.inf):
+            ended.append(one)
+            continue
+        one.times_s.append(now_s)
+        one.points_px.append(bodies[column])
+        taken.add(column)
+        going.append(one)
+    going += [_Growing([now_s], [body]) for column, body in enumerate(bodies) if column not in taken]
+    return going, ended
+
+
+def _shifts(
+    predicted_px: Float[np.ndarray, "tracklets joints 2"], bodies_px: Float[np.ndarray, "bodies joints 2"]
+) -> Float[np.ndarray, "tracklets bodies"]:
+    """Median shift of the joints that both see, in heights of the body; infinite if they share too few."""
+    distance = np.linalg.norm(predicted_px[:, None] - bodies_px[None], axis=-1)
+    is_known = np.isfinite(distance)
+    enough = is_known.sum(-1) >= _MIN_JOINTS
+    median = np.full(enough.shape, np.inf)
+    median[enough] = np.nanmedian(distance[enough], axis=-1)
+    extent: np.ndarray = np.nanmax(bodies_px, axis=1) - np.nanmin(bodies_px, axis=1)
+    return median / np.maximum(extent.max(-1), 1.0)

@@ -1,0 +1,1 @@
+"""Synchronisation of cameras from people's motion: arrays in, arrays out."""
