@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from pipeline.errors import Problem
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointOffsets, JointSet
 
@@ -620,6 +621,54 @@ class Refinement:
     def has_new_cameras(self) -> bool:
         """Whether the cameras of the reconstruction are not the given ones."""
         return self.refined or self.world is not None
+
+
+@dataclass(frozen=True, slots=True)
+class CameraClock:
+    """Clock of a camera, measured: ``session time = shift_s + rate * declared time``.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    shift_s, rate
+        Correction of the declared times. 0 and 1 for the reference, the first camera.
+    sigma_s
+        Standard deviation of the camera's session times, relative to the reference, where it is largest over the take.
+    """
+
+    camera: str
+    shift_s: float
+    rate: float
+    sigma_s: float
+
+    def session_s(self, declared_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Session times of declared times."""
+        return self.shift_s + self.rate * declared_s
+
+
+@dataclass(frozen=True, slots=True)
+class Synchronization:
+    """Clocks of all cameras, measured from the motion of people.
+
+    Parameters
+    ----------
+    clocks
+        In the cameras' order.
+    refusals
+        Reasons not to rely on the clocks, each with a code and a remedy; none: they are certain.
+    warnings
+        Doubts that do not forbid to use the clocks.
+    """
+
+    clocks: tuple[CameraClock, ...]
+    refusals: tuple[Problem, ...] = ()
+    warnings: tuple[Problem, ...] = ()
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the clocks can be relied on."""
+        return not self.refusals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

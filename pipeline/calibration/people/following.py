@@ -1,5 +1,6 @@
 """Bodies followed from frame to frame through the images of one camera, without geometry."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,7 +54,7 @@ class Followed:
     times_s
         Times of the frames in which it was found.
     points_px
-        Distorted pixels of ``JOINTS``; NaN where a joint is not seen.
+        Distorted pixels of the joints that are followed; NaN where a joint is not seen.
     """
 
     times_s: Float[np.ndarray, " frames"]
@@ -66,7 +67,9 @@ class Followed:
         return float(np.median(extent.max(-1)))
 
 
-def follow_bodies(time_s: Float[np.ndarray, " frames"], detected: Detections, joints: JointSet) -> list[Followed]:
+def follow_bodies(
+    time_s: Float[np.ndarray, " frames"], detected: Detections, joints: JointSet, names: Sequence[str] = JOINTS
+) -> list[Followed]:
     """Follow bodies from frame to frame of one camera; a body ends where another one comes so close that both may swap.
 
     Parameters
@@ -75,8 +78,10 @@ def follow_bodies(time_s: Float[np.ndarray, " frames"], detected: Detections, jo
         Times of the camera's frames.
     detected
         Bodies with the joints ``joints``.
+    names
+        Joints that are followed.
     """
-    points_px = _chosen(detected, joints)
+    points_px = _chosen(detected, joints, names)
     starts = np.searchsorted(detected.frame, np.arange(len(time_s) + 1))
     done: list[_Growing] = []
     growing: list[_Growing] = []
@@ -91,10 +96,10 @@ def follow_bodies(time_s: Float[np.ndarray, " frames"], detected: Detections, jo
     return [Followed(np.array(one.times_s), np.array(one.points_px)) for one in (*done, *growing)]
 
 
-def _chosen(detected: Detections, joints: JointSet) -> Float[np.ndarray, "n joints 2"]:
-    """Joints of ``JOINTS``; NaN where the detector has no such joint or does not trust it."""
-    points_px = np.full((len(detected.frame), len(JOINTS), 2), np.nan)
-    for place, name in enumerate(JOINTS):
+def _chosen(detected: Detections, joints: JointSet, names: Sequence[str]) -> Float[np.ndarray, "n joints 2"]:
+    """Joints by name; NaN where the detector has no such joint or does not trust it."""
+    points_px = np.full((len(detected.frame), len(names), 2), np.nan)
+    for place, name in enumerate(names):
         if name in joints.names:
             number = joints.index(name)
             is_seen = detected.score[:, number] >= _MIN_SCORE

@@ -1,0 +1,130 @@
+"""`multicap sync`: offsets of cameras, measured from the people whom they see."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from api.cli.console import EXIT_FAILED, StageBars, emit, print_table, reporting, warn
+from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known, known_units
+from pipeline.calibration.contents import UNITS_M
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.session import CaptureSession, open_session
+from pipeline.config import CHOICES, Profile, ReconstructionConfig
+from pipeline.errors import InputError, PipelineError, Problem
+from pipeline.progress import Progress
+from pipeline.stages.local import detect_people
+from pipeline.stages.plan import SYNCHRONIZE
+from pipeline.stages.run import detection_joints
+from pipeline.synchronization.report import error_pictures, sync_document
+from pipeline.synchronization.synchronize import Synchronized, synchronize
+
+_PERCENT = 100
+
+
+def command(
+    calibration: Annotated[Path, typer.Option(help="Calibration file of the cameras.")],
+    videos: Annotated[Path | None, typer.Option(help="Folder with one video of each camera.")] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
+    ] = None,
+    timestamps: Annotated[
+        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+    ] = None,
+    frame_rate: Annotated[
+        float | None, typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default.")
+    ] = None,
+    units: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
+        ),
+    ] = "m",
+    profile: ProfileOption = DEFAULTS.profile,
+    detector: DetectorOption = DEFAULTS.detector,
+    report: Annotated[
+        Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")] = False,
+) -> None:
+    """Measure when each camera started, and how fast its clock runs, from people who move.
+
+    Session time is offset + rate * own time; the first camera's offset is 0. The exit code is 1 if the answer is not
+    certain: the reasons say what to do.
+    """
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        _check_sources(videos, keypoints, timestamps, frame_rate)
+        config = ReconstructionConfig(detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)))
+        session: CaptureSession | KeypointSession
+        if keypoints is not None:
+            session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
+            detections, joints = session.detections, session.joints
+        else:
+            session = open_session(videos or Path(), calibration, units=known_units(units))
+            detections, joints = detect_people(session, config, bars.update), detection_joints(config)
+        for sentence in () if as_json else session.warnings:
+            warn(sentence)
+        found = synchronize(
+            session.cameras,
+            session.times,
+            detections,
+            joints,
+            lambda share: bars.update(Progress(SYNCHRONIZE, round(_PERCENT * share), _PERCENT)),
+        )
+        starts_s = session.starts_s
+        document = sync_document(found.synchronization, starts_s)
+        if report is not None:
+            _write_report(report, document, found, starts_s)
+    if as_json:
+        emit(document)
+    else:
+        _show(document)
+    if not document["certain"]:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _check_sources(
+    videos: Path | None, keypoints: Path | None, timestamps: Path | None, frame_rate: float | None
+) -> None:
+    problems = []
+    if (videos is None) == (keypoints is None):
+        problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
+    if keypoints is None and (timestamps is not None or frame_rate is not None):
+        message = "Timestamps and a frame rate belong to keypoints; videos have their own times."
+        problems.append(Problem("sources", message, hint="Omit --timestamps and --frame-rate."))
+    if problems:
+        raise InputError(problems)
+
+
+def _write_report(
+    folder: Path, document: Mapping[str, Any], found: Synchronized, starts_s: Mapping[str, float]
+) -> None:  # fmt: skip
+    files = {"sync.json": json.dumps(document, indent=1) + "\n", **error_pictures(found, starts_s)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise PipelineError(f"{error.filename} can't be written: {error.strerror}.") from error
+
+
+def _show(document: Mapping[str, Any]) -> None:
+    print_table(
+        ("camera", "offset", "standard deviation", "clock fast by"),
+        (
+            (
+                camera,
+                f"{offset:+.4f} s",
+                "-" if (sigma := document["uncertainty_s"][camera]) is None else f"{1000 * sigma:.1f} ms",
+                f"{1e6 * (1.0 - document['rates'][camera]):+.1f} ppm",
+            )
+            for camera, offset in document["offsets_s"].items()
+        ),
+    )
+    for one in (*document["refusals"], *document["warnings"]):
+        where = f"{one['camera']}: " if one["camera"] else ""
+        warn(f"{where}{one['message']} {one['hint'] or ''}".rstrip())
+    if not document["certain"]:
+        typer.echo("The offsets are not certain.")

@@ -1,0 +1,50 @@
+"""Lags of two cameras from the speeds of people alone, without geometry: where to look beyond small offsets."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.synchronization.motions import STEP_S, Motion
+
+# Grid steps of a sample of the speeds.
+_SAMPLE = 5
+# Samples that two cameras must share, and peaks of the correlation that are tried.
+_MIN_SHARED, _PEAKS = 30, 4
+
+
+def likely_lags(motions: Sequence[Motion], pair: tuple[int, int]) -> list[int]:
+    """Lags in grid steps at which the speeds in two cameras correlate best, over all lags, the best first.
+
+    Speeds are summed over people, as multiples of the body's height: of all joints, and of their vertical parts, which
+    look much the same from all sides. Their logarithms are compared, so that no jump outweighs the rest.
+    """
+    signals = [_signals([one for one in motions if one.camera == camera]) for camera in pair]
+    (first, first_start), (second, second_start) = signals
+    if not len(first) or not len(second):
+        return []
+    correlation, shared = 0.0, np.correlate(np.ones(len(first)), np.ones(len(second)), "full")
+    for column in range(first.shape[1]):
+        a, b = (one[:, column] - one[:, column].mean() for one in (first, second))
+        norm = max(float(np.std(a) * np.std(b)), 1e-12)
+        correlation = correlation + np.correlate(a, b, "full") / norm
+    # As many standard deviations as chance would give: the sum of n products of independent numbers is about sqrt(n).
+    score = np.where(shared >= _MIN_SHARED, correlation / np.sqrt(np.maximum(shared, 1.0)), -np.inf)
+    lags = (np.arange(len(score)) - (len(second) - 1) + first_start - second_start) * _SAMPLE
+    is_peak = np.r_[True, score[1:] >= score[:-1]] & np.r_[score[:-1] > score[1:], True] & np.isfinite(score)
+    peaks = np.flatnonzero(is_peak)
+    return [int(lag) for lag in lags[peaks[np.argsort(-score[peaks], kind="stable")]][:_PEAKS]]
+
+
+def _signals(motions: Sequence[Motion]) -> tuple[Float[np.ndarray, "samples channels"], int]:
+    """Logarithms of the summed speeds, and the number of the first sample."""
+    if not motions:
+        return np.empty((0, 2)), 0
+    start = min(one.first for one in motions) // _SAMPLE
+    stop = max(one.stop for one in motions) // _SAMPLE + 1
+    total = np.zeros(((stop - start) * _SAMPLE, 2))
+    for one in motions:
+        rows = slice(one.first - start * _SAMPLE, one.stop - start * _SAMPLE)
+        for column, speed in enumerate((np.linalg.norm(one.speed, axis=-1), np.abs(one.speed[..., 1]))):
+            total[rows, column] += np.nan_to_num(np.mean(np.nan_to_num(speed), axis=-1)) / one.tolerance * STEP_S
+    return np.log1p(total.reshape(stop - start, _SAMPLE, 2).mean(1) * 10.0), start

@@ -1,0 +1,189 @@
+"""Synchronisation from people: the whole way."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.data import Camera, CameraClock, Detections, FrameTimes, Synchronization, read_only
+from pipeline.joints import JointSet
+from pipeline.progress import OnShare, ignore
+from pipeline.synchronization.checks import find_doubts
+from pipeline.synchronization.coarse import Split, shift_curve, solve_offsets, splits_of
+from pipeline.synchronization.groups import match_people
+from pipeline.synchronization.motions import STEP_S, Motion, excerpt, find_motions
+from pipeline.synchronization.pairs import PairCurve, compare_pair
+from pipeline.synchronization.refine import FineClocks, refine_clocks
+from pipeline.synchronization.speeds import likely_lags
+
+# Lags that are compared, in grid steps: around the declared times, around lags that speeds propose, and around the
+# offsets that were found; and the step between two of them.
+_DECLARED_REACH, _PROPOSED_REACH, _FINAL_REACH, _LAG_STEP = 125, 25, 75, 2
+# Cameras with the best agreement to which each camera is compared at last; of few cameras all pairs are.
+_PARTNERS = 6
+# Takes that are long enough for rates of clocks to matter and to be measured.
+_MIN_DRIFT_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraEvidence:
+    """Error of a camera over shifts of its clock, all other clocks being as found.
+
+    Parameters
+    ----------
+    shifts_s
+        Ascending, relative to the declared times.
+    error
+        Share of the moving joints that disagree, 0 to 1; NaN where nothing is compared.
+    """
+
+    shifts_s: Float[np.ndarray, " shifts"]
+    error: Float[np.ndarray, " shifts"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Synchronized:
+    """Result of a synchronisation.
+
+    Parameters
+    ----------
+    synchronization
+        Clocks and doubts.
+    evidence
+        Of each camera, in the cameras' order.
+    """
+
+    synchronization: Synchronization
+    evidence: tuple[CameraEvidence, ...]
+
+
+def synchronize(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    joints: JointSet,
+    on_share: OnShare = ignore,
+) -> Synchronized:
+    """Measure the cameras' clocks from the motion of people whom several cameras see.
+
+    Bodies are followed in each camera by itself. Two cameras agree at a lag of their clocks if joints in motion lie on
+    each other's epipolar lines. The coarse offsets maximise the agreement of all pairs; Gauss-Newton on the epipolar
+    errors of all joints refines them, with rates in takes of half a minute or more.
+
+    Parameters
+    ----------
+    cameras
+        Calibrated cameras; the clock of the first one stays as it is.
+    times, detections
+        Declared frame times and bodies by camera. Nothing is known of the offsets: they are looked for over the whole
+        take.
+    joints
+        Joints of the detections.
+    on_share
+        Called with the share of the work that is done.
+
+    Returns
+    -------
+        Clocks, with reasons not to rely on them if there are any: nothing is raised.
+    """
+    detections = excerpt(times, detections)
+    motions = find_motions(cameras, times, detections, joints)
+    on_share(0.2)
+    pairs = list(itertools.combinations(range(len(cameras)), 2))
+    curves = [compare_pair(cameras, pair, motions, _lags_of(motions, pair)) for pair in pairs]
+    on_share(0.6)
+    offsets = solve_offsets(curves, len(cameras))
+    curves = [_around(cameras, motions, curve, offsets) for curve in _best(curves, len(cameras))]
+    offsets = solve_offsets(curves, len(cameras))
+    on_share(0.8)
+    splits = [shift_curve(curves, offsets, group) for group in splits_of(curves, len(cameras))]
+    matches = match_people(cameras, motions, offsets, [(one.first, one.second) for one in curves])
+    span_s = _span_s(motions)
+    fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, has_drift=span_s[1] - span_s[0] >= _MIN_DRIFT_S)
+    clocks = tuple(_clock(number, camera, fine, times[camera.name]) for number, camera in enumerate(cameras))
+    refusals, warnings = find_doubts(cameras, times, motions, splits, clocks, offsets)
+    on_share(1.0)
+    evidence = tuple(_evidence(number, curves, offsets) for number in range(len(cameras)))
+    return Synchronized(Synchronization(clocks, refusals, warnings), evidence)
+
+
+def corrected_times(times: Mapping[str, FrameTimes], synchronization: Synchronization) -> dict[str, FrameTimes]:
+    """Frame times on the session's clock, from declared ones."""
+    clocks = {clock.camera: clock for clock in synchronization.clocks}
+    return {name: FrameTimes(read_only(clocks[name].session_s(of.time_s))) for name, of in times.items()}
+
+
+def _lags_of(motions: Sequence[Motion], pair: tuple[int, int]) -> Int[np.ndarray, " lags"]:
+    """Lags to compare: small ones, and those near which the speeds of people are alike."""
+    lags = set(_window(0, _DECLARED_REACH))
+    for lag in likely_lags(motions, pair):
+        lags.update(_window(lag, _PROPOSED_REACH))
+    return np.array(sorted(lags))
+
+
+def _window(middle: int, reach: int) -> range:
+    return range((middle - reach) // _LAG_STEP * _LAG_STEP, middle + reach + 1, _LAG_STEP)
+
+
+def _around(
+    cameras: Sequence[Camera], motions: Sequence[Motion], curve: PairCurve, offsets: Int[np.ndarray, " cameras"]
+) -> PairCurve:
+    """Curve of a pair with the lags around the offsets, beside those that were compared already."""
+    found = int(offsets[curve.second] - offsets[curve.first])
+    missing = np.setdiff1d(np.array(_window(found, _FINAL_REACH)), curve.lags)
+    if not len(missing):
+        return curve
+    more = compare_pair(cameras, (curve.first, curve.second), motions, missing)
+    lags = np.concatenate([curve.lags, missing])
+    order = np.argsort(lags)
+    joined = {
+        name: read_only(np.concatenate([getattr(curve, name), getattr(more, name)])[order])
+        for name in ("gain", "cost", "weight")
+    }
+    return replace(curve, lags=lags[order], **joined)
+
+
+def _best(curves: Sequence[PairCurve], num_cameras: int) -> list[PairCurve]:
+    """Curves of each camera's best partners, in order."""
+    kept: set[int] = set()
+    for camera in range(num_cameras):
+        own = [number for number, one in enumerate(curves) if camera in (one.first, one.second)]
+        kept.update(sorted(own, key=lambda number: -curves[number].gain.max(initial=0.0))[:_PARTNERS])
+    return [curves[number] for number in sorted(kept)]
+
+
+def _span_s(motions: Sequence[Motion]) -> tuple[float, float]:
+    if not motions:
+        return 0.0, 0.0
+    return min(one.first for one in motions) * STEP_S, max(one.stop for one in motions) * STEP_S
+
+
+def _clock(number: int, camera: Camera, fine: FineClocks, times: FrameTimes) -> CameraClock:
+    num_cameras = len(fine.offset_s)
+    drift = float(fine.drift[number])
+    own = [number, number + num_cameras]
+    covariance = fine.covariance[np.ix_(own, own)]
+    ends = [np.array([1.0, float(time_s) - fine.pivot_s]) for time_s in times.time_s[[0, -1]]]
+    sigma_s = max(float(np.sqrt(max(end @ covariance @ end, 0.0))) for end in ends)
+    return CameraClock(
+        camera.name, float(fine.offset_s[number]) - drift * fine.pivot_s, 1.0 + drift, sigma_s
+    )
+
+
+def _evidence(number: int, curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"]) -> CameraEvidence:
+    """Share of the moving joints that disagree, by shift of a camera."""
+    cost: dict[int, float] = {}
+    weight: dict[int, float] = {}
+    for curve in curves:
+        if number not in (curve.first, curve.second):
+            continue
+        sign, other = (1, curve.first) if number == curve.second else (-1, curve.second)
+        for k, shift in enumerate((sign * curve.lags + offsets[other]).tolist()):
+            if curve.weight[k] > 0:
+                cost[shift] = cost.get(shift, 0.0) + float(curve.cost[k] * curve.weight[k])
+                weight[shift] = weight.get(shift, 0.0) + float(curve.weight[k])
+    shifts = np.array(sorted(weight), np.int64)
+    error = np.array([cost[shift] / weight[shift] for shift in shifts.tolist()])
+    return CameraEvidence(read_only(shifts * STEP_S), read_only(error))
