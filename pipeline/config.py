@@ -93,6 +93,10 @@ RefineCalibration = (
         Literal["auto"], Value("Cameras are moved to fit the people where that lowers the error by more than a quarter")
     ]
 )
+Sync = (
+    Annotated[Literal["declared"], Value("Times of the files, with the offsets of the session")]
+    | Annotated[Literal["auto"], Value("Times measured from the motion of the people")]
+)
 Export = (
     Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion")]
     | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion")]
@@ -159,6 +163,9 @@ class MotionChoices:
             noun="refine_calibration",
         ),
     ] = "off"
+    sync: Annotated[Sync, About("Synchronisation", "How it is known when the frames of each camera were taken.")] = (
+        "declared"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -632,15 +632,23 @@ class CameraClock:
     camera
         Name of the camera.
     shift_s, rate
-        Correction of the declared times. 0 and 1 for the reference, the first camera.
+        Correction of the declared times. The rate of the reference, the first camera, is 1.
     sigma_s
         Standard deviation of the camera's session times, relative to the reference, where it is largest over the take.
+    start_s
+        Declared time at which the camera's own time is 0: of a video that of its first frame, of keypoints 0.
     """
 
     camera: str
     shift_s: float
     rate: float
     sigma_s: float
+    start_s: float = 0.0
+
+    @property
+    def offset_s(self) -> float:
+        """Session time at which the camera's own time is 0: ``session time = offset_s + rate * own time``."""
+        return self.shift_s + self.rate * self.start_s
 
     def session_s(self, declared_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Session times of declared times."""
@@ -697,6 +705,8 @@ class Reconstruction:
         Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
     refinement
         Report of the refinement of the calibration; ``None`` if none was asked for.
+    synchronization
+        Measured clocks; ``None`` if times are as they were declared.
     """
 
     cameras: tuple[Camera, ...]
@@ -711,6 +721,7 @@ class Reconstruction:
     doubts: Sequence[Sequence[Doubt]] = ()
     offsets: JointOffsets = field(default_factory=dict)
     refinement: Refinement | None = None
+    synchronization: Synchronization | None = None
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

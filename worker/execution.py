@@ -17,9 +17,10 @@ from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, Problem
 from pipeline.runtime.warm_up import warm_up as compile_kernels
 from pipeline.stages.association import Session as OpenedSession
+from pipeline.stages.inputs import Context
 from pipeline.stages.output import Output
 from pipeline.stages.plan import SessionFacts
-from pipeline.stages.run import Context, run_task
+from pipeline.stages.run import run_task
 from worker.chunk import Work
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, record_key

@@ -22,6 +22,7 @@ COMMANDS: Mapping[str, str] = {
     "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
     "calibrate": "Make a calibration from videos or photographs of a board.",
     "calibration": "Calibration files of any supported format: show, convert.",
+    "sync": "Measure when each camera started, from the people whom the cameras see.",
     "models": "Detector networks: list, install, add from a file, verify.",
     "samples": "Sample capture of two people with four cameras: install.",
     "keys": "API keys of the service: create, list, revoke.",

@@ -67,6 +67,7 @@ DOCUMENTS: dict[str, Any] = {
         "feet": "auto",
         "joint_centers": "auto",
         "refine_calibration": "off",
+        "sync": "declared",
         "frame_range": None,
         "output_rate_hz": None,
         "people": "auto",

@@ -69,6 +69,11 @@ class KeypointSession:
         return tuple(finding.message for finding in self.findings)
 
     @property
+    def starts_s(self) -> dict[str, float]:
+        """Time 0 of each camera, by camera name: that is where timestamps and frame numbers begin."""
+        return dict.fromkeys(self.times, 0.0)
+
+    @property
     def stretches(self) -> tuple[range, ...]:
         """Ranges of all output frames without long pauses in the detections; see ``recorded_stretches``."""
         return recorded_stretches(

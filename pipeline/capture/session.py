@@ -45,6 +45,8 @@ class CaptureSession:
         What the user should know of the files.
     frames
         Range of the output frames to reconstruct; ``None``: all.
+    whole_timebase
+        Output frames of the session, if the times were corrected afterwards; ``None``: those of the times.
     """
 
     cameras: tuple[Camera, ...]
@@ -52,17 +54,23 @@ class CaptureSession:
     times: Mapping[str, FrameTimes]
     findings: tuple[Finding, ...]
     frames: range | None = None
+    whole_timebase: Timebase | None = None
 
     @property
     def timebase(self) -> Timebase:
         """Output frames to reconstruct, numbered from 0."""
-        whole = session_timebase(self.times)
+        whole = self.whole_timebase or session_timebase(self.times)
         return whole if self.frames is None else cut_timebase(whole, self.frames)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences of the findings."""
         return tuple(finding.message for finding in self.findings)
+
+    @property
+    def starts_s(self) -> dict[str, float]:
+        """Time of each camera's first frame on the session's clock, by camera name."""
+        return {name: float(of_camera.time_s[0]) for name, of_camera in self.times.items()}
 
     @property
     def stretches(self) -> tuple[range, ...]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from pipeline.data import DamagedVideo, Reconstruction, Refinement
+from pipeline.data import DamagedVideo, Reconstruction, Refinement, Synchronization
 from pipeline.quality.names import first_names
 
 # With fewer views, a wrong observation can't be detected.
@@ -42,6 +42,7 @@ def capture_checks(
         _check_association(reconstruction),
         _check_identity(reconstruction),
         _check_refinement(reconstruction.refinement),
+        _check_synchronization(reconstruction.synchronization),
     )
     return [{"code": code, "message": message} for check in checks for code, message in check]
 
@@ -183,6 +184,16 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
             "camera_bumped",
             f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
             "their own.",
+        )
+
+
+def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[str, str]]:
+    if synchronization is not None and synchronization.warnings:
+        described = [f"{one.camera}: {one.message}" for one in synchronization.warnings]
+        yield (
+            "sync_uncertain",
+            f"The clocks of the cameras were measured, but not well: {first_names(described)} Let somebody move where "
+            "all cameras see them.",
         )
 
 

@@ -42,6 +42,7 @@ from pipeline.quality.world_checks import EVIDENCE, world_checks
 from pipeline.skeleton.fitting.fit import MAX_GAP_S
 from pipeline.skeleton.fitting.windows import windows
 from pipeline.skeleton.marks import has_torso, marks_from_centers
+from pipeline.synchronization.document import sync_document
 
 SCHEMA_VERSION = 1
 MIN_SCORE = 0.2
@@ -130,6 +131,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
             for whole, track, figures, doubts in zip(reconstruction.tracks, tracks, views, all_doubts, strict=True)
         ],
         "calibration": _describe_refinement(reconstruction.refinement),
+        "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
     }

@@ -23,6 +23,7 @@ from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
+from pipeline.stages.inputs import Context, detection_joints
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.outputs_npz import decode_detections
 from pipeline.stages.plan import (
@@ -36,7 +37,7 @@ from pipeline.stages.plan import (
     followers,
     plan,
 )
-from pipeline.stages.run import Context, assemble, detection_joints, run_task
+from pipeline.stages.run import assemble, run_task
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DEFAULTS = ReconstructionConfig()

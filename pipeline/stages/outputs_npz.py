@@ -13,6 +13,7 @@ from pipeline.data import (
     Animation,
     Camera,
     CameraBump,
+    CameraClock,
     CameraMove,
     DamagedVideo,
     Detections,
@@ -28,6 +29,7 @@ from pipeline.data import (
     Poses3D,
     Refinement,
     SkeletonMotion,
+    Synchronization,
     Track3D,
     WorldMove,
     no_detections,
@@ -35,6 +37,7 @@ from pipeline.data import (
     read_only,
 )
 from pipeline.detect.profiles.sizes import CameraSizes
+from pipeline.errors import Problem
 from pipeline.geometry.rigid import Rigid3
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
 from pipeline.stages.stored import StoredSequence
@@ -109,6 +112,20 @@ def decode_refinement(cameras: Sequence[Camera], content: bytes) -> tuple[tuple[
     report["bumped"] = tuple(CameraBump(**bump) for bump in report["bumped"])
     report["world"] = None if report["world"] is None else WorldMove(**report["world"])
     return refined, Refinement(**report)
+
+
+def encode_clocks(synchronization: Synchronization) -> bytes:
+    """Write measured clocks."""
+    return json.dumps(asdict(synchronization), sort_keys=True).encode()
+
+
+def decode_clocks(content: bytes) -> Synchronization:
+    """Read what ``encode_clocks`` wrote."""
+    document = json.loads(content)
+    return Synchronization(
+        tuple(CameraClock(**clock) for clock in document["clocks"]),
+        warnings=tuple(Problem(**problem) for problem in document["warnings"]),
+    )
 
 
 def encode_detections(detections: Detections) -> bytes:

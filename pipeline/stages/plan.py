@@ -11,7 +11,7 @@ again, after a crash or for another job, has the same keys, and its outputs are 
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from typing import Any, Literal
 
@@ -19,7 +19,8 @@ from pipeline.calibration_choices import BOARD_FRAMES
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.edits import document_of
 
-LOOK, DETECT, REFINE, LENGTHS, POSES, ASSOCIATE = "look", "detect", "refine", "lengths", "poses", "associate"
+LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
+LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
 FIND_BOARD, CALIBRATE = "find_board", "make_calibration"
 
@@ -176,6 +177,10 @@ def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and bool(config.edits)
 
 
+def _is_synchronizing(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None and config.sync == "auto"
+
+
 STAGES = (
     Stage(
         LOOK,
@@ -219,10 +224,19 @@ STAGES = (
         is_reusable=False,
     ),
     Stage(
+        SYNCHRONIZE,
+        "Synchronise cameras",
+        cut="whole",
+        follows=(DETECT,),
+        choices=("sync",),
+        function="synchronize_cameras",
+        is_planned=_is_synchronizing,
+    ),
+    Stage(
         REFINE,
         "Refine calibration",
         cut="whole",
-        follows=(DETECT,),
+        follows=(DETECT, SYNCHRONIZE),
         choices=("refine_calibration", "method", "frame_range", "tracking", "clustering"),
         function="refine_calibration",
         is_planned=_is_refining,
@@ -231,7 +245,7 @@ STAGES = (
         LENGTHS,
         "Measure bones",
         cut="whole",
-        follows=(DETECT, REFINE),
+        follows=(DETECT, SYNCHRONIZE, REFINE),
         choices=("frame_range", "clustering"),
         function="measure_lengths",
         is_planned=_is_clustering,
@@ -240,7 +254,7 @@ STAGES = (
         POSES,
         "Find people",
         cut="ranges",
-        follows=(DETECT, REFINE, LENGTHS),
+        follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS),
         choices=("frame_range", "clustering"),
         function="find_poses",
         is_planned=_is_clustering,
@@ -249,7 +263,7 @@ STAGES = (
         ASSOCIATE,
         "Track people",
         cut="whole",
-        follows=(DETECT, REFINE, LENGTHS, POSES),
+        follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS, POSES),
         choices=("method", "frame_range", "appearance", "tracking", "clustering"),
         function="associate_people",
     ),
@@ -257,7 +271,7 @@ STAGES = (
         IDENTIFY,
         "Tell people apart",
         cut="whole",
-        follows=(DETECT, REFINE, ASSOCIATE),
+        follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE),
         choices=("people",),
         function="identify_people",
     ),
@@ -265,7 +279,7 @@ STAGES = (
         FIT,
         "Fit skeletons",
         cut="whole",
-        follows=(REFINE, IDENTIFY),
+        follows=(SYNCHRONIZE, REFINE, IDENTIFY),
         choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="fit_skeletons",
     ),
@@ -273,7 +287,7 @@ STAGES = (
         EDIT,
         "Edit people",
         cut="whole",
-        follows=(IDENTIFY,),
+        follows=(SYNCHRONIZE, IDENTIFY),
         choices=("edits",),
         function="edit_people",
         is_planned=_is_edited,
@@ -282,7 +296,7 @@ STAGES = (
         REFIT,
         "Fit edited people",
         cut="whole",
-        follows=(REFINE, IDENTIFY, FIT, EDIT),
+        follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT),
         choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="refit_skeletons",
         is_planned=_is_edited,
@@ -291,7 +305,7 @@ STAGES = (
         EXPORT,
         "Write files",
         cut="whole",
-        follows=(REFINE, IDENTIFY, FIT, EDIT, REFIT),
+        follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
         is_reusable=False,
@@ -388,6 +402,8 @@ def plan(
     """
     whole = range(facts.num_frames)
     cut = FrameCut(config.frames or whole, facts.stretches, _bounded_length(facts, chunk_frames))
+    # Cameras that were not synchronised took the wanted frames at other declared times.
+    cut_by_camera = replace(cut, frames=whole) if _is_synchronizing(facts, config) else cut
     choices = effective_choices(config)
     # A choice that no stage names counts for all stages, so that no output of another choice is ever reused.
     unassigned = choices.keys() - {name for stage in STAGES for name in stage.choices}
@@ -398,7 +414,8 @@ def plan(
             inputs = [keys[name] for name in stage.follows if name in keys] or facts.inputs
             own = {name: choices[name] for name in (*stage.choices, *unassigned)}
             keys[stage.name] = _hash([stage.name, codes[stage.name], own, inputs])
-            stages.append(PlannedStage(stage.name, _tasks(stage, keys[stage.name], facts, cut), codes[stage.name]))
+            of_stage = cut_by_camera if stage.cut == "camera ranges" else cut
+            stages.append(PlannedStage(stage.name, _tasks(stage, keys[stage.name], facts, of_stage), codes[stage.name]))
     return tuple(stages)
 
 

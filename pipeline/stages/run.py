@@ -4,10 +4,7 @@
 """
 
 import json
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from pipeline.calibration.board.calibrate import calibrate_board
@@ -19,19 +16,19 @@ from pipeline.calibration.report import MadeCalibration, report_document
 from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
-from pipeline.data import Animation, Camera, DamagedVideo, Detections, PictureChanges, Reconstruction, Refinement
-from pipeline.detect.chunk import concatenate, detect_chunk, detect_fields_chunk, measure_colours
+from pipeline.data import Animation, PictureChanges, Reconstruction
+from pipeline.detect.chunk import detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
 from pipeline.detect.entries import entry_of
-from pipeline.detect.profiles.detection import joints_of, load_detector, open_detection
+from pipeline.detect.profiles.detection import load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
 from pipeline.edits import PersonSpan
-from pipeline.errors import PipelineError, listed
+from pipeline.errors import InputError, PipelineError, Problem, listed
 from pipeline.export.results import METRICS, write_results
 from pipeline.findings import Finding
 from pipeline.hands.attach import has_hands, without_fingers
-from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, without_hands
 from pipeline.progress import OnShare, in_units
 from pipeline.quality.report import all_checks
 from pipeline.skeleton.animate import animate
@@ -42,22 +39,35 @@ from pipeline.stages.association import (
     link,
     locate_people,
     measure_bones,
-    restrict,
     tell_apart,
     track,
 )
+from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
+from pipeline.stages.cameras.synchronization import measure_clocks
 from pipeline.stages.editing import animate_again, cut, edited_take, put_together, spans
+from pipeline.stages.inputs import (
+    Context,
+    all_bodies,
+    detected_in,
+    detection_joints,
+    from_first,
+    gathered_bodies,
+    measured_clocks,
+    measured_frames,
+    on_clocks,
+    refined_cameras,
+    wanted_inputs,
+)
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.outputs_npz import (
     decode_animation,
     decode_damaged_videos,
     decode_detections,
-    decode_fields,
     decode_lengths,
     decode_poses,
-    decode_refinement,
     decode_sizes,
     encode_animation,
+    encode_clocks,
     encode_colours,
     encode_detections,
     encode_fields,
@@ -66,7 +76,6 @@ from pipeline.stages.outputs_npz import (
     encode_refinement,
     encode_sizes,
     open_people,
-    with_colours,
     write_people,
 )
 from pipeline.stages.plan import (
@@ -80,69 +89,18 @@ from pipeline.stages.plan import (
     LOOK,
     LOOKED_AT_FRAMES,
     POSES,
-    REFINE,
     REFIT,
     STAGE_BY_NAME,
     FrameCut,
-    SessionFacts,
     Task,
 )
-from pipeline.stages.refinement import refine_from_bodies, refine_from_fields
 from pipeline.stages.viewer import viewer_files
-from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import span_s
 
 _PEOPLE, _EDITED, _FOUND = "people.npz", "edited.npz", "found.npz"
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"} | {
     f".{name}": file_format.media_type for name, file_format in FILE_FORMATS.items()
 }
-
-
-class Context(ABC):
-    """Access of a task to its session, to the outputs of earlier stages, and to its executor."""
-
-    @property
-    @abstractmethod
-    def config(self) -> ReconstructionConfig:
-        """Configuration of the reconstruction."""
-
-    @property
-    @abstractmethod
-    def facts(self) -> SessionFacts:
-        """Facts of the session for which the task was planned."""
-
-    @property
-    @abstractmethod
-    def scratch(self) -> Path:
-        """Folder for temporary files and result files of this task."""
-
-    @abstractmethod
-    def session(self) -> Session:
-        """The whole session."""
-
-    @abstractmethod
-    def outline(self) -> Session:
-        """The whole session without the detections of keypoint files, which take most of its memory."""
-
-    @abstractmethod
-    def video(self, camera: str) -> AbstractContextManager[None]:
-        """Block in which the video of a camera can be read."""
-
-    @abstractmethod
-    def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
-        """Outputs of tasks of an earlier stage, in the tasks' order; by default of all tasks."""
-
-    @abstractmethod
-    def interim(self, stage: str) -> list[bytes]:
-        """Interim outputs of all tasks of an earlier stage, in the tasks' order; see ``Stage.leaves_interim``."""
-
-    @abstractmethod
-    def found(self) -> bytes | None:
-        """Output of this task if an earlier job has left it, and this job lacks only the interim output."""
-
-    @abstractmethod
-    def on_unit(self) -> None:
-        """Count a unit of the task's progress; may raise to end the task."""
 
 
 def run_task(task: Task, context: Context) -> Output:
@@ -165,17 +123,6 @@ def run_task(task: Task, context: Context) -> Output:
         If a result file is not whole when it is read back.
     """
     return _FUNCTIONS[STAGE_BY_NAME[task.stage].function](task, context)
-
-
-def wanted_session(session: Session, config: ReconstructionConfig) -> tuple[Session, JointSet]:
-    """Session as if it had the wanted frames alone, numbered from 0, and the joints of its detections."""
-    wanted = restrict(session, config.frames)
-    return wanted, wanted.joints if isinstance(wanted, KeypointSession) else detection_joints(config)
-
-
-def detection_joints(config: ReconstructionConfig) -> JointSet:
-    """Joints that the networks of a configuration detect in videos."""
-    return joints_of(networks_of(config), detected_joints(config))
 
 
 def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
@@ -257,7 +204,7 @@ def calibrate(task: Task, context: Context) -> Output:
         detections = (
             session.detections
             if isinstance(session, KeypointSession)
-            else _bodies(session, joints, map(decode_detections, context.outputs(DETECT)))
+            else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
         )
         made = calibrate_people(
             session.cameras,
@@ -293,23 +240,38 @@ def _calibrated(made: MadeCalibration, context: Context) -> Output:
     return Output(texts["multicap"].encode(), files, warnings, calibration={"files": texts, "report": report})
 
 
+def synchronize_cameras(task: Task, context: Context) -> Output:
+    """Measure when the frames of each camera were taken, from all people of the session."""
+    if context.config.uses_fields and context.facts.has_videos:
+        message = "Cameras are synchronised from whole bodies; this network finds joints."
+        raise InputError([Problem("sync_needs_bodies", message, hint="Choose another detector, or declare offsets.")])
+    session = context.session()
+    joints = session.joints if isinstance(session, KeypointSession) else detection_joints(context.config)
+    detections = (
+        session.detections
+        if isinstance(session, KeypointSession)
+        else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
+    )
+    return Output(encode_clocks(measure_clocks(session, detections, joints, _on_share(task, context))))
+
+
 def refine_calibration(task: Task, context: Context) -> Output:
     """Refine the calibration from the people that a first association finds."""
-    session, joints = wanted_session(context.session(), context.config)
+    session, joints = on_clocks(context, context.session())
     on_share = _on_share(task, context)
     if context.config.uses_fields and not isinstance(session, KeypointSession):
         cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
 
         def chunks() -> Iterator[tuple[range, DetectionsByCamera]]:
             for number, frames in enumerate(cut):
-                yield _from_first(frames, task.frames.start), _detected(context, session, joints, number)
+                yield from_first(frames, task.frames.start), detected_in(task, context, session, joints, number, frames)
 
         refined, refinement = refine_from_fields(session, chunks, joints, context.config, on_share)
     else:
         detections = (
             session.detections
             if isinstance(session, KeypointSession)
-            else _bodies(session, joints, map(decode_detections, context.outputs(DETECT)))
+            else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
         )
         refined, refinement = refine_from_bodies(session, detections, joints, context.config, on_share)
     return Output(encode_refinement(refined, refinement))
@@ -317,17 +279,17 @@ def refine_calibration(task: Task, context: Context) -> Output:
 
 def measure_lengths(task: Task, context: Context) -> Output:
     """Measure everybody's bones in frames all over the session, a range of frames at a time."""
-    session, joints = _wanted(context, context.session())
+    session, joints = wanted_inputs(context, context.session())
     cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
     damaged: list[DamagedFrames] = []
     changes: list[tuple[str, PictureChanges]] = []
 
     def ranges() -> Iterator[tuple[range, DetectionsByCamera]]:
         for number, frames in enumerate(cut):
-            detected = _detected(context, session, joints, number)
+            detected = detected_in(task, context, session, joints, number, frames)
             damaged.extend((camera, of_camera.damaged) for camera, of_camera in detected.items())
             changes.extend((camera, of_camera.changes) for camera, of_camera in detected.items())
-            yield _from_first(frames, task.frames.start), detected
+            yield measured_frames(context, session, frames), detected
 
     lengths = measure_bones(session, ranges(), joints, context.config, context.on_unit)
     return Output(encode_lengths(lengths, damaged_videos(session, damaged, changes)))
@@ -335,11 +297,10 @@ def measure_lengths(task: Task, context: Context) -> Output:
 
 def find_poses(task: Task, context: Context) -> Output:
     """Find people in a range of output frames, each instant by itself."""
-    session, joints = _wanted(context, context.session())
-    first = 0 if context.config.frames is None else context.config.frames.start
-    detected = _detected(context, session, joints, task.index)
+    session, joints = wanted_inputs(context, context.session())
+    detected = detected_in(task, context, session, joints, task.index, task.frames)
     lengths = decode_lengths(*context.outputs(LENGTHS))
-    frames = _from_first(task.frames, first)
+    frames = measured_frames(context, session, task.frames)
     return Output(
         encode_poses(locate_people(session, frames, detected, lengths, joints, context.config, context.on_unit))
     )
@@ -349,13 +310,13 @@ def associate_people(task: Task, context: Context) -> Output:
     """Turn bodies or poses of all frames into tracks: one pass in time order."""
     on_share = _on_share(task, context)
     if context.config.method == "clustering":
-        session, joints = _wanted(context, context.outline())
+        session, joints = wanted_inputs(context, context.outline())
         poses = map(decode_poses, context.outputs(POSES))
         people = link(session, poses, without_hands(joints), context.config, on_share)
         damaged = decode_damaged_videos(*context.outputs(LENGTHS))
     else:
-        bodies, damaged = _gathered(context)
-        session, joints = _wanted(context, context.outline())
+        bodies, damaged = gathered_bodies(context)
+        session, joints = wanted_inputs(context, context.outline())
         bodies = without_fingers(bodies, joints)
         people = track(session, bodies, context.config, on_share)
         del bodies
@@ -367,13 +328,13 @@ def associate_people(task: Task, context: Context) -> Output:
 
 def identify_people(task: Task, context: Context) -> Output:
     """Find out who is who, from the tracks of the whole session, and attach people's hands."""
-    session, joints = _wanted(context, context.outline())
+    session, joints = wanted_inputs(context, context.outline())
     archive = _archive_of_people(context, ASSOCIATE)
-    colour = _gathered(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
+    colour = gathered_bodies(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
     people = tell_apart(session, open_people(archive), without_hands(joints), context.config, colour)
     del colour
     if has_hands(joints):
-        people = attach(session, people, _gathered(context)[0], joints, context.config)
+        people = attach(session, people, gathered_bodies(context)[0], joints, context.config)
     write_people(archive, people, decode_damaged_videos(archive))
     del people
     _on_share(task, context)(1.0)
@@ -389,7 +350,7 @@ def edit_people(task: Task, context: Context) -> Output:
     """Put the people together as the edits say, from those who were found."""
     archive = _archive_of_people(context, IDENTIFY)
     people, damaged = open_people(archive), decode_damaged_videos(archive)
-    session, _ = _wanted(context, context.outline())
+    session, _ = wanted_inputs(context, context.outline())
     take = edited_take(spans(people.tracks), context.config, session.timebase)
     edited = context.scratch / _EDITED
     write_people(edited, put_together(people, take), damaged)
@@ -399,7 +360,7 @@ def edit_people(task: Task, context: Context) -> Output:
 
 def refit_skeletons(task: Task, context: Context) -> Output:
     """Animate the people whom edits changed; the others keep their animation."""
-    session, joints = _wanted(context, context.outline())
+    session, joints = wanted_inputs(context, context.outline())
     found = spans_found(context)
     edited = open_people(_archive_of_people(context, EDIT, _EDITED))
     animation = animate_again(
@@ -437,11 +398,11 @@ def assemble(context: Context) -> Reconstruction:
 
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
-    session, joints = _wanted(context, context.outline())
+    session, joints = wanted_inputs(context, context.outline())
     is_edited = bool(context.config.edits)
     archive = _archive_of_people(context, EDIT if is_edited else IDENTIFY)
     animation = decode_animation(*context.outputs(REFIT if is_edited else FIT))
-    refined = _refinement(context, session.cameras)
+    refined = refined_cameras(context, session.cameras)
     people = open_people(archive)
     reconstruction = Reconstruction(
         cameras=session.cameras,
@@ -456,6 +417,7 @@ def assemble(context: Context) -> Reconstruction:
         doubts=people.doubts,
         offsets=used_offsets(session, context.config),
         refinement=None if refined is None else refined[1],
+        synchronization=measured_clocks(context),
     )
     frames = kept_frames(context)
     return reconstruction if frames is None else cut(reconstruction, frames)
@@ -463,28 +425,13 @@ def assemble(context: Context) -> Reconstruction:
 
 def kept_frames(context: Context) -> range | None:
     """Frames that edits keep, in the numbering of the reconstruction; ``None``: all."""
-    timebase = wanted_session(context.outline(), context.config)[0].timebase
+    timebase = on_clocks(context, context.outline())[0].timebase
     return edited_take(spans_found(context), context.config, timebase).frames if context.config.edits else None
 
 
 def spans_found(context: Context) -> tuple[PersonSpan, ...]:
     """Frames of the people who were found, before any edit."""
     return spans(open_people(_archive_of_people(context, IDENTIFY, _FOUND)).tracks)
-
-
-def _wanted(context: Context, session: Session) -> tuple[Session, JointSet]:
-    """Wanted session with refined cameras, if there are any, and the joints of its detections."""
-    wanted, joints = wanted_session(session, context.config)
-    if (refined := _refinement(context, wanted.cameras)) is None:
-        return wanted, joints
-    return replace(wanted, cameras=refined[0]), joints
-
-
-def _refinement(context: Context, cameras: Sequence[Camera]) -> tuple[tuple[Camera, ...], Refinement] | None:
-    """Refined cameras and the report; ``None`` if the calibration stays as it is given."""
-    if context.config.refine_calibration == "off":
-        return None
-    return decode_refinement(cameras, *context.outputs(REFINE))
 
 
 def _sizes(context: Context, camera: str) -> CameraSizes | None:
@@ -499,52 +446,8 @@ def _on_share(task: Task, context: Context) -> OnShare:
     return in_units(task.num_units, context.on_unit)
 
 
-def _from_first(frames: range, first: int) -> range:
-    """Frames of the session in the numbering of its wanted frames."""
-    return range(frames.start - first, frames.stop - first)
-
-
-def _bodies(session: Session, joints: JointSet, chunks: Iterable[Detections]) -> Mapping[str, Detections]:
-    """All cameras' bodies from those of the tasks of detection."""
-    return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
-
-
-def _detected(context: Context, session: Session, joints: JointSet, number: int) -> DetectionsByCamera:
-    """Detections in a range of output frames: consecutive tasks, one of each camera."""
-    if isinstance(session, KeypointSession):
-        return session.detections
-    num_cameras = len(session.cameras)
-    outputs = context.outputs(DETECT, slice(number * num_cameras, (number + 1) * num_cameras))
-    if context.config.uses_fields:
-        return {fields.camera: fields for fields in map(decode_fields, outputs)}
-    return _bodies(session, joints, map(decode_detections, outputs))
-
-
-def _gathered(context: Context) -> tuple[Bodies, tuple[DamagedVideo, ...]]:
-    """All cameras' bodies as tracking takes them, and the damaged videos among those that show them."""
-    session, joints = _wanted(context, context.session())
-    detections = (
-        session.detections
-        if isinstance(session, KeypointSession)
-        else _bodies(session, joints, _coloured(context, map(decode_detections, context.outputs(DETECT))))
-    )
-    damaged = damaged_videos(
-        session,
-        [(camera, of_camera.damaged) for camera, of_camera in detections.items()],
-        [(camera, of_camera.changes) for camera, of_camera in detections.items()],
-    )
-    return gather(session.cameras, session.times, detections), damaged
-
-
-def _coloured(context: Context, chunks: Iterable[Detections]) -> Iterable[Detections]:
-    """Detections with their colours, if colours are measured."""
-    if not context.config.uses_colours:
-        return chunks
-    return (with_colours(chunk, colours) for chunk, colours in zip(chunks, context.interim(DETECT), strict=True))
-
-
 def _animation(task: Task, context: Context) -> Animation:
-    session, joints = _wanted(context, context.outline())
+    session, joints = wanted_inputs(context, context.outline())
     people = open_people(_archive_of_people(context, IDENTIFY))
     # Windows of all observations are asked for again and again, a track but once.
     in_memory = tuple(people.observations)
@@ -576,6 +479,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         detect,
         find_board,
         calibrate,
+        synchronize_cameras,
         refine_calibration,
         measure_lengths,
         find_poses,

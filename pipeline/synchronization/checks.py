@@ -67,10 +67,8 @@ def _unlinked(
         number = min(split.cameras)
         name = _names(cameras, split)
         others = [k for k in range(len(cameras)) if k not in split.cameras]
-        shared_s = max(
-            (min(spans_s[a][1], spans_s[b][1]) - max(spans_s[a][0], spans_s[b][0]) for a in split.cameras for b in others),
-            default=0.0,
-        )
+        pairs = [(spans_s[a], spans_s[b]) for a in split.cameras for b in others]
+        shared_s = max((min(a[1], b[1]) - max(a[0], b[0]) for a, b in pairs), default=0.0)
         if all(moving[k] < _MIN_MOTION for k in split.cameras) or all(moving[k] < _MIN_MOTION for k in others):
             still = number if moving[number] < _MIN_MOTION else min(others, key=lambda k: moving[k])
             message = "The camera sees nobody who moves."
@@ -102,7 +100,7 @@ def _ambiguous(cameras: Sequence[Camera], splits: Sequence[Split]) -> Iterator[P
 
 
 class Rival(NamedTuple):
-    """Best answer far from the best one: its shift, its agreement as a share of the best, and if a valley parts both."""
+    """Best answer far from the best one: shift, agreement as a share of the best, and whether a valley parts both."""
 
     shift_s: float
     share: float

@@ -95,9 +95,18 @@ def _compare_all(
     if left and right:
         essential = essential_matrix(cameras[left[0].camera], cameras[right[0].camera])
         stride = max(2, sum(len(one.points) for one in left) // _COMPARED)
-        for a, first in enumerate(left):
-            for b, second in enumerate(right):
-                value[a, b], cost[a, b], weight[a, b] = _compare(essential, first, second, lags, stride)
+        firsts = [_prepare(one, essential, stride) for one in left]
+        seconds = [_prepare(one, essential.T, stride) for one in right]
+        for a, first in enumerate(firsts):
+            for b, second in enumerate(seconds):
+                start = left[a].first - right[b].stop + _MIN_SHARED
+                stop = left[a].stop - right[b].first - _MIN_SHARED
+                if start > lags[-1] or stop < lags[0]:
+                    continue
+                some = slice(*np.searchsorted(lags, [start, stop + 1]))
+                if some.start < some.stop:
+                    found = _compare(first, second, lags[some], stride)
+                    value[a, b, some], cost[a, b, some], weight[a, b, some] = found
     return value, cost, weight
 
 
@@ -127,49 +136,48 @@ def _overlap(one: range, other: range) -> bool:
     return max(one.start, other.start) < min(one.stop, other.stop)
 
 
+class _Prepared(NamedTuple):
+    """A motion, the weights of its joints, and their epipolar lines ``u x + v y + w = 0`` in the other image.
+
+    Single coordinates are in separate arrays: NumPy adds them much faster than along a short last axis.
+    """
+
+    motion: Motion
+    novelty: Float32[np.ndarray, "steps joints"]
+    x: Float32[np.ndarray, "steps joints"]
+    y: Float32[np.ndarray, "steps joints"]
+    u: Float32[np.ndarray, "steps joints"]
+    v: Float32[np.ndarray, "steps joints"]
+    w: Float32[np.ndarray, "steps joints"]
+    norm2: Float32[np.ndarray, "steps joints"]
+
+
+def _prepare(motion: Motion, essential: Float[np.ndarray, "3 3"], stride: int) -> _Prepared:
+    """Prepare a motion; a joint weighs as much as its path between two compared instants, in tolerances, at most 1."""
+    lines = motion.points @ essential[:, :2].T + essential[:, 2]
+    x, y = (np.ascontiguousarray(motion.points[..., axis], np.float32) for axis in (0, 1))
+    u, v, w = (np.ascontiguousarray(lines[..., axis], np.float32) for axis in (0, 1, 2))
+    novelty = np.nan_to_num(np.minimum(1.0, motion.path() * stride / _NOVEL_PATH)).astype(np.float32)
+    return _Prepared(motion, novelty, x, y, u, v, w, u**2 + v**2)
+
+
 def _compare(
-    essential: Float[np.ndarray, "3 3"], first: Motion, second: Motion, lags: Int[np.ndarray, " lags"], stride: int
+    first: _Prepared, second: _Prepared, lags: Int[np.ndarray, " lags"], stride: int
 ) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
     """Value, summed cost and weight of two motions at each lag."""
-    none = np.zeros(len(lags))
-    instants = np.arange(-(-first.first // stride) * stride, first.stop, stride)
-    rows = instants[None, :] - lags[:, None] - second.first
-    is_shared = (rows >= 0) & (rows < len(second.points))
-    used = is_shared.sum(1) * stride >= _MIN_SHARED
-    if not used.any():
-        return none, none, none
-    rows = np.clip(rows[used], 0, len(second.points) - 1)
-    # Single coordinates in separate arrays: NumPy adds them much faster than along a short last axis.
-    first_lines = _epipolar_lines(first.points[instants - first.first], essential)
-    second_lines = _epipolar_lines(second.points, essential.T)
-    x, y = (np.ascontiguousarray(second.points[..., axis], np.float32)[rows] for axis in (0, 1))
-    product = first_lines.x * x + first_lines.y * y + first_lines.z
-    tolerance2 = np.float32((first.tolerance**2 + second.tolerance**2) / 2)
-    cost = np.minimum(np.float32(1), product**2 / ((first_lines.norm2 + second_lines.norm2[rows]) * tolerance2))
-    weight = (_novelty(first, stride)[instants - first.first] + _novelty(second, stride)[rows]) / 2
-    weight *= np.isfinite(cost) & is_shared[used][..., None]
+    motion, other = first.motion, second.motion
+    begin = max(motion.first, other.first + int(lags[0]))
+    instants = np.arange(-(-begin // stride) * stride, min(motion.stop, other.stop + int(lags[-1])), stride)
+    rows = instants[None, :] - lags[:, None] - other.first
+    is_shared = (rows >= 0) & (rows < len(other.points))
+    is_shared &= (is_shared.sum(1) * stride >= _MIN_SHARED)[:, None]
+    rows = np.clip(rows, 0, len(other.points) - 1)
+    at = instants - motion.first
+    product = first.u[at] * second.x[rows] + first.v[at] * second.y[rows] + first.w[at]
+    tolerance2 = np.float32((motion.tolerance**2 + other.tolerance**2) / 2)
+    cost = np.minimum(np.float32(1), product**2 / ((first.norm2[at] + second.norm2[rows]) * tolerance2))
+    weight = (first.novelty[at] + second.novelty[rows]) / 2
+    weight *= np.isfinite(cost) & is_shared[..., None]
     total = weight.sum((1, 2), dtype=np.float64)
     of_cost = (weight * np.nan_to_num(cost)).sum((1, 2), dtype=np.float64)
-    found = tuple(np.zeros(len(lags)) for _ in range(3))
-    for column, values in zip(found, (total - of_cost / _MAX_COST, of_cost, total), strict=True):
-        column[used] = values
-    return found[0], found[1], found[2]
-
-
-class _Lines(NamedTuple):
-    """Epipolar lines ``x u + y v + z = 0`` of points in the other image, and the squared norms of ``(x, y)``."""
-
-    x: Float32[np.ndarray, "n joints"]
-    y: Float32[np.ndarray, "n joints"]
-    z: Float32[np.ndarray, "n joints"]
-    norm2: Float32[np.ndarray, "n joints"]
-
-
-def _epipolar_lines(points: Float[np.ndarray, "n joints 2"], essential: Float[np.ndarray, "3 3"]) -> _Lines:
-    x, y, z = np.moveaxis((points @ essential[:, :2].T + essential[:, 2]).astype(np.float32), -1, 0)
-    return _Lines(np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(z), x * x + y * y)
-
-
-def _novelty(motion: Motion, stride: int) -> Float32[np.ndarray, "steps joints"]:
-    """Weight of each joint: its path between two compared instants, in tolerances, at most 1."""
-    return np.nan_to_num(np.minimum(1.0, motion.path() * stride / _NOVEL_PATH)).astype(np.float32)
+    return total - of_cost / _MAX_COST, of_cost, total

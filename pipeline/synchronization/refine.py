@@ -2,8 +2,8 @@
 
 A joint is sampled at any instant of a camera's own time, so the error is a smooth function of the clocks. Cameras are
 calibrated, and detectors mark joints, with errors that last: a constant error of a joint would be taken for an offset
-while the joint moves steadily. So each joint of each person and pair of cameras has a constant of its own, with a prior;
-the clocks follow from what changes.
+while the joint moves steadily. So each joint of each person and pair of cameras has a constant of its own, and the
+clocks follow from what changes.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ Match = tuple[int, int]
 """Numbers of two motions that are one person."""
 
 _STEPS = 15
-_CONVERGED_S = 1e-5
+_CONVERGED_S = 2e-5
 # Instants of all matches together.
 _MAX_INSTANTS = 20_000
 # Time for which errors of a detector last, and length of the blocks of time that count as independent.
@@ -102,8 +102,8 @@ def refine_clocks(
         Camera whose clock is the session's.
     """
     offset_s, drift = offset_s.astype(float), np.zeros(len(cameras))
-    spans = np.array([(one.first, one.stop) for one in motions]) * STEP_S
-    pivot_s = float((spans[:, 0].min() + spans[:, 1].max()) / 2)
+    begin, end = min((one.first for one in motions), default=0), max((one.stop for one in motions), default=0)
+    pivot_s = STEP_S * (begin + end) / 2
     essentials = {
         (a, b): essential_matrix(cameras[a], cameras[b])
         for a, b in {(motions[one].camera, motions[other].camera) for one, other in matches}
@@ -212,7 +212,8 @@ def _at(
     place = np.clip(own_s / STEP_S - motion.first, 0, len(motion.points) - 1)
     row = np.minimum(place.astype(np.int64), len(motion.points) - 2)
     share = (place - row)[:, None, None]
-    return tuple((1 - share) * one[row] + share * one[row + 1] for one in (motion.points, motion.speed))  # type: ignore[return-value]
+    points, speed = ((1 - share) * one[row] + share * one[row + 1] for one in (motion.points, motion.speed))
+    return points, speed
 
 
 def _jacobian(rows: _Rows, num_cameras: int, pivot_s: float) -> Float[np.ndarray, "rows parameters"]:
@@ -221,9 +222,7 @@ def _jacobian(rows: _Rows, num_cameras: int, pivot_s: float) -> Float[np.ndarray
     index = np.arange(len(rows.residual))
     for side in (0, 1):
         jacobian[index, rows.cameras[:, side]] -= rows.by_time[:, side]
-        jacobian[index, num_cameras + rows.cameras[:, side]] -= rows.by_time[:, side] * (
-            rows.own_s[:, side] - pivot_s
-        )
+        jacobian[index, num_cameras + rows.cameras[:, side]] -= rows.by_time[:, side] * (rows.own_s[:, side] - pivot_s)
     return jacobian
 
 
@@ -259,7 +258,7 @@ def _covariance(
     free: np.ndarray,
     num_blocks: int,
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Covariance by blocks of time that disagree (sandwich estimate, White 1982), or by curvature where it is larger."""
+    """Covariance by blocks of time that disagree (sandwich estimate, White 1982), or by curvature if it is larger."""
     covariance = np.zeros((len(prior), len(prior)))
     if num_blocks == 0:
         return np.diag(np.where(free, np.inf, 0.0))

@@ -1,59 +1,23 @@
-"""Report of a synchronisation: a JSON document, and a plot of each camera's error over its offset."""
+"""Plots of a synchronisation: the error of each camera over its offset, as SVG documents."""
 
-from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data import CameraClock, Synchronization
-from pipeline.errors import Problem, listed
+from pipeline.data import CameraClock
 from pipeline.synchronization.synchronize import CameraEvidence, Synchronized
 
 _WIDTH, _HEIGHT, _MARGIN = 640, 240, 36
 _HALF_S = 2.5
 
 
-def sync_document(synchronization: Synchronization, starts_s: Mapping[str, float]) -> dict[str, Any]:
-    """Clocks as JSON: ``session time = offset + rate * own time``.
-
-    Parameters
-    ----------
-    starts_s
-        Declared time at which each camera's own time is 0: of videos that of the first frame, of keypoints 0.
-    """
-    clocks = synchronization.clocks
-    return {
-        "offsets_s": {
-            clock.camera: round(offset_s(clock, starts_s[clock.camera]), 6) for clock in clocks
-        },
-        "uncertainty_s": {
-            clock.camera: round(clock.sigma_s, 6) if isfinite(clock.sigma_s) else None for clock in clocks
-        },
-        "rates": {clock.camera: round(clock.rate, 9) for clock in clocks},
-        "certain": synchronization.is_certain,
-        "refusals": _problems(synchronization.refusals),
-        "warnings": _problems(synchronization.warnings),
-    }  # fmt: skip
-
-
-def offset_s(clock: CameraClock, start_s: float) -> float:
-    """Session time of a camera's own time 0, which was declared to be at ``start_s``."""
-    return clock.shift_s + clock.rate * start_s
-
-
-def _problems(problems: Sequence[Problem]) -> list[dict[str, Any]]:
-    return [
-        {"code": one.code, "message": one.message, "camera": one.camera, "hint": one.hint} for one in listed(problems)
-    ]
-
-
-def error_pictures(synchronized: Synchronized, starts_s: Mapping[str, float]) -> dict[str, str]:
+def error_pictures(synchronized: Synchronized) -> dict[str, str]:
     """SVG documents by file name, such as ``sync_cam_1.svg``: a camera's error over its offset."""
     clocks = synchronized.synchronization.clocks
     return {
-        f"sync_{_file_name(clock.camera)}.svg": _error_svg(clock, evidence, starts_s[clock.camera])
+        f"sync_{_file_name(clock.camera)}.svg": _error_svg(clock, evidence)
         for clock, evidence in zip(clocks, synchronized.evidence, strict=True)
     }
 
@@ -62,9 +26,9 @@ def _file_name(camera: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in camera)
 
 
-def _error_svg(clock: CameraClock, evidence: CameraEvidence, start_s: float) -> str:
-    found_s = offset_s(clock, start_s)
-    offsets_s = evidence.shifts_s + start_s
+def _error_svg(clock: CameraClock, evidence: CameraEvidence) -> str:
+    found_s = clock.offset_s
+    offsets_s = evidence.shifts_s + clock.start_s
     is_shown = np.abs(offsets_s - found_s) <= _HALF_S
     offsets_s, error = offsets_s[is_shown], evidence.error[is_shown]
     low_s, high_s = found_s - _HALF_S, found_s + _HALF_S
@@ -76,7 +40,7 @@ def _error_svg(clock: CameraClock, evidence: CameraEvidence, start_s: float) -> 
         return _HEIGHT - _MARGIN - share * (_HEIGHT - 2 * _MARGIN)
 
     marks = "".join(
-        f'<text x="{across(second):.0f}" y="{_HEIGHT - 14}" text-anchor="middle">{second} s</text>'
+        f'<text x="{across(float(second)):.0f}" y="{_HEIGHT - 14}" text-anchor="middle">{second} s</text>'
         for second in range(int(np.ceil(low_s)), int(np.floor(high_s)) + 1)
     )
     spread_s = clock.sigma_s if isfinite(clock.sigma_s) else 0.0

@@ -23,7 +23,8 @@ def likely_lags(motions: Sequence[Motion], pair: tuple[int, int]) -> list[int]:
     (first, first_start), (second, second_start) = signals
     if not len(first) or not len(second):
         return []
-    correlation, shared = 0.0, np.correlate(np.ones(len(first)), np.ones(len(second)), "full")
+    shared = np.correlate(np.ones(len(first)), np.ones(len(second)), "full")
+    correlation = np.zeros(len(shared))
     for column in range(first.shape[1]):
         a, b = (one[:, column] - one[:, column].mean() for one in (first, second))
         norm = max(float(np.std(a) * np.std(b)), 1e-12)

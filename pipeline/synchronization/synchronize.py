@@ -11,7 +11,7 @@ from pipeline.data import Camera, CameraClock, Detections, FrameTimes, Synchroni
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import find_doubts
-from pipeline.synchronization.coarse import Split, shift_curve, solve_offsets, splits_of
+from pipeline.synchronization.coarse import shift_curve, solve_offsets, splits_of
 from pipeline.synchronization.groups import match_people
 from pipeline.synchronization.motions import STEP_S, Motion, excerpt, find_motions
 from pipeline.synchronization.pairs import PairCurve, compare_pair
@@ -64,6 +64,7 @@ def synchronize(
     times: Mapping[str, FrameTimes],
     detections: Mapping[str, Detections],
     joints: JointSet,
+    starts_s: Mapping[str, float],
     on_share: OnShare = ignore,
 ) -> Synchronized:
     """Measure the cameras' clocks from the motion of people whom several cameras see.
@@ -75,12 +76,15 @@ def synchronize(
     Parameters
     ----------
     cameras
-        Calibrated cameras; the clock of the first one stays as it is.
+        Calibrated cameras. The rate of the first one's clock stays as it is, and uncertainties are relative to it. The
+        session begins when it was declared to begin.
     times, detections
         Declared frame times and bodies by camera. Nothing is known of the offsets: they are looked for over the whole
         take.
     joints
         Joints of the detections.
+    starts_s
+        Declared time at which each camera's own time is 0, by camera.
     on_share
         Called with the share of the work that is done.
 
@@ -103,9 +107,13 @@ def synchronize(
     span_s = _span_s(motions)
     fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, has_drift=span_s[1] - span_s[0] >= _MIN_DRIFT_S)
     clocks = tuple(_clock(number, camera, fine, times[camera.name]) for number, camera in enumerate(cameras))
+    late_s = _late_s(times, clocks)
+    clocks = tuple(
+        replace(clock, shift_s=clock.shift_s - late_s, start_s=float(starts_s[clock.camera])) for clock in clocks
+    )
     refusals, warnings = find_doubts(cameras, times, motions, splits, clocks, offsets)
     on_share(1.0)
-    evidence = tuple(_evidence(number, curves, offsets) for number in range(len(cameras)))
+    evidence = tuple(_evidence(number, curves, offsets, late_s) for number in range(len(cameras)))
     return Synchronized(Synchronization(clocks, refusals, warnings), evidence)
 
 
@@ -138,11 +146,11 @@ def _around(
     more = compare_pair(cameras, (curve.first, curve.second), motions, missing)
     lags = np.concatenate([curve.lags, missing])
     order = np.argsort(lags)
-    joined = {
-        name: read_only(np.concatenate([getattr(curve, name), getattr(more, name)])[order])
-        for name in ("gain", "cost", "weight")
-    }
-    return replace(curve, lags=lags[order], **joined)
+    gain, cost, weight = (
+        read_only(np.concatenate(both)[order])
+        for both in ((curve.gain, more.gain), (curve.cost, more.cost), (curve.weight, more.weight))
+    )
+    return PairCurve(curve.first, curve.second, lags[order], gain, cost, weight)
 
 
 def _best(curves: Sequence[PairCurve], num_cameras: int) -> list[PairCurve]:
@@ -167,12 +175,19 @@ def _clock(number: int, camera: Camera, fine: FineClocks, times: FrameTimes) -> 
     covariance = fine.covariance[np.ix_(own, own)]
     ends = [np.array([1.0, float(time_s) - fine.pivot_s]) for time_s in times.time_s[[0, -1]]]
     sigma_s = max(float(np.sqrt(max(end @ covariance @ end, 0.0))) for end in ends)
-    return CameraClock(
-        camera.name, float(fine.offset_s[number]) - drift * fine.pivot_s, 1.0 + drift, sigma_s
-    )
+    return CameraClock(camera.name, float(fine.offset_s[number]) - drift * fine.pivot_s, 1.0 + drift, sigma_s)
 
 
-def _evidence(number: int, curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"]) -> CameraEvidence:
+def _late_s(times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]) -> float:
+    """Time by which the first frame of all cameras is later than it was declared."""
+    declared_s = [times[clock.camera].time_s[:1] for clock in clocks]
+    starts_s = [clock.session_s(first_s) for clock, first_s in zip(clocks, declared_s, strict=True)]
+    return float(np.min(starts_s) - np.min(declared_s))
+
+
+def _evidence(
+    number: int, curves: Sequence[PairCurve], offsets: Int[np.ndarray, " cameras"], late_s: float
+) -> CameraEvidence:
     """Share of the moving joints that disagree, by shift of a camera."""
     cost: dict[int, float] = {}
     weight: dict[int, float] = {}
@@ -186,4 +201,4 @@ def _evidence(number: int, curves: Sequence[PairCurve], offsets: Int[np.ndarray,
                 weight[shift] = weight.get(shift, 0.0) + float(curve.weight[k])
     shifts = np.array(sorted(weight), np.int64)
     error = np.array([cost[shift] / weight[shift] for shift in shifts.tolist()])
-    return CameraEvidence(read_only(shifts * STEP_S), read_only(error))
+    return CameraEvidence(read_only(shifts * STEP_S - late_s), read_only(error))

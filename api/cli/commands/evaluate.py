@@ -52,9 +52,9 @@ from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.runtime.warm_up import warm_up
 from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 from pipeline.skeleton.animate import animate
+from pipeline.stages.cameras.refinement import refine_from_bodies
+from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people, reconstruct
-from pipeline.stages.refinement import refine_from_bodies
-from pipeline.stages.run import detection_joints
 from pipeline.tracking.associate import associate, locate_people, track_bodies
 from pipeline.tracking.observations import gather
 from pipeline.tracking.parameters import derive_parameters

@@ -256,6 +256,7 @@ def command(
                 ],
                 "metrics": metrics,
                 "calibration": metrics["calibration"],
+                "sync": metrics["sync"],
                 "files": [str(path) for path in paths],
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
                 "reused": bars.reused,

@@ -15,10 +15,11 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.progress import Progress
+from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people
 from pipeline.stages.plan import SYNCHRONIZE
-from pipeline.stages.run import detection_joints
-from pipeline.synchronization.report import error_pictures, sync_document
+from pipeline.synchronization.document import sync_document
+from pipeline.synchronization.report import error_pictures
 from pipeline.synchronization.synchronize import Synchronized, synchronize
 
 _PERCENT = 100
@@ -71,12 +72,12 @@ def command(
             session.times,
             detections,
             joints,
+            session.starts_s,
             lambda share: bars.update(Progress(SYNCHRONIZE, round(_PERCENT * share), _PERCENT)),
         )
-        starts_s = session.starts_s
-        document = sync_document(found.synchronization, starts_s)
+        document = sync_document(found.synchronization)
         if report is not None:
-            _write_report(report, document, found, starts_s)
+            _write_report(report, document, found)
     if as_json:
         emit(document)
     else:
@@ -98,10 +99,8 @@ def _check_sources(
         raise InputError(problems)
 
 
-def _write_report(
-    folder: Path, document: Mapping[str, Any], found: Synchronized, starts_s: Mapping[str, float]
-) -> None:  # fmt: skip
-    files = {"sync.json": json.dumps(document, indent=1) + "\n", **error_pictures(found, starts_s)}
+def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronized) -> None:
+    files = {"sync.json": json.dumps(document, indent=1) + "\n", **error_pictures(found)}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():

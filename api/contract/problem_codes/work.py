@@ -7,6 +7,7 @@ _SPEC = ("422", "command")
 _WARNING = ("warning",)
 _WARNING_AND_FINDING = ("warning", "finding")
 _READYZ = ("readyz",)
+_SYNC = ("job", "command")
 
 SPECS = CodeGroup(
     "Spec of a job",
@@ -87,6 +88,42 @@ JOBS = CodeGroup(
             ("job", "attempt"),
             "A stored output of a stage was damaged.",
             "The operator checks the disk; then retry the job.",
+        ),
+        ProblemCode(
+            "sync_no_motion",
+            _SYNC,
+            "A camera sees nobody who moves, or too little motion to tell its offset.",
+            "Declare the offsets, or film people who move; see [synchronization](synchronization.md#refusals).",
+        ),
+        ProblemCode(
+            "sync_ambiguous",
+            _SYNC,
+            "The motion that a camera sees fits several offsets.",
+            "Declare the offsets, or film other motion; see [synchronization](synchronization.md#refusals).",
+        ),
+        ProblemCode(
+            "sync_little_overlap",
+            _SYNC,
+            "A camera recorded for too short a time together with the others.",
+            "Declare the offsets.",
+        ),
+        ProblemCode(
+            "sync_nothing_in_common",
+            _SYNC,
+            "No motion that a camera sees fits the other cameras, at any offset.",
+            "Check that it sees the same people, and its calibration; or declare the offsets.",
+        ),
+        ProblemCode(
+            "sync_imprecise",
+            _SYNC,
+            "The offset of a camera is known to more than half a frame only.",
+            "Declare the offsets, or film people who move.",
+        ),
+        ProblemCode(
+            "sync_needs_bodies",
+            _SYNC,
+            "Cameras are synchronised from whole bodies; the detector finds single joints.",
+            "Use `detector: auto`, or declare the offsets.",
         ),
         ProblemCode(
             "input_error", ("job",), "The input has several problems.", "Correct everything that `detail` lists."
@@ -193,6 +230,12 @@ WARNINGS = CodeGroup(
             _WARNING,
             "A camera was moved during the take.",
             "Reconstruct the frames before and after the time in the message on their own (`frame_range`).",
+        ),
+        ProblemCode(
+            "sync_uncertain",
+            _WARNING,
+            "The measured clock of a camera may be wrong by up to half a frame.",
+            "Look at the motion; declare the offset, or film people who move where all cameras see them.",
         ),
         ProblemCode(
             "people_few_views",

@@ -41,7 +41,7 @@ class _Growing:
         is_known = np.isfinite(moved).all(-1)
         if not is_known.any():
             return self.points_px[-1]
-        velocity = np.median(moved[is_known], axis=0) / (self.times_s[-1] - self.times_s[back])
+        velocity = _medians(moved[is_known].T) / (self.times_s[-1] - self.times_s[back])
         return self.points_px[-1] + velocity * (time_s - self.times_s[-1])
 
 
@@ -150,6 +150,13 @@ def _shifts(
     is_known = np.isfinite(distance)
     enough = is_known.sum(-1) >= _MIN_JOINTS
     median = np.full(enough.shape, np.inf)
-    median[enough] = np.nanmedian(distance[enough], axis=-1)
+    median[enough] = _medians(distance[enough])
     extent: np.ndarray = np.nanmax(bodies_px, axis=1) - np.nanmin(bodies_px, axis=1)
     return median / np.maximum(extent.max(-1), 1.0)
+
+
+def _medians(values: Float[np.ndarray, "n joints"]) -> Float[np.ndarray, " n"]:
+    """Medians of each row without its NaN; for small arrays much faster than NumPy's."""
+    count = np.isfinite(values).sum(-1)
+    ordered, rows = np.sort(values, axis=-1), np.arange(len(values))
+    return (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2

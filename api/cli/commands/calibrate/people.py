@@ -16,9 +16,9 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError, Problem
 from pipeline.progress import Progress
+from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people
 from pipeline.stages.plan import CALIBRATE
-from pipeline.stages.run import detection_joints
 
 _PERCENT = 100
 

@@ -23,10 +23,10 @@ from pipeline.progress import Progress
 from pipeline.quality.report import quality_report
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.simulation.views.fields import GRID, render
+from pipeline.stages.cameras.refinement import refine_from_fields
 from pipeline.stages.local import reconstruct
 from pipeline.stages.outputs_npz import decode_refinement, encode_refinement
 from pipeline.stages.plan import ASSOCIATE, REFINE
-from pipeline.stages.refinement import refine_from_fields
 from pipeline.video.timeline import span_s
 from tests.pipeline.simulations import write_simulation
 

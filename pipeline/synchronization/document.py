@@ -1,0 +1,29 @@
+"""Clocks of a synchronisation as a JSON document."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any
+
+from pipeline.data import Synchronization
+from pipeline.errors import Problem, listed
+
+
+def sync_document(synchronization: Synchronization) -> dict[str, Any]:
+    """Clocks as JSON: ``session time = offset + rate * own time``; an uncertainty that is not finite is ``None``."""
+    clocks = synchronization.clocks
+    return {
+        "offsets_s": {clock.camera: round(clock.offset_s, 6) for clock in clocks},
+        "uncertainty_s": {
+            clock.camera: round(clock.sigma_s, 6) if isfinite(clock.sigma_s) else None for clock in clocks
+        },
+        "rates": {clock.camera: round(clock.rate, 9) for clock in clocks},
+        "certain": synchronization.is_certain,
+        "refusals": _problems(synchronization.refusals),
+        "warnings": _problems(synchronization.warnings),
+    }
+
+
+def _problems(problems: Sequence[Problem]) -> list[dict[str, Any]]:
+    return [
+        {"code": one.code, "message": one.message, "camera": one.camera, "hint": one.hint} for one in listed(problems)
+    ]
