@@ -1,0 +1,5 @@
+"""`multicap sync`: clocks of cameras, measured from people."""
+
+from api.cli.commands.sync.measure import command
+
+__all__ = ["command"]
