@@ -43,6 +43,7 @@ PASSED_ON = {
     ("api/errors.py", "_from_status"),  # those of _CODES
     ("api/errors.py", "problem_response"),
     ("api/routes/health.py", "_database_check"),  # that of database_damaged
+    ("api/routes/job/people.py", "edit_job_people"),  # that of apply_edits
     ("pipeline/capture/session.py", "_range_problems"),
     ("pipeline/findings.py", "from_problem"),  # those of the problem
     ("pipeline/quality/report.py", "all_checks"),  # those of the checks of a take
