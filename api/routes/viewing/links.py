@@ -79,14 +79,12 @@ def revoke_link(
 def _check(spec: LinkSpec, services: Services) -> None:
     """Raise 422 with all that is wrong with a link."""
     errors = []
-    if (spec.name is None) == (spec.scope in _NAMED):
-        message = (
-            f"A link of the scope {spec.scope} needs the name of what it opens."
-            if spec.name is None
-            else f"A link of the scope {spec.scope} opens no single file."
-        )
-        code = "missing_field" if spec.name is None else "unknown_field"
-        errors.append(ErrorItem(code=code, message=message, pointer=pointer_to("name")))
+    if spec.name is None and spec.scope in _NAMED:
+        message = f"A link of the scope {spec.scope} needs the name of what it opens."
+        errors.append(ErrorItem(code="missing_field", message=message, pointer=pointer_to("name")))
+    if spec.name is not None and spec.scope not in _NAMED:
+        message = f"A link of the scope {spec.scope} opens no single file."
+        errors.append(ErrorItem(code="unknown_field", message=message, pointer=pointer_to("name")))
     max_days = services.settings.max_link_days
     if spec.expires_in_s is not None and spec.expires_in_s > max_days * _DAY_S:
         message = f"A link of this service ends after {max_days:g} days at the latest."
