@@ -59,7 +59,7 @@ def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     described = [
         f"{video.file} ({len(video.doubled_s)} of {video.num_frames} frames, {_times(video.doubled_s)})"
         for video in videos
-        if len(video.doubled_s) > _MAX_DOUBLED * video.num_frames
+        if len(video.doubled_s) > max(1, _MAX_DOUBLED * video.num_frames)
     ]
     if described:
         yield (

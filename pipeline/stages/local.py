@@ -39,6 +39,7 @@ from pipeline.stages.plan import (
 )
 from pipeline.stages.run import assemble, run_task
 from pipeline.video.frame_rate import measured_rate_hz
+from pipeline.video.images.files import folder_sha256
 
 _DEFAULTS = ReconstructionConfig()
 
@@ -166,7 +167,8 @@ def _inputs(session: Session) -> tuple[str, ...]:
         return (hashlib.sha256(encode_keypoints(session)).hexdigest(),)
     opened = hashlib.sha256(encode_session(session)).hexdigest()
     try:
-        return (opened, *(sha256_of(video.path) for video in session.videos))
+        paths = [video.path for video in session.videos]
+        return (opened, *(folder_sha256(path) if path.is_dir() else sha256_of(path) for path in paths))
     except OSError as error:
         raise PipelineError(f"The video {error.filename} can't be read: {error.strerror}.") from error
 

@@ -1,5 +1,6 @@
 """Files of a sequence of images, in a folder or in a zip archive: listed and numbered, and read one at a time."""
 
+import hashlib
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -62,10 +63,23 @@ def open_images(path: Path) -> Iterator[ImageFiles]:
         yield _Archive(archive, {name_of(entry): entry for entry in entries})
 
 
+def folder_sha256(folder: Path) -> str:
+    """SHA-256 of the names and contents of a folder's images, in hexadecimal digits."""
+    digest = hashlib.sha256()
+    for name, path in sorted(_images_in(folder).items()):
+        with path.open("rb") as file:
+            digest.update(f"{len(name)} {name} {hashlib.file_digest(file, 'sha256').hexdigest()}\n".encode())
+    return digest.hexdigest()
+
+
+def _images_in(folder: Path) -> dict[str, Path]:
+    files = (one for one in folder.iterdir() if one.suffix.lower() in ENDINGS and not one.name.startswith("."))
+    return {one.name: one for one in files if one.is_file()}
+
+
 class _Folder:
     def __init__(self, path: Path) -> None:
-        files = (one for one in path.iterdir() if one.suffix.lower() in ENDINGS and not one.name.startswith("."))
-        self._files = _numbered({one.name: one for one in files if one.is_file()})
+        self._files = _numbered(_images_in(path))
 
     @property
     def frames(self) -> Sequence[int]:

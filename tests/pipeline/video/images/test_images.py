@@ -120,6 +120,16 @@ def test_what_is_no_sequence_is_refused(tmp_path: Path, monkeypatch: pytest.Monk
     assert refused(as_zip(tmp_path / "many", good)).code == "images_archive"
 
 
+def test_the_digest_of_a_folder_is_that_of_its_images(tmp_path: Path) -> None:
+    images = {f"{k}.png": image(k) for k in range(3)}
+    folder = as_folder(tmp_path / "a", images)
+    digest = files.folder_sha256(folder)
+    assert files.folder_sha256(as_folder(tmp_path / "b", images | {"notes.txt": b"other"})) == digest
+    assert files.folder_sha256(as_folder(tmp_path / "c", images | {"1.png": image(7)})) != digest
+    (folder / "2.png").rename(folder / "3.png")
+    assert files.folder_sha256(folder) != digest
+
+
 def test_a_size_that_changes_later_is_refused_when_it_is_seen(tmp_path: Path) -> None:
     images = {f"{k}.png": image(k, size_px=(80, 48) if k == 20 else SIZE_PX) for k in range(30)}
     video = found(as_zip(tmp_path / "cam", images))
