@@ -12,6 +12,7 @@ from typing import Annotated, Literal, cast, get_args
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.choices import About, FileFormat, Network, OtherNames, Value, choices_of, values_of
 from pipeline.edits import PeopleEdit
+from pipeline.video.playback.choices import ProxyChoices
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -235,7 +236,7 @@ class ReconstructionConfig(JobChoices):
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
     making
-        Choices of the calibration that is made in place of a reconstruction; ``None``: it reconstructs.
+        Choices of what is made in place of a reconstruction; ``None``: it reconstructs.
     edits
         Edits of the people who were found, in the order in which they were made.
     chunk_frames
@@ -246,7 +247,7 @@ class ReconstructionConfig(JobChoices):
 
     tracking: Mapping[str, float] = field(default_factory=dict)
     clustering: Mapping[str, float] = field(default_factory=dict)
-    making: CalibrationChoices | None = None
+    making: CalibrationChoices | ProxyChoices | None = None
     edits: tuple[PeopleEdit, ...] = ()
     chunk_frames: Annotated[
         int,

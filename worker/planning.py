@@ -5,12 +5,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol, runtime_checkable
 
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.preflight_record import Preflight
 from pipeline.edits import PeopleEdit
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import DEFAULT_CHUNK_FRAMES, PlannedStage, SessionFacts, Task, plan
-from worker.jobs.model import ChunkPlan, Claim, InputFile, StagePlan, config_of
+from worker.jobs.model import ChunkPlan, Claim, InputFile, Making, StagePlan, config_of
 from worker.jobs.spec import JobSpec
 
 
@@ -32,7 +31,7 @@ def plan_job(
     spec: JobSpec,
     chunk_frames: int = DEFAULT_CHUNK_FRAMES,
     codes: Mapping[str, str] | None = None,
-    making: CalibrationChoices | None = None,
+    making: Making | None = None,
     edits: tuple[PeopleEdit, ...] = (),
 ) -> tuple[StagePlan, ...]:
     """Cut a job into stages and chunks, one chunk a task; see ``pipeline.stages.plan.plan``.

@@ -127,6 +127,7 @@ _SESSION: dict[str, Any] = {
     "duration_s": 12.0,
     "num_jobs": 1,
     "newest_job": {"id": _JOB_ID, "state": "running"},
+    "proxies_job": None,
     "preflight": _PREFLIGHT,
     "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{_SESSION_ID}", "jobs": f"/v1/sessions/{_SESSION_ID}/jobs"},

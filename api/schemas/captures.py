@@ -11,7 +11,8 @@ from pydantic_core import PydanticCustomError
 
 from api.schemas.common import FindingOut, Id, NextCursor, ResponseModel, fields_of, printable_name
 from pipeline.capture.preflight_record import Clock, PreflightCamera
-from worker.jobs.model import Capture, JobState, Session
+from pipeline.video.playback.choices import proxy_name
+from worker.jobs.model import Capture, JobState, NewestJob
 from worker.jobs.spec import JobSpec
 
 
@@ -188,17 +189,22 @@ class CameraOut(ResponseModel):
     num_frames: int = Field(description="Number of frames in the file.")
     start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.")
     plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.")
-    video_link: str | None = Field(description="Path of a video that browsers play; null if there is none.")
+    video_link: str | None = Field(
+        description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
+        "is made, and for keypoints."
+    )
     media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
 
     @classmethod
-    def of(cls, session_id: str, camera: PreflightCamera) -> Self:
+    def of(cls, session_id: str, camera: PreflightCamera, has_proxy: bool) -> Self:
         """Build the response from a camera of a session."""
         plays = camera.media_type is not None
+        path = f"/v1/sessions/{session_id}/videos/{quote(camera.name, safe='')}"
         return cls(
-            **fields_of(camera, cls, without=("plays_in_browsers", "video_link")),
+            **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s")),
             plays_in_browsers=plays,
-            video_link=f"/v1/sessions/{session_id}/videos/{quote(camera.name, safe='')}" if plays else None,
+            video_link=path if plays or has_proxy else None,
+            media_start_s=camera.media_start_s if plays else 0.0,
         )
 
 
@@ -221,11 +227,14 @@ class PreflightOut(ResponseModel):
     )
 
     @classmethod
-    def of(cls, session: Session) -> Self:
-        """Build the response from a session."""
-        preflight = session.preflight
+    def of(cls, capture: Capture) -> Self:
+        """Build the response from a session and its proxies."""
+        session, preflight = capture.session, capture.session.preflight
         return cls(
-            cameras=tuple(CameraOut.of(session.id, camera) for camera in preflight.cameras),
+            cameras=tuple(
+                CameraOut.of(session.id, camera, proxy_name(number) in capture.proxies)
+                for number, camera in enumerate(preflight.cameras)
+            ),
             timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
             warnings=preflight.warnings,
             findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
@@ -244,6 +253,11 @@ class NewestJobOut(ResponseModel):
 
     id: Id
     state: JobState = Field(description="State of the job.")
+
+    @classmethod
+    def of(cls, job: NewestJob | None) -> Self | None:
+        """Build the response from a job, if there is one."""
+        return None if job is None else cls(id=job.id, state=job.state)
 
 
 class SessionChanges(BaseModel):
@@ -265,6 +279,9 @@ class SessionOut(ResponseModel):
     duration_s: float = Field(description="Duration: output frames divided by the frame rate.")
     num_jobs: int = Field(description="Number of the session's reconstructions.")
     newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
+    proxies_job: NewestJobOut | None = Field(
+        description="Job that makes small copies of the videos that browsers can't play; null if none had to."
+    )
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
     links: SessionLinks
@@ -272,7 +289,7 @@ class SessionOut(ResponseModel):
     @classmethod
     def of(cls, capture: Capture) -> Self:
         """Build the response from a session and its jobs."""
-        session, newest = capture.session, capture.newest_job
+        session = capture.session
         address = f"/v1/sessions/{session.id}"
         return cls(
             id=session.id,
@@ -282,15 +299,16 @@ class SessionOut(ResponseModel):
             num_bytes=sum(file.num_bytes for file in session.files),
             duration_s=session.preflight.duration_s,
             num_jobs=capture.num_jobs,
-            newest_job=None if newest is None else NewestJobOut(id=newest.id, state=newest.state),
-            preflight=PreflightOut.of(session),
+            newest_job=NewestJobOut.of(capture.newest_job),
+            proxies_job=NewestJobOut.of(capture.proxies_job),
+            preflight=PreflightOut.of(capture),
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )
 
     def for_link(self) -> Self:
         """Session as a link to one of its jobs shows it: nothing of its other jobs, and no data of the client."""
-        return self.model_copy(update={"num_jobs": 1, "newest_job": None, "metadata": {}})
+        return self.model_copy(update={"num_jobs": 1, "newest_job": None, "proxies_job": None, "metadata": {}})
 
 
 class SessionPage(ResponseModel):

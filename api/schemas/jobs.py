@@ -14,11 +14,13 @@ from worker.jobs.model import (
     ChunkState,
     Failure,
     Job,
+    JobKind,
     JobState,
     Problem,
     Result,
     Stage,
     is_worth_a_retry,
+    kind_of,
 )
 from worker.jobs.spec import JobSpec
 
@@ -133,11 +135,11 @@ class JobLinks(ResponseModel):
 
 
 class JobOut(ResponseModel):
-    """Job: a reconstruction of a session, or the making of a calibration from it."""
+    """Job: a reconstruction of a session, the making of a calibration from it, or of proxies of its videos."""
 
     id: Id
-    kind: Literal["reconstruction", "calibration"] = Field(description="What the job makes.")
-    calibration_id: Id | None = Field(description="Calibration that the job makes; null of a reconstruction.")
+    kind: JobKind = Field(description="What the job makes.")
+    calibration_id: Id | None = Field(description="Calibration that the job makes; null of others.")
     session_id: Id
     session_name: str = Field(description="Name of the session.")
     num_frames: int = Field(description="Output frames of the whole session; `spec.frame_range` may select some.")
@@ -176,8 +178,8 @@ class JobOut(ResponseModel):
         address = f"/v1/jobs/{job.id}"
         return cls(
             **fields_of(job, cls, without=("kind", "calibration_id", "stages", "error", "result_warnings", "links")),
-            kind="reconstruction" if job.making is None else "calibration",
-            calibration_id=None if job.making is None else job.id,
+            kind=kind_of(job.making),
+            calibration_id=job.id if kind_of(job.making) == "calibration" else None,
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,
             result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),

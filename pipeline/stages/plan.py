@@ -1,6 +1,7 @@
 """Plan of a job: stages, their tasks and the keys of the tasks' outputs. Standard library only.
 
-A job reconstructs a session, or makes a calibration from the board or the people that its videos show.
+A job reconstructs a session, makes a calibration from the board or the people that its videos show, or makes proxies
+of its videos.
 
 ``STAGES`` declares each stage once; progress, labels, keys, the page and the command line read it. ``plan`` is pure:
 equal inputs give equal plans on every machine. The key of a task is a hash of the stage, the digest of its code, the
@@ -15,14 +16,15 @@ from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from typing import Any, Literal
 
-from pipeline.calibration_choices import BOARD_FRAMES
+from pipeline.calibration_choices import BOARD_FRAMES, CalibrationChoices
 from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.edits import document_of
+from pipeline.video.playback.choices import ProxyChoices
 
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
-FIND_BOARD, CALIBRATE = "find_board", "make_calibration"
+FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
@@ -150,7 +152,9 @@ class Stage:
 
 
 def _is_detecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    return facts.has_videos and (config.making is None or config.making.board is None)
+    making = config.making
+    is_wanted = making is None or (isinstance(making, CalibrationChoices) and making.board is None)
+    return facts.has_videos and is_wanted
 
 
 def _is_sized(facts: SessionFacts, config: ReconstructionConfig) -> bool:
@@ -158,11 +162,15 @@ def _is_sized(facts: SessionFacts, config: ReconstructionConfig) -> bool:
 
 
 def _is_finding_board(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is not None and config.making.board is not None
+    return isinstance(config.making, CalibrationChoices) and config.making.board is not None
 
 
 def _is_calibrating(_: SessionFacts, config: ReconstructionConfig) -> bool:
-    return config.making is not None
+    return isinstance(config.making, CalibrationChoices)
+
+
+def _is_making_proxies(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return isinstance(config.making, ProxyChoices)
 
 
 def _is_clustering(_: SessionFacts, config: ReconstructionConfig) -> bool:
@@ -221,6 +229,17 @@ STAGES = (
         choices=("making",),
         function="calibrate",
         is_planned=_is_calibrating,
+        is_reusable=False,
+    ),
+    Stage(
+        PROXY,
+        "Convert videos for browsers",
+        cut="cameras",
+        follows=(),
+        choices=("making",),
+        function="make_proxy",
+        is_planned=_is_making_proxies,
+        unit="frames",
         is_reusable=False,
     ),
     Stage(
@@ -415,7 +434,8 @@ def plan(
             own = {name: choices[name] for name in (*stage.choices, *unassigned)}
             keys[stage.name] = _hash([stage.name, codes[stage.name], own, inputs])
             of_stage = cut_by_camera if stage.cut == "camera ranges" else cut
-            stages.append(PlannedStage(stage.name, _tasks(stage, keys[stage.name], facts, of_stage), codes[stage.name]))
+            tasks = _tasks(stage, keys[stage.name], facts, of_stage, _cameras(facts, config))
+            stages.append(PlannedStage(stage.name, tasks, codes[stage.name]))
     return tuple(stages)
 
 
@@ -454,9 +474,17 @@ def _bounded_length(facts: SessionFacts, chunk_frames: int) -> int:
     return chunk_frames
 
 
-def _tasks(stage: Stage, stage_key: str, facts: SessionFacts, cut: FrameCut) -> Iterable[Task]:
+def _cameras(facts: SessionFacts, config: ReconstructionConfig) -> tuple[str, ...]:
+    """Cameras of the stages that are cut by camera."""
+    chosen = config.making.cameras if isinstance(config.making, ProxyChoices) else facts.camera_rates_hz
+    return tuple(camera for camera in facts.camera_rates_hz if camera in chosen)
+
+
+def _tasks(
+    stage: Stage, stage_key: str, facts: SessionFacts, cut: FrameCut, cameras: tuple[str, ...]
+) -> Iterable[Task]:
     if stage.cut == "cameras":
-        return _WholeCameraTasks(stage.name, stage_key, facts, cut.chunk_frames)
+        return _WholeCameraTasks(stage.name, stage_key, facts, cameras, cut.chunk_frames)
     if stage.cut == "camera ranges":
         return _CameraTasks(stage.name, stage_key, cut, facts.frame_rate_hz, facts.camera_rates_hz)
     if stage.cut == "ranges":
@@ -474,13 +502,16 @@ class _WholeCameraTasks:
     stage: str
     stage_key: str
     facts: SessionFacts
+    cameras: tuple[str, ...]
     chunk_frames: int
 
     def __iter__(self) -> Iterator[Task]:
         frames = range(self.facts.num_frames)
-        for index, (camera, rate_hz) in enumerate(self.facts.camera_rates_hz.items()):
+        for index, camera in enumerate(self.cameras):
+            rate_hz = self.facts.camera_rates_hz[camera]
             num_frames = max(1, round(len(frames) * rate_hz / self.facts.frame_rate_hz))
-            num_units = min(LOOKED_AT_FRAMES if self.stage == LOOK else BOARD_FRAMES, num_frames)
+            most = {LOOK: LOOKED_AT_FRAMES, FIND_BOARD: BOARD_FRAMES}.get(self.stage, num_frames)
+            num_units = min(most, num_frames)
             key = _hash([self.stage_key, camera])
             yield Task(self.stage, index, camera, frames, self.chunk_frames, num_units, key)
 

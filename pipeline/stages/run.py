@@ -14,6 +14,7 @@ from pipeline.calibration.board.views import decode_views, encode_views
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.report import MadeCalibration, report_document
 from pipeline.calibration.write import encodings
+from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
 from pipeline.data import Animation, PictureChanges, Reconstruction
@@ -95,6 +96,8 @@ from pipeline.stages.plan import (
     Task,
 )
 from pipeline.stages.viewer import viewer_files
+from pipeline.video.playback.choices import PROXY_KIND, proxy_name
+from pipeline.video.playback.proxy_process import make_proxy_in_child
 from pipeline.video.timeline import span_s
 
 _PEOPLE, _EDITED, _FOUND = "people.npz", "edited.npz", "found.npz"
@@ -180,8 +183,10 @@ def detect(task: Task, context: Context) -> Output:
 def find_board(task: Task, context: Context) -> Output:
     """Look for the board in frames of a camera."""
     session, making = context.session(), context.config.making
-    if isinstance(session, KeypointSession) or task.camera is None or making is None or making.board is None:
+    if isinstance(session, KeypointSession) or task.camera is None:
         raise PipelineError("A board is looked for in videos.")
+    if not isinstance(making, CalibrationChoices) or making.board is None:
+        raise PipelineError("The job looks for no board.")
     number = [camera.name for camera in session.cameras].index(task.camera)
     times_s = [times.time_s for times in session.times.values()]
     span = min(float(one[0]) for one in times_s), max(float(one[-1]) for one in times_s)
@@ -196,7 +201,7 @@ def find_board(task: Task, context: Context) -> Output:
 def calibrate(task: Task, context: Context) -> Output:
     """Make a calibration from the views of a board, or from the people of a session."""
     making, on_share = context.config.making, _on_share(task, context)
-    if making is None:
+    if not isinstance(making, CalibrationChoices):
         raise PipelineError("The job makes no calibration.")
     if making.board is None:
         session = context.session()
@@ -253,6 +258,18 @@ def synchronize_cameras(task: Task, context: Context) -> Output:
         else all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
     )
     return Output(encode_clocks(measure_clocks(session, detections, joints, _on_share(task, context))))
+
+
+def make_proxy(task: Task, context: Context) -> Output:
+    """Make a small copy of a camera's video that browsers play."""
+    session = context.session()
+    if isinstance(session, KeypointSession) or task.camera is None:
+        raise PipelineError("Proxies are made of videos.")
+    number = [camera.name for camera in session.cameras].index(task.camera)
+    path = context.scratch / proxy_name(number)
+    with context.video(task.camera):
+        make_proxy_in_child(session.videos[number], session.times[task.camera].time_s, path, context.on_unit)
+    return Output(b"", (ResultFile(path.name, PROXY_KIND, None, "video/mp4", path),))
 
 
 def refine_calibration(task: Task, context: Context) -> Output:
@@ -480,6 +497,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         find_board,
         calibrate,
         synchronize_cameras,
+        make_proxy,
         refine_calibration,
         measure_lengths,
         find_poses,

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from pipeline.capture import preflight
 from pipeline.capture.preflight_record import Preflight
 from pipeline.errors import InputError
 from pipeline.stages.outputs_npz import decode_detections
+from pipeline.video.info import VideoInfo
+from pipeline.video.playback.choices import ProxyChoices
+from pipeline.video.probe import probe
 from tests.e2e.captures import video_capture
 from tests.worker.jobs.damage import overwrite
 from worker import execution
@@ -135,3 +139,15 @@ def test_a_record_without_a_digest_is_read_as_before(
 ) -> None:
     old = Session(session.id, session.name, session.created_at, session.files, session.preflight)
     assert execution.run_chunk(work(old, artifacts, tmp_path)).content
+
+
+def test_a_proxy_is_a_result_file_of_its_camera(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+    frames: list[None] = []
+    chunk = work(session, artifacts, tmp_path, lambda: frames.append(None))
+    claim = replace(chunk.claim, stage="make_proxy", payload={**chunk.claim.payload, "camera": "right"})
+    outcome = execution.run_chunk(replace(chunk, claim=replace(claim, making=ProxyChoices(("right",)))))
+    (file,) = outcome.files
+    assert (file.name, file.kind, file.person, file.media_type) == ("proxy-1.mp4", "proxy", None, "video/mp4")
+    proxy = probe(file.path)
+    assert isinstance(proxy, VideoInfo)
+    assert (proxy.num_frames, len(frames)) == (NUM_FRAMES, NUM_FRAMES)

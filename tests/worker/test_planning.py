@@ -25,12 +25,14 @@ from pipeline.stages.plan import (
     LOOKED_AT_FRAMES,
     MAX_TASKS,
     POSES,
+    PROXY,
     REFINE,
     STAGES,
     FrameCut,
     effective_choices,
     plan,
 )
+from pipeline.video.playback.choices import ProxyChoices
 from worker.jobs.model import InputFile, Session, StagePlan
 from worker.jobs.spec import JobSpec
 from worker.planning import plan_job, session_facts
@@ -327,3 +329,15 @@ def test_a_plan_takes_no_memory() -> None:
         assert tracemalloc.get_traced_memory()[1] < 2**20
     finally:
         tracemalloc.stop()
+
+
+def test_proxies_are_made_of_some_cameras_and_of_nothing_else() -> None:
+    session = make_session(100, (50.0, 25.0, 25.0))
+    (stage,) = plan_job(session, JobSpec(), making=ProxyChoices(("2", "0")))
+    chunks = list(stage.chunks)
+    assert stage.name == PROXY
+    assert [(chunk.index, chunk.payload["camera"], chunk.unit_count) for chunk in chunks] == [
+        (0, "0", 100),
+        (1, "2", 50),
+    ]
+    assert PROXY not in [planned.name for planned in plan_job(session, JobSpec())]

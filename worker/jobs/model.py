@@ -26,6 +26,7 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.config import ReconstructionConfig
 from pipeline.edits import PeopleEdit, PersonSpan
 from pipeline.findings import Finding
+from pipeline.video.playback.choices import ProxyChoices
 from worker.jobs.spec import JobSpec
 
 
@@ -166,7 +167,7 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class NewestJob:
-    """Reconstruction of a session that was queued last."""
+    """Job of a session that was queued last."""
 
     id: str
     state: JobState
@@ -174,11 +175,23 @@ class NewestJob:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A session with its reconstructions: their number, and the newest one; ``None`` without any."""
+    """A session with its reconstructions and its proxies.
+
+    Parameters
+    ----------
+    num_jobs, newest_job
+        Number of reconstructions, and the newest one; ``None`` without any.
+    proxies
+        Names of the proxies that are made; see ``pipeline.video.playback.choices.proxy_name``.
+    proxies_job
+        Job that makes proxies; ``None``: no job had to.
+    """
 
     session: Session
     num_jobs: int = 0
     newest_job: NewestJob | None = None
+    proxies: frozenset[str] = frozenset()
+    proxies_job: NewestJob | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,15 +308,31 @@ class MadeCalibration:
     report: Mapping[str, Any]
 
 
+JobKind = Literal["reconstruction", "calibration", "proxies"]
+Making = CalibrationChoices | ProxyChoices
+"""Choices of a job that makes something else than a reconstruction."""
+
+
+def kind_of(making: Making | None) -> JobKind:
+    """Kind of a job by what it makes."""
+    match making:
+        case None:
+            return "reconstruction"
+        case CalibrationChoices():
+            return "calibration"
+        case ProxyChoices():
+            return "proxies"
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A reconstruction of a session, or the making of a calibration from it.
+    """A reconstruction of a session, the making of a calibration from it, or of proxies of its videos.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
     units took as long as the finished ones; ``None`` before any is finished. ``warnings`` are sentences, and include
-    those of ``result_warnings``. ``making`` has the choices of the calibration that it makes; without it, the job
-    reconstructs. ``edits`` are the edits of its people, ``revision`` the number of times that they were changed, and
-    ``people`` those whom the reconstruction found, before any edit; ``None`` until its first results are written.
+    those of ``result_warnings``. ``making`` has the choices of what it makes; without it, the job reconstructs.
+    ``edits`` are the edits of its people, ``revision`` the number of times that they were changed, and ``people`` those
+    whom the reconstruction found, before any edit; ``None`` until its first results are written.
     """
 
     id: str
@@ -325,7 +354,7 @@ class Job:
     problem: Problem | None
     warnings: tuple[str, ...]
     result_warnings: tuple[Finding, ...]
-    making: CalibrationChoices | None = None
+    making: Making | None = None
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
     people: tuple[PersonSpan, ...] | None = None
@@ -482,7 +511,7 @@ class Claim:
     attempt: int  # try of the chunk, from 1
     job_attempt: int
     trace: str | None  # W3C traceparent of the request for the job
-    making: CalibrationChoices | None = None  # as of ``Job``, like the next two
+    making: Making | None = None  # as of ``Job``, like the next two
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
 
@@ -492,8 +521,6 @@ class Claim:
         return config_of(self.spec, self.making, self.edits)
 
 
-def config_of(
-    spec: JobSpec, making: CalibrationChoices | None = None, edits: tuple[PeopleEdit, ...] = ()
-) -> ReconstructionConfig:
-    """Configuration of a job by its spec, the choices of the calibration that it makes, and the edits of its people."""
+def config_of(spec: JobSpec, making: Making | None = None, edits: tuple[PeopleEdit, ...] = ()) -> ReconstructionConfig:
+    """Configuration of a job by its spec, the choices of what else it makes, and the edits of its people."""
     return replace(spec.config, making=making, edits=edits)

@@ -25,11 +25,12 @@ from api.requests.bodies import SmallBodyRoute
 from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
+from api.requests.proxies import queue_proxies
 from api.requests.spec_checks import callback_errors, network_errors, spec_errors
 from api.schemas.captures import UploadedCapture
 from api.schemas.jobs import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
-from worker.jobs.model import RETRYABLE, Job, JobState
+from worker.jobs.model import RETRYABLE, Job, JobKind, JobState
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos, plan_job
@@ -80,6 +81,7 @@ def create_job(
         stages = plan_job(session, spec, services.settings.chunk_frames)
         with idempotent.records.transaction() as work:
             job = work.jobs.add(session.id, spec, stages, services.settings.retention_s, tracing.current())
+            queue_proxies(work, services, session, session.id)
             answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer.response()
@@ -116,6 +118,7 @@ def _add_session_and_job(services: Services, idempotent: IdempotentRequest, chec
             work.uploads.use(new.upload_ids)
             work.sessions.add(new.name, new.files, new.preflight, new.id, new.metadata, new.record_sha256)
             job = work.jobs.add(new.id, spec, stages, settings.retention_s, tracing.current())
+            queue_proxies(work, services, new, new.id)
             answer = idempotent.store(work, _accepted(job))
     _announce(services, job)
     return answer
@@ -126,11 +129,12 @@ def list_jobs(
     records: RecordsDep,
     state: State = None,
     session_id: Annotated[uuid.UUID | None, Query(description="Only jobs of this session.")] = None,
+    kind: Annotated[JobKind | None, Query(description="Only jobs of this kind; without it all but `proxies`.")] = None,
     limit: Limit = 50,
     cursor: Cursor = None,
 ) -> JobPage:
     """List jobs, the newest first: all of them, or those of a session or in a state."""
-    return _page(records, state, str(session_id) if session_id else None, limit, cursor)
+    return _page(records, state, str(session_id) if session_id else None, limit, cursor, kind)
 
 
 @small.get(
@@ -237,11 +241,16 @@ def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> Non
 
 
 def _page(
-    records: TenantRecords, state: JobState | None, session_id: str | None, limit: int, cursor: uuid.UUID | None
+    records: TenantRecords,
+    state: JobState | None,
+    session_id: str | None,
+    limit: int,
+    cursor: uuid.UUID | None,
+    kind: JobKind | None = None,
 ) -> JobPage:
     """Build a page of a list of jobs."""
     after = str(cursor) if cursor else None
-    jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id)
+    jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id, kind=kind)
     next_cursor = jobs[-1].id if len(jobs) == limit else None
     return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
 

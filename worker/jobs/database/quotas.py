@@ -40,7 +40,8 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
     ).one()
-    unfinished = select(func.count()).select_from(jobs).where(mine, jobs.c.state.not_in(FINISHED))
+    is_unfinished = jobs.c.state.not_in(FINISHED) & (jobs.c.kind != "proxies")
+    unfinished = select(func.count()).select_from(jobs).where(mine, is_unfinished)
     return Usage(
         sessions=num_sessions,
         unfinished_jobs=connection.scalar(unfinished) or 0,

@@ -13,6 +13,7 @@ from pipeline.config import method_warnings
 from pipeline.edits import PeopleEdit, PersonSpan, edit_of
 from pipeline.findings import Finding
 from pipeline.stages.plan import DETECT
+from pipeline.video.playback.choices import ProxyChoices
 from worker.jobs.database.connection import now
 from worker.jobs.database.tables import chunks, jobs, sessions
 from worker.jobs.model import (
@@ -21,6 +22,7 @@ from worker.jobs.model import (
     InputFile,
     Job,
     JobState,
+    Making,
     Problem,
     Result,
     Session,
@@ -120,7 +122,7 @@ def _job(row: Row[Any], stages: tuple[Stage, ...]) -> Job:
             *(warning.message for warning in found),
         ),
         result_warnings=found,
-        making=making_of(row.making),
+        making=making_of(row.kind, row.making),
         edits=edits_of(row.edits),
         revision=row.revision,
         people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
@@ -132,10 +134,12 @@ def edits_of(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
     return tuple(map(edit_of, documents))
 
 
-def making_of(choices: Mapping[str, Any] | None) -> CalibrationChoices | None:
-    """Choices of the calibration that a job makes, from its column."""
+def making_of(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
+    """Choices of what a job makes, from its columns."""
     if choices is None:
         return None
+    if kind == "proxies":
+        return ProxyChoices(tuple(choices["cameras"]))
     points = tuple(
         KnownPoint(one["name"], tuple(one["xyz_m"]), tuple(tuple(view) for view in one["seen_px"]))
         for one in choices.get("known_points", ())

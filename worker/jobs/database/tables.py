@@ -96,7 +96,8 @@ jobs = Table(
     Column("trace", String(55)),  # W3C traceparent of the request for this attempt
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),  # of its session
     Column("warnings", JSON, nullable=False, server_default="[]"),  # about its results: objects with code and message
-    Column("making", JSON(none_as_null=True)),  # choices of the calibration that it makes; null: it reconstructs
+    Column("kind", String(16), nullable=False, server_default="reconstruction"),  # or "calibration", "proxies"
+    Column("making", JSON(none_as_null=True)),  # choices of what it makes; null: it reconstructs
     Column("edits", JSON, nullable=False, server_default="[]"),  # of its people
     Column("revision", Integer, nullable=False, server_default="0"),  # number of changes of the edits
     Column("people", JSON(none_as_null=True)),  # who was found, before any edit; null until there are results

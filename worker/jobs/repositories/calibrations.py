@@ -8,6 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, insert, select, update
 from uuid_utils import uuid7
 
+from pipeline.calibration_choices import CalibrationChoices
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import remove_later
@@ -41,9 +42,10 @@ class Calibrations:
 
     def begin(self, job: Job, name: str) -> Calibration:
         """Add the calibration that a job will make, in the transaction that adds the job."""
-        if job.making is None:
+        making = job.making if isinstance(job.making, CalibrationChoices) else None
+        if making is None:
             raise ValueError("the job makes no calibration")
-        return self._insert(job.id, name, job.making.method, asdict(job.making), None, job.session_id)
+        return self._insert(job.id, name, making.method, asdict(making), None, job.session_id)
 
     def get(self, calibration_id: str) -> Calibration:
         """Calibration with an id; ``NotFound`` if there is none."""

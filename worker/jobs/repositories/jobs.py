@@ -7,7 +7,6 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
-from pipeline.calibration_choices import CalibrationChoices
 from pipeline.edits import PeopleEdit, document_of
 from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
@@ -17,7 +16,20 @@ from worker.jobs.database.tables import chunks, events, jobs, results
 from worker.jobs.database.transitions import cancel_chunks, move_job, note, settle_canceling
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, results_prefix
-from worker.jobs.model import EDITABLE, FINISHED, RETRYABLE, Attempt, Change, ChunkState, Job, JobState, StagePlan
+from worker.jobs.model import (
+    EDITABLE,
+    FINISHED,
+    RETRYABLE,
+    Attempt,
+    Change,
+    ChunkState,
+    Job,
+    JobKind,
+    JobState,
+    Making,
+    StagePlan,
+    kind_of,
+)
 from worker.jobs.repositories.attempts import attempts_of, keep_attempt
 from worker.jobs.repositories.audit import AuditAction, record_event
 from worker.jobs.repositories.calibrations import forget_unmade
@@ -39,7 +51,7 @@ class Jobs:
         stages: Sequence[StagePlan],
         retention_s: float | None = None,
         trace: str | None = None,
-        making: CalibrationChoices | None = None,
+        making: Making | None = None,
     ) -> Job:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
@@ -62,7 +74,8 @@ class Jobs:
         """
         access, job_id = self._access, str(uuid7())
         with access.writing() as connection:
-            access.require_room(connection, unfinished_jobs=1)
+            if kind_of(making) != "proxies":  # which the tenant has not asked for
+                access.require_room(connection, unfinished_jobs=1)
             tenant = lock_session(connection, access, session_id)
             connection.execute(
                 insert(jobs).values(
@@ -76,6 +89,7 @@ class Jobs:
                     queued_at=now(),
                     retention_s=retention_s,
                     trace=trace,
+                    kind=kind_of(making),
                     making=None if making is None else asdict(making),
                 )
             )
@@ -95,16 +109,23 @@ class Jobs:
         limit: int = 50,
         after: str | None = None,
         session_id: str | None = None,
+        kind: JobKind | None = None,
     ) -> list[Job]:
         """Jobs, the newest first: all of them, or those in a state or of a session.
 
-        ``after`` is the last id of the page before.
+        Parameters
+        ----------
+        after
+            Last id of the page before.
+        kind
+            Only jobs of the kind; ``None``: all but those that make proxies, which no client has asked for.
         """
         query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
             query = query.where(jobs.c.state == state)
         if session_id is not None:
             query = query.where(jobs.c.session_id == session_id)
+        query = query.where(jobs.c.kind != "proxies" if kind is None else jobs.c.kind == kind)
         if after is not None:
             query = query.where(jobs.c.id < after)
         with self._access.reading() as connection:

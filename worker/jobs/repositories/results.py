@@ -5,7 +5,7 @@ from sqlalchemy import select
 from pipeline.stages.output import VIEWER
 from worker.jobs.database.access import Access
 from worker.jobs.database.rows import result_of
-from worker.jobs.database.tables import results
+from worker.jobs.database.tables import jobs, results
 from worker.jobs.errors import NoResults, NotFinished, NotFound
 from worker.jobs.model import FINISHED, JobState, Problem, Result, is_worth_a_retry
 from worker.jobs.repositories.jobs import job_row
@@ -42,6 +42,20 @@ class Results:
             reason = f"{problem.code}: {problem.detail}" if problem else None
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
         return found
+
+    def proxy(self, session_id: str, name: str) -> Result | None:
+        """Proxy of a session by its name, as soon as it is made; ``None`` before, and without a session."""
+        query = (
+            select(results)
+            .join(jobs)
+            .where(jobs.c.session_id == session_id, jobs.c.kind == "proxies", results.c.name == name)
+            .where(self._access.may_reach(jobs))
+            .order_by(jobs.c.id.desc())
+            .limit(1)
+        )
+        with self._access.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else result_of(row)
 
     def get(self, job_id: str, name: str) -> Result:
         """Result of a job by name; errors as of ``all_of_job``, and ``NotFound`` if there is none of this name."""

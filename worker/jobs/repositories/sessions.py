@@ -1,6 +1,7 @@
 """Capture sessions."""
 
 import unicodedata
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from worker.jobs.database.access import Access
 from worker.jobs.database.connection import now
 from worker.jobs.database.removal_notes import keep, remove_later, remove_unless_kept
 from worker.jobs.database.rows import session_of
-from worker.jobs.database.tables import jobs, sessions
+from worker.jobs.database.tables import jobs, results, sessions
 from worker.jobs.errors import Conflict, NotFound
 from worker.jobs.files.artifacts import job_prefix, session_prefix
 from worker.jobs.model import FINISHED, Capture, InputFile, JobState, NewestJob, Purpose, Session
@@ -125,7 +126,7 @@ class Sessions:
         if state is not None:
             query = query.where(jobs.c.state == state)
         with self._access.reading() as connection:
-            return [_capture_of(row) for row in connection.execute(query)]
+            return _captures_of(connection, connection.execute(query).all())
 
     def locked(self, session_id: str) -> Capture:
         """Session with an id, locked until the transaction ends; ``NotFound`` if there is none."""
@@ -157,9 +158,12 @@ class Sessions:
         """
         with self._access.writing() as connection:
             tenant = lock_session(connection, self._access, session_id)
-            of_session = connection.execute(select(jobs.c.id, jobs.c.state).where(jobs.c.session_id == session_id))
+            of_session = connection.execute(
+                select(jobs.c.id, jobs.c.state, jobs.c.kind).where(jobs.c.session_id == session_id)
+            )
             for job in of_session.all():
-                if job.state not in FINISHED:
+                # No client has asked for proxies: a worker that makes one stops when it finds its job gone.
+                if job.state not in FINISHED and job.kind != "proxies":
                     raise Conflict(f"The job {job.id} of this session is unfinished; cancel it first.")
                 remove_later(connection, job_prefix(job.id))
                 forget_unmade(connection, job.id)
@@ -179,7 +183,7 @@ class Sessions:
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such session.")
-        return _capture_of(row)
+        return _captures_of(connection, [row])[0]
 
 
 def searchable(name: str) -> str:
@@ -190,7 +194,7 @@ def searchable(name: str) -> str:
 def _select_captures() -> Select[Any]:
     """Query of sessions with their reconstructions, for ``_capture_of``; ``jobs`` is the newest one."""
     other = jobs.alias("other")
-    is_one = (other.c.session_id == sessions.c.id, other.c.making.is_(None))
+    is_one = (other.c.session_id == sessions.c.id, other.c.kind == "reconstruction")
     newest = select(other.c.id).where(*is_one).order_by(other.c.id.desc()).limit(1).correlate(sessions)
     num_jobs = select(func.count()).select_from(other).where(*is_one).correlate(sessions)
     with_newest = sessions.outerjoin(
@@ -200,9 +204,30 @@ def _select_captures() -> Select[Any]:
     return select(sessions, *columns).select_from(with_newest)
 
 
-def _capture_of(row: Row[Any]) -> Capture:
-    newest = None if row.job_id is None else NewestJob(row.job_id, JobState(row.job_state))
-    return Capture(session_of(row), row.num_jobs, newest)
+def _captures_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Capture]:
+    """Captures with their proxies, from rows of ``_select_captures``."""
+    made = defaultdict[str, set[str]](set)
+    jobs_that_make: dict[str, NewestJob] = {}
+    query = (
+        select(jobs.c.session_id, jobs.c.id, jobs.c.state, results.c.name)
+        .select_from(jobs.outerjoin(results))
+        .where(jobs.c.session_id.in_([row.id for row in rows]), jobs.c.kind == "proxies")
+        .order_by(jobs.c.id)
+    )
+    for row in connection.execute(query):
+        jobs_that_make[row.session_id] = NewestJob(row.id, JobState(row.state))
+        if row.name is not None:
+            made[row.session_id].add(row.name)
+    return [
+        Capture(
+            session_of(row),
+            row.num_jobs,
+            None if row.job_id is None else NewestJob(row.job_id, JobState(row.job_state)),
+            frozenset(made[row.id]),
+            jobs_that_make.get(row.id),
+        )
+        for row in rows
+    ]
 
 
 def lock_session(connection: Connection, access: Access, session_id: str) -> str:

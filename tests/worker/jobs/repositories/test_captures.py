@@ -3,9 +3,10 @@
 import pytest
 
 from pipeline.calibration_choices import CalibrationChoices
-from tests.worker.jobs.conftest import PREFLIGHT, Bench, stages
+from pipeline.video.playback.choices import PROXY_KIND, ProxyChoices
+from tests.worker.jobs.conftest import CODE, PREFLIGHT, UNITS, Bench, stages
 from worker.jobs.errors import Conflict
-from worker.jobs.model import JobState, NewestJob
+from worker.jobs.model import ChunkPlan, JobState, NewestJob, Result, StagePlan, kind_of
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 
@@ -68,6 +69,45 @@ def test_captures_have_their_newest_reconstruction(jobs: Bench, records: TenantR
     assert records.sessions.page(state=JobState.CANCELED) == []
     with pytest.raises(Conflict, match=f"The job ({two}|{making.id}) of this session is unfinished; cancel it first"):
         records.sessions.delete(first)
+
+
+def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: Bench, records: TenantRecords) -> None:
+    session_id = add(jobs, records, "take")
+    job = records.jobs.add(session_id, JobSpec(), stages(1))
+    making = ProxyChoices(("cam one", "cam two"))
+    plan = (StagePlan("make_proxy", tuple(ChunkPlan(k, {}, UNITS, f"proxy-{k}") for k in range(2)), CODE),)
+    proxies = records.jobs.add(session_id, JobSpec(), plan, making=making)
+    assert (proxies.making, kind_of(proxies.making)) == (making, "proxies")
+    assert records.jobs.page() == [job]
+    assert [one.id for one in records.jobs.page(kind="proxies", session_id=session_id)] == [proxies.id]
+    assert records.usage().unfinished_jobs == 1
+    capture = records.sessions.capture(session_id)
+    assert (capture.num_jobs, capture.newest_job) == (1, NewestJob(job.id, JobState.QUEUED))
+    assert (capture.proxies, capture.proxies_job) == (frozenset(), NewestJob(proxies.id, JobState.QUEUED))
+
+    # The reconstruction comes first, as long as it has work to do.
+    while (claim := jobs.claim()).job_id == job.id:
+        jobs.finish(claim)
+    assert records.jobs.get(job.id).state == JobState.SUCCEEDED
+    assert (claim.stage, claim.making) == ("make_proxy", making)
+    assert records.results.proxy(session_id, "proxy-0.mp4") is None
+    made = Result("proxy-0.mp4", PROXY_KIND, None, "video/mp4", f"jobs/{proxies.id}/results/proxy-0.mp4", 5, "5" * 64)
+    jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 0, results=[made])
+    # A proxy is there as soon as it is made.
+    assert records.results.proxy(session_id, "proxy-0.mp4") == made
+    assert records.sessions.capture(session_id).proxies == {"proxy-0.mp4"}
+    assert jobs.store.of("other").results.proxy(session_id, "proxy-0.mp4") is None
+
+
+def test_unfinished_proxies_do_not_keep_a_session(jobs: Bench, records: TenantRecords) -> None:
+    session_id = add(jobs, records, "take")
+    plan = (StagePlan("make_proxy", (ChunkPlan(0, {}, UNITS, "proxy-0"),), CODE),)
+    records.jobs.add(session_id, JobSpec(), plan, making=ProxyChoices(("cam one",)))
+    claim = jobs.claim()
+    records.sessions.delete(session_id)
+    assert not jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, 60.0)
+    assert not jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 0)
+    assert records.sessions.page() == []
 
 
 def test_pages_of_a_search(jobs: Bench, records: TenantRecords) -> None:

@@ -104,7 +104,7 @@ class Leases:
             attempt=chunk.attempt,
             job_attempt=job.attempt,
             trace=job.trace,
-            making=making_of(job.making),
+            making=making_of(job.kind, job.making),
             edits=edits_of(job.edits),
             revision=job.revision,
         )

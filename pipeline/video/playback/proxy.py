@@ -1,0 +1,164 @@
+"""Make a proxy of a video: ``python -m pipeline.video.playback.proxy``, with a ``ProxyRequest`` as JSON on stdin.
+
+The file is opened in this process alone, which has limits on memory, computing time and the size of what it writes. It
+writes a byte to stdout for each encoded frame. The process ends when its parent does: nobody reads the bytes then.
+"""
+
+import json
+import resource
+import sys
+from bisect import bisect_left
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import NamedTuple
+
+import av
+from av.container import OutputContainer
+from av.filter import Graph
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+
+from pipeline.video.children import start_child
+from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
+
+EXIT_UNREADABLE = 3
+EXIT_OUT_OF_MEMORY = 4
+
+TICKS_A_SECOND = 90_000
+"""Time base of proxies: multiples of common frame durations."""
+
+FRAME = b"."
+"""What is written for an encoded frame."""
+
+# H.264 in MP4 with its index in front. Without B-frames, times begin at 0.
+_CONTAINER_OPTIONS = {"movflags": "+faststart"}
+_CODEC_OPTIONS = {"preset": "veryfast", "crf": "26", "tune": "fastdecode", "profile": "main", "bf": "0"}
+_TURNS = {90: "transpose=cclock", 180: "hflip,vflip", 270: "transpose=clock"}
+
+
+class ProxyRequest(NamedTuple):
+    """A video, and the proxy to be made of it.
+
+    Parameters
+    ----------
+    path, target
+        Paths of the video and of the proxy.
+    width, height
+        Size of the proxy's pictures before rotation, even numbers.
+    rotation_deg
+        Counterclockwise turn of the pictures for display.
+    pts
+        Timestamps of the frames in the video, ascending.
+    ticks
+        Times of these frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending.
+    keyframe_frames
+        Number of frames from a keyframe to the next one.
+    max_cpu_s, max_bytes
+        Limits on the computing time and on the size of the proxy.
+    """
+
+    path: str
+    target: str
+    width: int
+    height: int
+    rotation_deg: int
+    pts: Sequence[int]
+    ticks: Sequence[int]
+    keyframe_frames: int
+    max_cpu_s: int
+    max_bytes: int
+
+
+def write_proxy(request: ProxyRequest) -> int:
+    """Write a proxy; returns the number of its frames. Frames that can't be decoded are missing."""
+    num_frames, last_tick = 0, -1
+    with av.open(f"file:{request.target}", "w", format="mp4", options=_CONTAINER_OPTIONS) as container:
+        stream: VideoStream | None = None
+        converter: _Converter | None = None
+        for frame in decode_from(Path(request.path), [], request.pts[0]):
+            pts = display_pts(frame)
+            if pts is None or (tick := _tick(request, pts)) is None or tick <= last_tick:
+                continue
+            converter = converter or _Converter(frame, request)
+            if not converter.fits(frame):
+                continue
+            picture = converter.convert(frame)
+            stream = stream or _add_stream(container, picture, request)
+            picture.pts, picture.time_base = tick, Fraction(1, TICKS_A_SECOND)
+            container.mux(stream.encode(picture))
+            num_frames, last_tick = num_frames + 1, tick
+            sys.stdout.buffer.write(FRAME)
+            sys.stdout.buffer.flush()
+        if stream is not None:
+            container.mux(stream.encode(None))
+    return num_frames
+
+
+def _tick(request: ProxyRequest, pts: int) -> int | None:
+    """Time of the frame with a timestamp; ``None`` for a picture that is not part of the display."""
+    number = bisect_left(request.pts, pts)
+    return request.ticks[number] if number < len(request.pts) and request.pts[number] == pts else None
+
+
+def _add_stream(container: OutputContainer, picture: VideoFrame, request: ProxyRequest) -> VideoStream:
+    span = max(1, request.ticks[-1] - request.ticks[0])
+    rate_hz = Fraction(max(1, len(request.ticks) - 1) * TICKS_A_SECOND, span).limit_denominator(1001)
+    distance = request.keyframe_frames
+    x264 = f"keyint={distance}:min-keyint={distance}:scenecut=0"
+    stream = container.add_stream("libx264", rate=rate_hz, options=_CODEC_OPTIONS | {"x264-params": x264})
+    stream.width, stream.height, stream.pix_fmt = picture.width, picture.height, "yuv420p"
+    stream.codec_context.time_base = Fraction(1, TICKS_A_SECOND)
+    stream.codec_context.thread_count = 1
+    return stream
+
+
+class _Converter:
+    """Scales and turns pictures of one size and format."""
+
+    def __init__(self, frame: VideoFrame, request: ProxyRequest) -> None:
+        self._kind = frame.width, frame.height, frame.format.name
+        steps = [
+            f"scale={request.width}:{request.height}:flags=bilinear:out_range=tv",
+            *([_TURNS[request.rotation_deg]] if request.rotation_deg else []),
+            "setsar=1",
+            "format=yuv420p",
+        ]
+        self._graph = Graph()
+        self._graph.threads = 1
+        source = self._graph.add_buffer(
+            width=frame.width, height=frame.height, format=frame.format, time_base=Fraction(1, TICKS_A_SECOND)
+        )
+        nodes = [source]
+        for step in ",".join(steps).split(","):
+            name, _, values = step.partition("=")
+            nodes.append(self._graph.add(name, values or None))
+        self._graph.link_nodes(*nodes, self._graph.add("buffersink")).configure()
+
+    def fits(self, frame: VideoFrame) -> bool:
+        """Whether a picture has the size and the format of the first one."""
+        return (frame.width, frame.height, frame.format.name) == self._kind
+
+    def convert(self, frame: VideoFrame) -> VideoFrame:
+        """Scale and turn a picture."""
+        self._graph.vpush(frame)
+        return self._graph.vpull()
+
+
+def main() -> int:
+    """Make the proxy of the request and return the exit code."""
+    request = ProxyRequest(**json.load(sys.stdin))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (request.max_bytes, request.max_bytes))
+    start_child(request.max_cpu_s)
+    try:
+        return 0 if write_proxy(request) else EXIT_UNREADABLE
+    except MemoryError:
+        return EXIT_OUT_OF_MEMORY
+    except BrokenPipeError:  # the reader is gone
+        return 1
+    except DECODE_ERRORS:
+        return EXIT_UNREADABLE
+
+
+if __name__ == "__main__":
+    sys.exit(main())
