@@ -6,7 +6,7 @@ import { findingList } from "./findings.js";
 
 function stateOf(row) {
   if (row.isSent) return "sent";
-  if (row.problem) return "failed";
+  if (row.hasFailed && !row.isActive) return "failed";
   if (row.file === null) return row.sent ? `${percent(row.sent / row.size)} sent; choose the file again` : "choose the file again";
   if (row.isActive) return percent(row.sent / row.size);
   return row.sent ? `${percent(row.sent / row.size)} sent` : "";

@@ -2,15 +2,15 @@
 // while another view is open.
 
 import { announce } from "../shared/announce.js";
-import { call, Problem } from "../shared/api.js";
+import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { count, percent } from "../shared/format.js";
 import { storedCalibration } from "./calibration_file.js";
 import { emptyDraft, isSame, loadDraft, rowOf, saveDraft } from "./draft.js";
 import { kindOf, matchCameras } from "./files.js";
-import { discard, upload } from "./uploader.js";
+import { sessionBody } from "./session_body.js";
+import { Uploads } from "./uploads.js";
 
-const PARALLEL = 2;
 const MIN_CAMERAS = 2;
 const SAVE_MS = 300;
 const STILL_CHECKING_MS = 1500;
@@ -25,10 +25,9 @@ class Sending extends EventTarget {
   notes = []; // about files that were dropped
   session = null; // once the files are checked
   lastJob = null; // job of the capture sent last
-  #tasks = new Map(); // running uploads by row
+  #uploads = new Uploads(() => this.changed());
   #saveTimer = 0;
   #frame = 0;
-  #cut = false;
   #isResumed = false;
 
   // Go on with what a former page has left, once the caller is known.
@@ -124,14 +123,14 @@ class Sending extends EventTarget {
   }
 
   removeRow(row) {
-    this.#tasks.get(row)?.stop();
+    this.#uploads.forget(row);
     if (row.preview) URL.revokeObjectURL(row.preview);
-    if (row.url) discard(row.url);
     this.draft.rows = this.rows.filter((one) => one !== row);
     this.changed();
   }
 
   clear() {
+    this.#uploads.stop();
     for (const row of this.rows) this.removeRow(row);
     this.draft = emptyDraft(this.#kept);
     this.phase = "draft";
@@ -211,20 +210,33 @@ class Sending extends EventTarget {
     return faults;
   }
 
+  // Change a file's camera, timing or use.
+  assign(row, facts) {
+    // A zip of keypoints has the name of its camera from the start of its upload.
+    if (row.kind === "keypoints" && "camera" in facts && row.url) this.#uploads.forget(row);
+    Object.assign(row, facts);
+    this.changed();
+  }
+
+  #isComplete() {
+    const faults = this.faults();
+    if (faults.length === 0) return true;
+    this.problem = { message: "The capture is not complete.", items: faults.map((message) => ({ message })) };
+    this.draft.wasSending = false;
+    this.#go("draft");
+    return false;
+  }
+
   async send({ isCheckOnly = false } = {}) {
     if (this.isBusy) return;
     this.problem = this.lastJob = null;
-    const faults = this.faults();
-    if (faults.length) {
-      this.problem = { message: "The capture is not complete.", items: faults.map((message) => ({ message })) };
-      this.changed();
-      return;
-    }
+    if (!this.#isComplete()) return;
     try {
       this.#go("sending");
       this.draft.wasSending = true;
-      if (!await this.#upload()) return;
-      this.draft.request = { body: this.#sessionBody(), key: newKey(), isCheckOnly };
+      if (!await this.#uploads.send(() => this.used)) return;
+      if (!this.#isComplete()) return; // it may have been changed meanwhile
+      this.draft.request = { body: sessionBody(this.draft), key: newKey(), isCheckOnly };
       announce("All files are sent. They are being checked.");
       await this.#check();
     } catch (problem) {
@@ -299,8 +311,7 @@ class Sending extends EventTarget {
   }
 
   pause() {
-    this.#cut = true;
-    for (const task of this.#tasks.values()) task.stop();
+    this.#uploads.stop();
     this.#go("paused");
     announce("The upload is paused.");
   }
@@ -318,62 +329,6 @@ class Sending extends EventTarget {
     const isGone = (problem.items ?? []).some(({ code }) => code === "upload_unknown");
     if (isGone) for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
     this.#go("draft");
-  }
-
-  // Send all files, a few at a time; false if the upload was paused.
-  async #upload() {
-    this.#cut = false;
-    const waiting = this.used.filter((row) => !row.isSent);
-    const lane = async () => {
-      for (let row = waiting.shift(); row && !this.#cut; row = waiting.shift()) await this.#uploadRow(row);
-    };
-    try {
-      await Promise.all(Array.from({ length: PARALLEL }, lane));
-    } catch (problem) {
-      this.#cut = true;
-      for (const task of this.#tasks.values()) task.stop();
-      throw problem;
-    }
-    return !this.#cut && this.used.every((row) => row.isSent);
-  }
-
-  async #uploadRow(row) {
-    row.problem = null;
-    row.isActive = true;
-    const task = upload(row.file, {
-      // The service finds the camera of a zip of keypoints by the name of the zip.
-      name: row.kind === "keypoints" ? `${row.camera}.zip` : row.name,
-      url: row.url,
-      onUrl: (url) => { row.url = url; this.changed(); },
-      onProgress: (sent) => { row.sent = sent; this.changed(); },
-    });
-    this.#tasks.set(row, task);
-    this.changed();
-    try {
-      row.isSent = await task.done !== null;
-      if (row.isSent) row.sent = row.size;
-    } catch (problem) {
-      row.problem = problem;
-      throw new Problem({ detail: `${row.name}: ${problem.message}`, hint: problem.hint, code: problem.code }, problem.status);
-    } finally {
-      row.isActive = false;
-      this.#tasks.delete(row);
-      this.changed();
-    }
-  }
-
-  #sessionBody() {
-    const idOf = (row) => row.url.slice(row.url.lastIndexOf("/") + 1);
-    const ids = (kind) => this.used.filter((row) => row.kind === kind).map(idOf);
-    const cameras = this.used.filter(({ kind }) => kind === "video").map((row) => ({
-      name: row.camera, file: row.name, offset_s: row.offset_s, ...(row.rate !== null && { rate: row.rate }),
-    }));
-    const [timestamps] = ids("timestamps");
-    const name = this.draft.name.trim() || `Take of ${new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" })}`;
-    return {
-      videos: ids("video"), keypoints: ids("keypoints"), ...(timestamps && { timestamps }),
-      calibration_id: this.draft.calibrationId, manifest: { name, cameras, clock: this.draft.clock },
-    };
   }
 }
 

@@ -34,7 +34,7 @@ export function open(place) {
     draw();
   };
 
-  const change = (row, facts) => { Object.assign(row, facts); sending.changed(); };
+  const change = (row, facts) => sending.assign(row, facts);
   const remove = (row, button) => {
     const buttons = [...place.querySelectorAll("[aria-label^='Remove ']")];
     const next = buttons[buttons.indexOf(button) + 1] ?? buttons[buttons.indexOf(button) - 1];

@@ -1,0 +1,69 @@
+// Uploads of a capture's files, a few at a time.
+
+import { Problem } from "../shared/api.js";
+import { discard, upload } from "./uploader.js";
+
+const PARALLEL = 2;
+
+export class Uploads {
+  #tasks = new Map(); // running uploads by row
+  #isCut = false;
+
+  // `changed` is called whenever a row changes.
+  constructor(changed) {
+    this.changed = changed;
+  }
+
+  // Send the files of all rows that `rows()` gives, also of those that are added meanwhile. False if the uploads were stopped.
+  async send(rows) {
+    this.#isCut = false;
+    const next = () => (this.#isCut ? undefined : rows().find((row) => row.file && !row.isSent && !row.isActive));
+    const lane = async () => {
+      for (let row = next(); row; row = next()) await this.#sendRow(row);
+    };
+    try {
+      await Promise.all(Array.from({ length: PARALLEL }, lane));
+    } catch (problem) {
+      this.stop();
+      throw problem;
+    }
+    return !this.#isCut;
+  }
+
+  // Leave the uploads as they are; what is stored of them stays.
+  stop() {
+    this.#isCut = true;
+    for (const task of this.#tasks.values()) task.stop();
+  }
+
+  // Forget what is stored of a file, for example because it has another name now.
+  forget(row) {
+    this.#tasks.get(row)?.stop();
+    if (row.url) discard(row.url);
+    Object.assign(row, { url: null, sent: 0, isSent: false });
+  }
+
+  async #sendRow(row) {
+    Object.assign(row, { isActive: true, hasFailed: false });
+    const task = upload(row.file, {
+      // The service finds the camera of a zip of keypoints by the name of the zip.
+      name: row.kind === "keypoints" ? `${row.camera}.zip` : row.name,
+      url: row.url,
+      onUrl: (url) => { row.url = url; this.changed(); },
+      onProgress: (sent) => { row.sent = sent; this.changed(); },
+    });
+    this.#tasks.set(row, task);
+    this.changed();
+    try {
+      row.isSent = await task.done !== null;
+      if (row.isSent) row.sent = row.size;
+    } catch ({ message, hint, code, status }) {
+      row.hasFailed = true;
+      throw new Problem({ detail: `${row.name}: ${message}`, hint, code }, status);
+    } finally {
+      row.isActive = false;
+      this.#tasks.delete(row);
+      this.changed();
+    }
+  }
+}
