@@ -117,6 +117,7 @@ def throttle(page: Page, bytes_per_s: int) -> None:
     session.send("Network.emulateNetworkConditions", speed)
 
 
+@pytest.mark.slow
 def test_an_upload_is_cut_by_a_reload_and_goes_on(page: Page, served: Served, sample: Sample) -> None:
     offsets: list[int] = []
     page.on("request", lambda one: offsets.append(int(one.headers["upload-offset"])) if one.method == "PATCH" else None)

@@ -230,38 +230,40 @@ def axe_findings(page: Page) -> list[str]:
     return [f"{one['id']}: {node['html'][:200]}" for one in found for node in one["nodes"]]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_views_are_accessible_and_fit(
     served: Served, keypoints: dict[str, Path], width: int, scheme: Literal["light", "dark"]
 ) -> None:
     if not (READERS / "node_modules/axe-core").is_dir():
         pytest.skip("axe-core is not installed (`make readers`)")
     job = one_job(served, keypoints)
+    views = {"#/new": "New capture", "#/captures": "Captures", "#/calibrations": "Calibrations"}
+    views[f"#/jobs/{job['id']}"] = job["session_name"]
     with opened(str(served.client.base_url), {"width": width, "height": 800}) as page:
         page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
-        for view in ("#/new", "#/captures", "#/calibrations", f"#/jobs/{job}"):
+        for view, title in views.items():
             page.goto(f"/{view}")
-            expect(page.get_by_role("heading", level=1)).to_be_visible()
+            expect(page.get_by_role("heading", name=title, exact=True, level=1)).to_be_visible()
             if view == "#/new":
                 page.get_by_label("Choose files").set_input_files(list(keypoints.values()))
                 expect(page.get_by_label("Camera of cam_00.zip")).to_have_value("cam_00", timeout=30_000)
                 page.get_by_role("button", name="Send and check only").scroll_into_view_if_needed()
             if view == "#/captures":
                 page.get_by_role("button", name="Run again").first.click()
+                page.get_by_role("button", name="Other calibration").first.click()
             page.locator("details").evaluate_all("all => all.forEach((one) => { one.open = true; })")
             assert axe_findings(page) == [], view
             assert page.evaluate("document.scrollingElement.scrollWidth") <= width, view
 
 
-def one_job(served: Served, keypoints: dict[str, Path]) -> str:
-    """Id of a finished job."""
+def one_job(served: Served, keypoints: dict[str, Path]) -> dict[str, Any]:
+    """Finished job."""
     done = served.client.get("/v1/jobs?state=succeeded").json()["jobs"]
     if done:
-        return str(done[0]["id"])
+        return dict(done[0])
     links = post_session(served, keypoints, "Accessible")["links"]
     job = served.client.post(links["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
-    return str(served.wait_for_end(job["id"])["id"])
+    return served.wait_for_end(job["id"])
 
 
 # Text of the focused element, and whether it or its frame has an outline.
@@ -344,3 +346,23 @@ def test_the_first_view_is_there_within_a_second(served: Served) -> None:
         expect(page.get_by_role("heading", name="Captures", level=1)).to_be_visible()
         shown_ms = page.evaluate("Math.max(...performance.getEntries().map((one) => one.responseEnd ?? one.startTime))")
         assert shown_ms <= 1000
+
+
+def test_the_same_footage_with_another_calibration(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+    session = post_session(served, keypoints, "Footage")
+    content = keypoints["calibration.json"].read_bytes()
+    spec = ("spec", (None, json.dumps({"method": "file", "name": "Second"}).encode(), "application/json"))
+    stored = served.client.post("/v1/calibrations", files=[spec, ("calibration", ("second.json", content))])
+    assert stored.status_code == 201
+    page.get_by_role("link", name="Captures", exact=True).click()
+    page.get_by_role("button", name="Other calibration: Footage").click()
+    form = page.get_by_role("form", name="Other calibration for Footage")
+    form.get_by_label("Calibration").select_option("Second")
+    form.get_by_label("Name of the new capture").fill("Footage, second")
+    form.get_by_role("button", name="Make a capture of the same footage").click()
+    expect(page.get_by_role("button", name="Reconstruct: Footage, second")).to_be_focused(timeout=30_000)
+    (made,) = served.client.get("/v1/sessions?name=Footage, second").json()["sessions"]
+    digests = [
+        {one["name"]: one["sha256"] for one in each["files"] if one["kind"] == "keypoints"} for each in (made, session)
+    ]
+    assert digests[0] == digests[1]

@@ -1,64 +1,79 @@
 // Form that adds a calibration: from a file, from footage of a board, or from footage of people.
 
-import { jsonPart, Problem } from "../shared/api.js";
+import { call, jsonPart } from "../shared/api.js";
 import { announce } from "../shared/announce.js";
 import { feed } from "../shared/feed.js";
 import { size } from "../shared/format.js";
 import { html, nothing } from "../shared/lit.js";
 import { problemBox } from "../shared/problem.js";
+import { rowOf } from "../send/draft.js";
 import { ACCEPTED_CALIBRATIONS } from "../send/files.js";
+import { Uploads } from "../send/uploads.js";
 
-const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"]];
+const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"], ["session", "People of a capture"]];
+const MOST_SESSIONS = 100;
 
-// fetch does not report the progress of an upload; XMLHttpRequest does.
-function sendForm(path, form, onProgress) {
-  return new Promise((resolve, reject) => {
-    const request = new XMLHttpRequest();
-    request.responseType = "json";
-    request.upload.addEventListener("progress", ({ loaded, total }) => onProgress(loaded, total));
-    request.addEventListener("load", () => {
-      if (request.status < 300) resolve(request.response); else reject(new Problem(request.response, request.status));
-    });
-    request.addEventListener("error", () => reject(new Problem(null)));
-    request.open("POST", path);
-    request.send(form);
-  });
+function specOf({ source, title, board, stature, units, session }) {
+  return {
+    method: source.value === "session" ? "people" : source.value,
+    ...(title.value.trim() && { name: title.value.trim() }),
+    ...(board && { board: board.value.trim() }),
+    ...(stature && { stature_m: stature.value.split(",").map(Number) }),
+    ...(units && { units: units.value }),
+    ...(session && { session_id: session.value }),
+  };
 }
 
-function formOf({ source, title, board, file, footage, stature, intrinsics, units }) {
+function fileForm(spec, file) {
   const form = new FormData();
-  const spec = { method: source.value };
-  if (title.value.trim()) spec.name = title.value.trim();
-  if (board) spec.board = board.value.trim();
-  if (stature) spec.stature_m = stature.value.split(",").map(Number);
-  if (units) spec.units = units.value;
   form.append("spec", jsonPart(spec));
-  if (intrinsics?.files.length) form.append("intrinsics", intrinsics.files[0]);
-  if (file) form.append("calibration", file.files[0]);
-  for (const video of footage?.files ?? []) form.append("videos", video);
+  form.append("calibration", file);
   return form;
 }
+
+const idOf = ({ url }) => url.slice(url.lastIndexOf("/") + 1);
 
 export class AddForm {
   #source = "file";
   #problem = null;
   #text = "";
   #isBusy = false;
+  #sessions = null; // captures whose people may serve, once they are asked for
 
   constructor({ changed, draw }) {
     Object.assign(this, { changed, draw });
   }
 
+  // Footage goes by resumable uploads; a calibration file is small.
+  async #send({ file, footage, intrinsics, ...fields }) {
+    const spec = specOf(fields);
+    if (file) return call("/v1/calibrations", { method: "POST", form: fileForm(spec, file.files[0]) });
+    const files = [...(footage?.files ?? []), ...(intrinsics?.files ?? [])];
+    const rows = files.map((one) => rowOf({ name: one.name, size: one.size, kind: "footage" }, one));
+    const total = rows.reduce((sum, row) => sum + row.size, 0);
+    const uploads = new Uploads(() => {
+      this.#text = `${size(rows.reduce((sum, row) => sum + row.sent, 0))} of ${size(total)} sent`;
+      this.draw();
+    });
+    await uploads.send(() => rows);
+    this.#text = "Sent. Checking the files …";
+    this.draw();
+    const ids = rows.map(idOf);
+    const numVideos = footage?.files.length ?? 0;
+    const body = { ...spec, ...(numVideos && { videos: ids.slice(0, numVideos) }), ...(ids[numVideos] && { intrinsics: ids[numVideos] }) };
+    return call("/v1/calibrations", { method: "POST", body });
+  }
+
   async #submit(event) {
     event.preventDefault();
     const form = event.target;
+    if (this.#isBusy) return;
     this.#isBusy = true;
     this.#problem = null;
+    this.draw();
     try {
-      const made = await sendForm("/v1/calibrations", formOf(form.elements), (loaded, total) => {
-        this.#text = loaded < total ? `${size(loaded)} of ${size(total)} sent` : "Sent. Checking the files …";
-        this.draw();
-      });
+      const { source, title, board, file, footage, stature, intrinsics, units, session } = form.elements;
+      const made = await this.#send({ source, title, board, file, footage, stature, intrinsics, units, session });
       const isJob = made.kind === "calibration";
       if (isJob) feed.put(made);
       form.reset();
@@ -71,6 +86,18 @@ export class AddForm {
       this.#problem = problem;
     }
     this.#isBusy = false;
+    this.draw();
+  }
+
+  async #choose(source) {
+    this.#source = source;
+    this.draw();
+    if (source !== "session" || this.#sessions !== null) return;
+    try {
+      this.#sessions = (await call(`/v1/sessions?limit=${MOST_SESSIONS}`)).sessions;
+    } catch (problem) {
+      this.#problem = problem;
+    }
     this.draw();
   }
 
@@ -90,22 +117,32 @@ export class AddForm {
       <p id="board-help" class="quiet">chessboard:COLSxROWS:SQUARE_M counts inner corners; charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY counts squares. Begin with the board flat on the floor.</p>`;
   }
 
+  #statureField() {
+    return html`<label class="field"><span>Stature of the people, metres</span><input name="stature" required maxlength="100" placeholder="1.78, 1.65" inputmode="decimal" pattern="\\s*[0-9.]+(\\s*,\\s*[0-9.]+)*\\s*" autocomplete="off" aria-describedby="people-help"></label>`;
+  }
+
   #peopleFields() {
-    return html`${this.#footageField()}
-      <label class="field"><span>Stature of the people, metres</span><input name="stature" required maxlength="100" placeholder="1.78, 1.65" inputmode="decimal" pattern="\\s*[0-9.]+(\\s*,\\s*[0-9.]+)*\\s*" autocomplete="off" aria-describedby="people-help"></label>
+    return html`${this.#footageField()}${this.#statureField()}
       <label class="field"><span>Calibration whose lens values are kept, if there is one</span><input name="intrinsics" type="file" accept=${ACCEPTED_CALIBRATIONS}></label>
       <p id="people-help" class="quiet">Let one or two people walk about for a minute where several cameras see them whole. One stature is enough.</p>`;
   }
 
+  #sessionFields() {
+    return html`<label class="field"><span>Capture</span><select name="session" required>
+        ${(this.#sessions ?? []).map(({ id, name }) => html`<option value=${id}>${name}</option>`)}</select></label>
+      ${this.#statureField()}
+      <p id="people-help" class="quiet">The cameras are placed anew from the people of the capture, and keep their lens values.</p>`;
+  }
+
   form() {
-    const fields = { file: () => this.#fileFields(), board: () => this.#boardFields(), people: () => this.#peopleFields() };
+    const fields = { file: () => this.#fileFields(), board: () => this.#boardFields(), people: () => this.#peopleFields(), session: () => this.#sessionFields() };
     return html`<form class="panel add" aria-labelledby="add-title" @submit=${(event) => this.#submit(event)}>
       <h2 id="add-title">Add a calibration</h2>
-      <label class="field"><span>From</span><select name="source" @change=${(event) => { this.#source = event.target.value; this.draw(); }}>
+      <label class="field"><span>From</span><select name="source" @change=${(event) => this.#choose(event.target.value)}>
         ${SOURCES.map(([value, label]) => html`<option value=${value} .selected=${value === this.#source}>${label}</option>`)}</select></label>
       <label class="field"><span>Title</span><input name="title" maxlength="200" placeholder="Studio B, March" autocomplete="off"></label>
       ${fields[this.#source]()}
-      <div class="actions"><button class="button primary" ?disabled=${this.#isBusy}>Add</button></div>
+      <div class="actions"><button class="button primary" aria-disabled=${this.#isBusy ? "true" : nothing}>Add</button></div>
       ${this.#text ? html`<p class="quiet" role="status">${this.#text}</p>` : nothing}
       ${problemBox(this.#problem)}
     </form>`;

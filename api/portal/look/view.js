@@ -74,7 +74,7 @@ class Look {
 
   #head() {
     const { job } = this;
-    if (job === null) return this.problem ? problemBox(this.problem) : html`<p class="quiet">Loading …</p>`;
+    if (job === null) return html`<h1 class="title">Job</h1>${this.problem ? problemBox(this.problem) : html`<p class="quiet">Loading …</p>`}`;
     const { words, tone } = stateOf(job);
     return html`<div class="bar">
         <p class="crumb"><a href="#/captures">Captures</a></p>

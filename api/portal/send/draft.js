@@ -32,7 +32,7 @@ export function saveDraft(draft) {
 export function rowOf(facts, file = null) {
   return {
     camera: null, isUsed: true, offset_s: 0, rate: null, url: null, sent: 0, isSent: false, ...facts,
-    file, preview: file?.type.startsWith("video/") ? URL.createObjectURL(file) : null, hasFailed: false, isActive: false,
+    file, preview: facts.kind === "video" && file?.type.startsWith("video/") ? URL.createObjectURL(file) : null, hasFailed: false, isActive: false,
   };
 }
 

@@ -10,6 +10,7 @@ import { html, nothing, repeat } from "../shared/lit.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { findingList } from "../send/findings.js";
 import { jobRow } from "./job.js";
+import { otherCalibrationForm, usableCalibrations } from "./other_calibration.js";
 import { runAgainForm, specOf } from "./run_again.js";
 
 function factsOf(session) {
@@ -106,6 +107,10 @@ export function captureCard(view, session) {
       view.focusList();
     });
   };
+  const recalibrate = () => view.act(session.id, async () => {
+    if (view.recalibrated.has(session.id)) view.recalibrated.delete(session.id);
+    else view.recalibrated.set(session.id, await usableCalibrations());
+  });
   const toggleForm = () => {
     if (view.opened.has(session.id)) view.opened.delete(session.id);
     else view.opened.set(session.id, specOf(jobs[0], view.options));
@@ -122,12 +127,15 @@ export function captureCard(view, session) {
       ${view.canWrite ? html`<div class="actions">
         ${isFootage ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
           ?disabled=${!view.options} id="run-${session.id}" aria-label="${jobs.length ? "Run again" : "Reconstruct"}: ${session.name}" @click=${toggleForm}>${jobs.length ? "Run again" : "Reconstruct"}</button>`}
+        <button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
+          aria-label="Other calibration: ${session.name}" @click=${recalibrate}>Other calibration</button>
         <button type="button" class="button small" id="rename-${session.id}" aria-label="Rename ${session.name}" @click=${() => beginRename(view, session)}>Rename</button>
         <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Cancel its job first." : nothing}
           aria-label="Delete ${session.name}" @click=${remove}>Delete</button>
       </div>` : nothing}
     </div>
     ${problemBox(view.problems.get(session.id))}
+    ${view.recalibrated.has(session.id) ? otherCalibrationForm(view, session) : nothing}
     ${view.opened.has(session.id) ? runAgainForm(view, session) : nothing}
     ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job, index) => jobRow(view, job, jobs.length > 1 ? jobs.length - index : null))}</ol>`
       : html`<p class="quiet">No job yet.</p>`}

@@ -32,6 +32,7 @@ class Captures {
   filter = "";
   problems = new Map(); // of an action, by the id of the job or session
   opened = new Map(); // form for another run by the session's id: its choices
+  recalibrated = new Map(); // form for another calibration by the session's id: the calibrations to choose from
   shown = new Set(); // sessions whose cameras are shown
   renamed = null; // id of the session whose name is being changed
   #isClosed = false;
