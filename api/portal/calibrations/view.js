@@ -58,7 +58,7 @@ export function open(place, route, caller) {
     const errorOf = (camera) => (errors.get(camera.name) == null ? "" : `${errors.get(camera.name).toFixed(2)} px`);
     return html`<details class="cameras"><summary>Cameras</summary>
       <p class="quiet">${report?.world ?? [source.format, source.axes].filter(Boolean).join("; ")}</p>
-      <div class="scroll" role="region" aria-label="Cameras of ${name}" tabindex="0"><table>
+      <div class="scroll" role="group" aria-label="Cameras of ${name}" tabindex="0"><table>
         <thead><tr><th scope="col">Camera</th><th scope="col">Picture</th><th scope="col">Focal length</th><th scope="col">Position, m</th><th scope="col">Error</th></tr></thead>
         <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th>
           <td>${camera.size_px ? camera.size_px.join(" × ") : "unknown"}</td><td>${camera.matrix[0][0].toFixed(1)} px</td>

@@ -41,7 +41,7 @@ function cameraTable(view, session) {
   };
   return html`<details class="cameras" @toggle=${toggle}>
     <summary>Cameras${findings.length || warnings.length ? html` <span class="badge" data-tone="warn">${count(findings.length || warnings.length, "finding")}</span>` : nothing}</summary>
-    <div class="scroll" role="region" aria-label="Cameras of ${session.name}" tabindex="0"><table>
+    <div class="scroll" role="group" aria-label="Cameras of ${session.name}" tabindex="0"><table>
       <thead><tr><th scope="col">Camera</th><th scope="col">File</th><th scope="col">Picture</th><th scope="col">Rate</th><th scope="col">Frames</th><th scope="col">Starts at</th><th scope="col">Size</th></tr></thead>
       <tbody>${cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
         <td>${camera.size_px.join(" × ")}</td><td>${Number(camera.frame_rate_hz.toFixed(2))} Hz</td><td>${camera.num_frames}</td>
