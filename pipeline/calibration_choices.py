@@ -47,12 +47,15 @@ class CalibrationChoices:
         Statures of the people, in any order; none with a board.
     known_points
         Points that determine the world; without any, the board or the people do.
+    has_photographs
+        Whether the footage is photographs of a board, which have no times.
     """
 
     board: str | None
     has_intrinsics: bool = False
     stature_m: tuple[float, ...] = ()
     known_points: tuple[KnownPoint, ...] = ()
+    has_photographs: bool = False
 
     @property
     def method(self) -> str:

@@ -12,7 +12,7 @@ from starlette.routing import BaseRoute
 from api.contract import examples
 from api.errors import ErrorItem, ProblemDetails
 from api.http.rates import RATE_HEADERS
-from api.requests.form import CALIBRATION, CALIBRATION_ID, INTRINSICS, KEYPOINTS, TIMESTAMPS, VIDEOS
+from api.requests.form import CALIBRATION, CALIBRATION_ID, IMAGES, INTRINSICS, KEYPOINTS, TIMESTAMPS, VIDEOS
 from api.schemas.calibrations import CalibrationSpec, UploadedCalibration
 from api.schemas.captures import Manifest, UploadedCapture, UploadedSession
 from api.schemas.jobs import JobEnded
@@ -158,6 +158,12 @@ def calibration_body() -> dict[str, Any]:
     properties = {
         CALIBRATION: file | {"description": "Calibration file, for the method `file`."},
         VIDEOS: {"type": "array", "items": file, "minItems": 1, "description": "Videos of a board or of people."},
+        IMAGES: {
+            "type": "array",
+            "items": file,
+            "minItems": 1,
+            "description": "Photographs of a board in place of videos: for each camera a zip, named as the camera.",
+        },
         INTRINSICS: file | {"description": "Calibration file whose intrinsics are kept, and poses ignored."},
         "spec": {"$ref": _SCHEMA_REF.format(model=CalibrationSpec.__name__)},
     }

@@ -1,13 +1,13 @@
 """Intake of calibrations, from a form or from uploads: what each method needs, and the check of the files."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fastapi import Request
 
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to, unprocessable
-from api.requests.form import CALIBRATION, CALIBRATION_FORM, INTRINSICS, VIDEOS, Form, ReceivedFile
+from api.requests.form import CALIBRATION, CALIBRATION_FORM, IMAGES, INTRINSICS, VIDEOS, Form, ReceivedFile
 from api.requests.intake import (
     SPEC,
     CheckedSession,
@@ -22,12 +22,16 @@ from api.requests.preflight import CalibrationContents, InvalidFilesError, allow
 from api.requests.spec_checks import limit_errors, network_errors
 from api.schemas.calibrations import CalibrationSpec, Method, UploadedCalibration
 from api.schemas.captures import Manifest
+from pipeline.calibration.known_points.checks import point_problems
+from pipeline.calibration_choices import CalibrationChoices
+from pipeline.capture.preflight_record import Preflight
+from pipeline.errors import listed
 from worker.jobs.model import Session
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
 from worker.planning import has_videos
 
-_BOARD, _STATURE, _SESSION = "board", "stature_m", "session_id"
+_BOARD, _STATURE, _SESSION, _POINTS = "board", "stature_m", "session_id", "known_points"
 _NEEDED: Mapping[Method, tuple[str, ...]] = {
     "file": (CALIBRATION,),
     "board": (VIDEOS, _BOARD),
@@ -35,11 +39,15 @@ _NEEDED: Mapping[Method, tuple[str, ...]] = {
 }
 _ALLOWED: Mapping[Method, frozenset[str]] = {
     "file": frozenset({CALIBRATION}),
-    "board": frozenset({VIDEOS, INTRINSICS, _BOARD}),
-    "people": frozenset({VIDEOS, INTRINSICS, _STATURE}),
+    "board": frozenset({VIDEOS, INTRINSICS, _BOARD, _POINTS}),
+    "people": frozenset({VIDEOS, INTRINSICS, _STATURE, _POINTS}),
 }
 # A session takes the place of the files.
-_NEEDED_OF_SESSION, _ALLOWED_OF_SESSION = (_STATURE,), frozenset({_STATURE, _SESSION})
+_NEEDED_OF_SESSION, _ALLOWED_OF_SESSION = (_STATURE,), frozenset({_STATURE, _SESSION, _POINTS})
+# Photographs take the place of videos of a board, and give intrinsics only.
+_NEEDED_OF_IMAGES, _ALLOWED_OF_IMAGES = (IMAGES, _BOARD), frozenset({IMAGES, _BOARD})
+# Photographs have no times: their numbers count at a rate that is allowed.
+_IMAGES_RATE_HZ = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +68,8 @@ class CheckedCalibration:
         A file, videos that were sent, or a session that is there already.
     has_intrinsics
         Whether the intrinsics of the cameras are given.
+    has_photographs
+        Whether the files are photographs in place of videos.
     upload_ids
         Uploads that the files are from.
     """
@@ -68,7 +78,12 @@ class CheckedCalibration:
     name: str
     content: ReadFile | CheckedSession | Session
     has_intrinsics: bool = False
+    has_photographs: bool = False
     upload_ids: tuple[str, ...] = ()
+
+    def choices(self) -> CalibrationChoices | None:
+        """Choices of the job that makes it; ``None`` for a file."""
+        return self.spec.choices(self.has_intrinsics, self.has_photographs)
 
 
 async def check_calibration(
@@ -102,9 +117,10 @@ async def check_calibration(
         (file,) = form.files[CALIBRATION]
         contents = await _contents(services, owner, sent, form, spec)
         return CheckedCalibration(spec, spec.name or file.name, ReadFile(file, contents), upload_ids=upload_ids)
-    videos = await _checked_videos(services, owner, sent, form, spec, upload_ids)
-    name = spec.name or f"{spec.method}, {len(form.videos)} cameras"
-    return CheckedCalibration(spec, name, videos, has_intrinsics=bool(form.files[INTRINSICS]), upload_ids=upload_ids)
+    footage = await _checked_footage(services, owner, sent, form, spec, upload_ids, part)
+    name = spec.name or f"{spec.method}, {len(footage.preflight.cameras)} cameras"
+    has_intrinsics, has_photographs = bool(form.files[INTRINSICS]), bool(form.files[IMAGES])
+    return CheckedCalibration(spec, name, footage, has_intrinsics, has_photographs, upload_ids)
 
 
 def _of_session(
@@ -116,7 +132,10 @@ def _of_session(
         message = "The session was sent for a calibration itself."
         error = ErrorItem(code="not_a_capture", message=message, pointer=_pointer(part, _SESSION))
         raise unprocessable([error])
-    if has_videos(session) and (errors := network_errors(JobSpec(), services, None)):
+    errors = _point_errors(spec, session.preflight, part)
+    if has_videos(session):
+        errors += network_errors(JobSpec(), services, None)
+    if errors:
         raise unprocessable(errors)
     return CheckedCalibration(spec, spec.name or f"people, {session.name}", session, has_intrinsics=True)
 
@@ -129,12 +148,19 @@ def _form_of(sent: Sent) -> Form:
 
 def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorItem]:
     """Report what a method lacks, and what it has no use for; ``part`` leads to the choices in the request."""
-    chosen = ((_BOARD, spec.board), (_STATURE, spec.stature_m), (_SESSION, spec.session_id))
+    chosen = (
+        (_BOARD, spec.board),
+        (_STATURE, spec.stature_m),
+        (_SESSION, spec.session_id),
+        (_POINTS, spec.known_points),
+    )
     given = {name for name, value in chosen if value}
     of_session = spec.method == "people" and spec.session_id is not None
     needed = _NEEDED_OF_SESSION if of_session else _NEEDED[spec.method]
     allowed = _ALLOWED_OF_SESSION if of_session else _ALLOWED[spec.method]
     given |= {name for name, files in form.files.items() if files}
+    if spec.method == "board" and IMAGES in given:
+        needed, allowed = _NEEDED_OF_IMAGES, _ALLOWED_OF_IMAGES
 
     def pointer(name: str) -> str:
         return pointer_to(name) if name in form.files else _pointer(part, name)
@@ -151,6 +177,24 @@ def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorIt
         for name in sorted(given - allowed)
     ]
     return errors
+
+
+def _point_errors(spec: CalibrationSpec, preflight: Preflight, part: str) -> list[ErrorItem]:
+    """Report what is wrong with the known points, now that the cameras are known."""
+    if not spec.known_points:
+        return []
+    points = tuple(one.point() for one in spec.known_points)
+    problems = point_problems(points, {camera.name: camera.size_px for camera in preflight.cameras})
+    return [
+        ErrorItem(
+            code=one.code,
+            message=one.message,
+            pointer=_pointer(part, _POINTS),
+            camera=one.camera,
+            hint=one.hint,
+        )
+        for one in listed(problems)
+    ]
 
 
 def _pointer(part: str, field: str) -> str:
@@ -174,13 +218,29 @@ async def _contents(
         raise unprocessable([located(item, form, Manifest()) for item in invalid.errors]) from None
 
 
-async def _checked_videos(
-    services: Services, owner: str, sent: Sent, form: Form, spec: CalibrationSpec, upload_ids: tuple[str, ...]
+async def _checked_footage(
+    services: Services,
+    owner: str,
+    sent: Sent,
+    form: Form,
+    spec: CalibrationSpec,
+    upload_ids: tuple[str, ...],
+    part: str,
 ) -> CheckedSession:
-    """Check the videos of a calibration that is to be made, as a session with guessed or given intrinsics."""
-    manifest = Manifest(name=spec.name or f"Calibration from {spec.method}", cameras=spec.cameras, units=spec.units)
+    """Check the videos or photographs of a calibration, as a session with guessed or given intrinsics."""
+    photographs = form.files[IMAGES]
+    manifest = Manifest(
+        name=spec.name or f"Calibration from {spec.method}",
+        cameras=spec.cameras,
+        units=spec.units,
+        frame_rate_hz=_IMAGES_RATE_HZ if photographs else None,
+    )
+    # From here on photographs are sequences of images.
+    footage = replace(form, files={**form.files, VIDEOS: photographs, IMAGES: ()}) if photographs else form
     record_path = record_path_in(sent.folder)
-    arguments = arguments_of(form, manifest, services.settings.max_session_joints)
+    arguments = arguments_of(footage, manifest, services.settings.max_session_joints)
+    if photographs:
+        arguments.append("--photographs")
     if spec.board is not None:
         arguments.append(f"--board={spec.board}")
     try:
@@ -189,14 +249,14 @@ async def _checked_videos(
             services.preflight.check,
             arguments,
             record_path,
-            allowance_s(form),
-            further_wait_s=further_wait_s(form),
+            allowance_s(footage),
+            further_wait_s=further_wait_s(footage),
         )
     except InvalidFilesError as invalid:
         raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
-    errors = limit_errors(services, preflight)
+    errors = [*limit_errors(services, preflight), *_point_errors(spec, preflight, part)]
     if spec.method == "people":
         errors += network_errors(JobSpec(), services, None)
     if errors:
         raise unprocessable(errors)
-    return CheckedSession(form, manifest, JobSpec(), preflight, record_path, upload_ids)
+    return CheckedSession(footage, manifest, JobSpec(), preflight, record_path, upload_ids)

@@ -17,8 +17,8 @@ from typing import BinaryIO
 from api.errors import ApiError, ErrorItem, pointer_to
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
-INTRINSICS = "intrinsics"
-VIEWS = (VIDEOS, KEYPOINTS)
+INTRINSICS, IMAGES = "intrinsics", "images"
+VIEWS = (VIDEOS, KEYPOINTS, IMAGES)
 """Parts with a file for each camera; the other parts have one file."""
 
 CALIBRATION_ID = "calibration_id"
@@ -80,7 +80,7 @@ def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[str, str, str]]
 
 SESSION_FORM = FormKind("session", (VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS), _session_faults)
 # What a calibration needs depends on its method, which is in a document: checked when that is parsed.
-CALIBRATION_FORM = FormKind("calibration", (CALIBRATION, VIDEOS, INTRINSICS), lambda counts: ())
+CALIBRATION_FORM = FormKind("calibration", (CALIBRATION, VIDEOS, IMAGES, INTRINSICS), lambda counts: ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class Parts:
         self._limits = limits
         self._document_names = documents
         self._kind = kind
-        of_views = {VIDEOS: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
+        of_views = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
         self._max_file_bytes = {part: of_views.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)

@@ -153,7 +153,7 @@ def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCali
     content = checked.content
     if isinstance(content, ReadFile):
         return _add_file(services, idempotent, checked, content)
-    making = checked.spec.choices(checked.has_intrinsics)
+    making = checked.choices()
     if isinstance(content, Session):
         services.disk.require_room()
         stages = plan_job(content, JobSpec(), services.settings.chunk_frames, making=making)
@@ -195,7 +195,7 @@ def _begin(
     stages: Sequence[StagePlan],
 ) -> Answer:
     """Queue the job of a calibration in an open transaction, which records both."""
-    making = checked.spec.choices(checked.has_intrinsics)
+    making = checked.choices()
     job = work.jobs.add(session_id, JobSpec(), stages, services.settings.retention_s, tracing.current(), making)
     work.calibrations.begin(job, checked.name)
     headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}

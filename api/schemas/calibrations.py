@@ -9,7 +9,15 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from api.schemas.captures import CameraManifest, UploadedFiles
 from api.schemas.common import Id, NextCursor, ResponseModel, printable_name
 from api.schemas.jobs import JobError
-from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M, CalibrationChoices
+from pipeline.calibration_choices import (
+    MAX_KNOWN_POINTS,
+    MAX_POINT_M,
+    MAX_STATURE_M,
+    MAX_STATURES,
+    MIN_STATURE_M,
+    CalibrationChoices,
+    KnownPoint,
+)
 from worker.jobs.model import Calibration, JobState
 
 Method = Literal["file", "board", "people"]
@@ -26,6 +34,32 @@ MEDIA_TYPES: dict[Format, tuple[str, str]] = {
 _STATES = {None: "failed"} | {state: str(state) for state in JobState} | {JobState.EXPIRED: "failed"}
 
 
+_Coordinate = Annotated[float, Field(ge=-MAX_POINT_M, le=MAX_POINT_M)]
+_Pixel = Annotated[float, Field(ge=-1.0, le=100_000.0)]
+
+
+class KnownPointSpec(BaseModel):
+    """Point whose coordinates in the world are known, and where cameras see it. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=100, description="Name of the point.", examples=["door"]
+    )
+    xyz_m: tuple[_Coordinate, _Coordinate, _Coordinate] = Field(
+        description="Coordinates in metres, right-handed axes, Z up.", examples=[[0.0, 1.5, 0.0]]
+    )
+    seen_px: dict[str, tuple[_Pixel, _Pixel]] = Field(
+        max_length=256,
+        description="Pixel x, y in the full picture of each camera that sees it, by the name of the camera.",
+        examples=[{"cam_0": [812.5, 640.0], "cam_1": [310.0, 655.5]}],
+    )
+
+    def point(self) -> KnownPoint:
+        """Point as the pipeline takes it."""
+        return KnownPoint(self.name, self.xyz_m, tuple((camera, x, y) for camera, (x, y) in self.seen_px.items()))
+
+
 class CalibrationSpec(BaseModel):
     """Choices of a calibration beside its files. Unknown fields are refused."""
 
@@ -34,7 +68,8 @@ class CalibrationSpec(BaseModel):
     method: Method = Field(
         default="file",
         description=(
-            "`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board; `people`: "
+            "`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board, or "
+            "intrinsics from photographs, `images`; `people`: "
             "made from `videos`, or from a session, of people of known stature who walk about."
         ),
     )
@@ -60,19 +95,30 @@ class CalibrationSpec(BaseModel):
     session_id: UUID | None = Field(
         default=None, description="Session whose people serve; its cameras keep their intrinsics."
     )
+    known_points: tuple[KnownPointSpec, ...] = Field(
+        default=(),
+        max_length=MAX_KNOWN_POINTS,
+        description="Points that determine the world in place of the board on the floor, or of the people.",
+    )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
     )
 
-    def choices(self, has_intrinsics: bool) -> CalibrationChoices | None:
+    def choices(self, has_intrinsics: bool, has_photographs: bool) -> CalibrationChoices | None:
         """Choices of the job; ``None`` for a file."""
-        return None if self.method == "file" else CalibrationChoices(self.board, has_intrinsics, self.stature_m)
+        if self.method == "file":
+            return None
+        points = tuple(one.point() for one in self.known_points)
+        return CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
 
 
 class UploadedCalibration(UploadedFiles, CalibrationSpec):
     """Calibration of uploaded files, each given by the id of its upload. Unknown fields are refused."""
 
     calibration: UUID | None = Field(default=None, description="Upload of a calibration file.")
+    images: tuple[UUID, ...] = Field(
+        default=(), description="Uploads of photographs of a board: for each camera a zip, named as the camera."
+    )
     intrinsics: UUID | None = Field(
         default=None, description="Upload of a calibration file whose intrinsics are kept, and poses ignored."
     )
@@ -80,7 +126,8 @@ class UploadedCalibration(UploadedFiles, CalibrationSpec):
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
         single = (("calibration", self.calibration), ("intrinsics", self.intrinsics))
-        return [*super().uploads(), *((part, one) for part, one in single if one is not None)]
+        images = (("images", one) for one in self.images)
+        return [*super().uploads(), *images, *((part, one) for part, one in single if one is not None)]
 
 
 class CalibratedCamera(ResponseModel):

@@ -17,7 +17,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -32,6 +32,8 @@ from pipeline.capture.preflight_record import Clock, Preflight, PreflightCamera,
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
 from pipeline.video.frame_rate import measured_rate_hz
+from pipeline.video.images.files import is_sequence
+from pipeline.video.properties.regularity import OF_TIMES
 
 EXIT_BAD_INPUT = 2
 EXIT_DISK_FULL = 4
@@ -98,13 +100,22 @@ def _camera_rate_hz(session: CaptureSession | KeypointSession, camera: str) -> f
 
 
 def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
+    if arguments.photographs and (others := [path for path in arguments.videos if not is_sequence(path)]):
+        raise InputError([_no_archive(path) for path in others])
     recordings = [Recording(**recording) for recording in json.loads(arguments.recordings)]
     units, clock = arguments.units, arguments.clock
     session = open_session(
         arguments.videos, arguments.calibration, recordings, units, clock, images_rate_hz=arguments.frame_rate
     )
+    if arguments.photographs:  # their numbers are no times
+        session = replace(session, findings=tuple(one for one in session.findings if one.code not in OF_TIMES))
     files = [video.path.name for video in session.videos]
     return report(session, files, units, recordings, clock), encode_session(session)
+
+
+def _no_archive(path: Path) -> Problem:
+    message, hint = "The file is no zip archive of photographs.", "Send one zip archive for each camera, named as it."
+    return Problem("images_archive", message, file=path.name, hint=hint)
 
 
 def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
@@ -170,6 +181,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
     )
+    parser.add_argument("--photographs", action="store_true", help="The videos are archives of photographs.")
     parser.add_argument("--board", help="Board that the videos show; its specification is checked.")
     parser.add_argument("--record", type=Path)
     arguments = parser.parse_args(words)

@@ -7,8 +7,10 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.calibration.board.calibrate import calibrate_board
-from pipeline.calibration.board.source import frames_to_look_at, look_in_video
+from pipeline.calibration.board.source import frames_to_look_at, look_in_video, photographs_to_look_at
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.board.views import decode_views, encode_views
 from pipeline.calibration.people.calibrate import calibrate_people
@@ -192,6 +194,8 @@ def find_board(task: Task, context: Context) -> Output:
     span = min(float(one[0]) for one in times_s), max(float(one[-1]) for one in times_s)
     own_s = session.times[task.camera].time_s
     frames = frames_to_look_at(own_s, span, 1.0 / session.timebase.frame_rate_hz)
+    if making.has_photographs:
+        frames, own_s = photographs_to_look_at(len(own_s)), np.full(len(own_s), np.nan)
     board = parse_board(making.board)
     with context.video(task.camera):
         views = look_in_video(session.videos[number], task.camera, own_s, frames, board, context.on_unit)

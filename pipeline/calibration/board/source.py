@@ -52,6 +52,12 @@ def frames_to_look_at(
     return frames
 
 
+def photographs_to_look_at(number: int) -> list[int]:
+    """Numbers of a camera's photographs, ascending: all of them, or as many as are looked at, spread evenly."""
+    chosen: list[int] = np.unique(np.linspace(0, number - 1, min(number, BOARD_FRAMES)).round().astype(int)).tolist()
+    return chosen
+
+
 def look_in_video(
     video: VideoInfo,
     camera: str,

@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from api.settings import Settings
 from pipeline.calibration.board.spec import parse_board
+from pipeline.geometry.camera import center_in_world, project
 from pipeline.simulation.boards import BoardPainter, board_poses
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.motion.director import Cast
@@ -100,6 +102,81 @@ def test_a_job_makes_a_calibration_from_a_board(making: Live, videos: list[Path]
     assert making.client.get(address).json()["state"] == "ready"
     assert making.client.delete(address).status_code == 204
     problem_of(making.client.get(job["links"]["session"]), 404, "not_found")
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Zip archives of photographs of a board, one for each of two cameras."""
+    folder, rng, board = tmp_path_factory.mktemp("photographs"), np.random.default_rng(12), parse_board(SPEC)
+    cameras = build_cameras(Rig(Layout.RING, NUM_CAMERAS, (2.0, 1.8), 2.0), np.random.default_rng(0))[:2]
+    _, poses = board_poses(cameras, board, 20, rng)
+    paths = []
+    for number, camera in enumerate(cameras):
+        painter = BoardPainter(camera, board)
+        paths.append(folder / f"{camera.name}.zip")
+        with zipfile.ZipFile(paths[-1], "w") as archive:
+            for k, pose in enumerate(poses[15 + 2 * number :: 4]):
+                _, content = cv2.imencode(".png", painter.paint(pose, rng)[..., ::-1])
+                archive.writestr(f"board/IMG_{k:04d}.png", content.tobytes())
+    return paths
+
+
+def test_photographs_of_a_board_give_intrinsics(making: Live, photographs: list[Path]) -> None:
+    parts = [("images", (path.name, path.read_bytes())) for path in photographs]
+    spec = ("spec", (None, json.dumps({"method": "board", "board": SPEC}).encode()))
+    answer = making.client.post("/v1/calibrations", files=[*parts, spec])
+    assert answer.status_code == 202, answer.text
+    work(making)
+    calibration = making.client.get(f"/v1/calibrations/{answer.json()['id']}").json()
+    assert calibration["state"] == "ready", making.client.get(answer.json()["links"]["self"]).json()["error"]
+    assert calibration["report"]["has_extrinsics"] is False
+    truth = build_cameras(Rig(Layout.RING, NUM_CAMERAS, (2.0, 1.8), 2.0), np.random.default_rng(0))
+    for found, camera in zip(calibration["cameras"], truth, strict=False):
+        assert found["name"] == camera.name
+        assert abs(found["matrix"][0][0] / camera.matrix[0, 0] - 1) < 0.01
+
+    # Photographs have no world, and are archives.
+    point = {"name": "door", "xyz_m": [0, 0, 0], "seen_px": {}}
+    spec = ("spec", (None, json.dumps({"method": "board", "board": SPEC, "known_points": [point]}).encode()))
+    problem = problem_of(making.client.post("/v1/calibrations", files=[*parts, spec]), 422, "invalid_request")
+    assert [(one["code"], one["pointer"]) for one in problem["errors"]] == [("part_not_allowed", "/spec/known_points")]
+    spec = ("spec", (None, json.dumps({"method": "board", "board": SPEC}).encode()))
+    lone = ("images", ("cam_00.png", b"\x89PNG"))
+    problem = problem_of(making.client.post("/v1/calibrations", files=[lone, spec]), 422, "invalid_request")
+    assert [(one["code"], one["pointer"]) for one in problem["errors"]] == [("images_archive", "/images/0")]
+
+
+def test_known_points_make_the_world_of_a_board(making: Live, videos: list[Path]) -> None:
+    cameras = build_cameras(Rig(Layout.RING, NUM_CAMERAS, (2.0, 1.8), 2.0), np.random.default_rng(0))
+    xyz_m = np.array([[0.2, 0.4, 0.0], [-0.4, 0.1, 0.1], [0.2, -0.3, 0.8]])
+    points: list[dict[str, Any]] = [
+        {"name": f"P{k}", "xyz_m": one, "seen_px": {}} for k, one in enumerate(xyz_m.tolist())
+    ]
+    for camera in cameras:
+        for point, seen_px in zip(points, project(camera, xyz_m), strict=True):
+            if (seen_px > 0).all() and (seen_px < np.array(camera.size_px) - 1).all():
+                point["seen_px"][camera.name] = seen_px.tolist()
+    answer = send(making, videos, method="board", board=SPEC, known_points=points)
+    assert answer.status_code == 202, answer.text
+    job = answer.json()
+    work(making)
+    calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
+    assert calibration["state"] == "ready", calibration["error"]
+    assert calibration["report"]["world"].startswith("That of 3 known points")
+    for found, camera in zip(calibration["cameras"], cameras, strict=True):
+        np.testing.assert_allclose(found["position_m"], center_in_world(camera), atol=0.02)
+
+    wrong = [{**points[0], "seen_px": {"cam_x": [1.0, 2.0]}}, *points[1:]]
+    problem = problem_of(send(making, videos, method="board", board=SPEC, known_points=wrong), 422, "invalid_request")
+    assert [(one["code"], one["pointer"]) for one in problem["errors"]] == [
+        ("camera_unknown", "/spec/known_points"),
+        ("known_points_few", "/spec/known_points"),
+    ]
+    for value in (1e9, "door", None, [1.0]):
+        strange = [{**points[0], "xyz_m": [0.0, 0.0, value]}]
+        answer = send(making, videos, method="board", board=SPEC, known_points=strange)
+        problem = problem_of(answer, 422, "invalid_request")
+        assert problem["errors"][0]["pointer"].startswith("/spec/known_points/0/xyz_m/2")
 
 
 def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, videos: list[Path]) -> None:
