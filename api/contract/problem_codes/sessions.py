@@ -47,6 +47,12 @@ CALIBRATIONS = CodeGroup(
             "Check the numbers of the board; film it sharp and whole.",
         ),
         ProblemCode(
+            "board_exchanged",
+            _MADE,
+            "The numbers of columns and rows of the board are exchanged.",
+            "State the board as `hint` says.",
+        ),
+        ProblemCode(
             "board_unlinked",
             _MADE,
             "A camera shares too few views of the board with the others.",

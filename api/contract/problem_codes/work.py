@@ -292,6 +292,12 @@ WARNINGS = CodeGroup(
             "Turn off the mirroring of the camera: its videos are mirrored too.",
         ),
         ProblemCode(
+            "board_ambiguous",
+            _WARNING,
+            "The chessboard looks the same after half a turn, so that the world may be turned by half a turn.",
+            "Use a board with an odd and an even number, a ChArUco board, or known points.",
+        ),
+        ProblemCode(
             "board_few_shared",
             _WARNING,
             "A camera is linked to the others by few views of the board.",

@@ -131,7 +131,7 @@ def calibrate_board(
     begins_s = [float(times_s[stretch.start]) for stretch in places.stretches]
     root_from_world = world.world_from_root.inverse()
     cameras = tuple(with_pose(camera, camera.cam_from_world @ root_from_world) for camera in fitted.adjustment.cameras)
-    doubts = (*doubts, *floor_warnings(places, begins_s[0]))
+    doubts = (*doubts, *floor_warnings(places, begins_s[0], board))
     return _made(views, fitted, cameras, _world_sentence(world, begins_s, board), doubts)
 
 

@@ -33,6 +33,12 @@ def require_views(views: Sequence[BoardViews], board: Board, needs_intrinsics: b
 def _too_few(views: BoardViews, board: Board, least: int) -> Problem:
     message = f"The board was found in {len(views)} of {views.num_pictures} pictures; at least {least} are required."
     hint = f"Check the board ({board}); film it sharp, well lit and whole."
+    if views.num_exchanged:
+        shown = board.exchanged
+        message = (
+            f"The board has {shown.cols} columns and {shown.rows} rows of squares, not {board.cols} and {board.rows}."
+        )
+        return Problem("board_exchanged", message, camera=views.camera, hint=f"State {shown}.")
     if views.num_mirrored:
         hint = f"In {views.num_mirrored} pictures the board is mirrored: turn off the mirroring of the camera."
     elif board.kind == "chessboard":
@@ -131,8 +137,15 @@ def link_warnings(views: Sequence[BoardViews], pairs: Sequence[Pair]) -> Iterato
             yield Problem("board_few_shared", message, camera=one.camera, hint=hint)
 
 
-def floor_warnings(places: Places, time_s: float) -> Iterator[Problem]:
-    """Doubts about the floor, on which the board lies at a time."""
+def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Problem]:
+    """Doubts about the floor, on which the board lies at a time, and about the direction of its axes."""
+    if board.is_ambiguous:
+        message = (
+            f"A chessboard of {board.cols} x {board.rows} corners looks the same upside down: the origin and the "
+            "directions of x and y may be those of the opposite corner."
+        )
+        hint = "Use a board with an odd and an even number, a ChArUco board, or known points."
+        yield Problem("board_ambiguous", message, hint=hint)
     if not places.is_certain:
         message = f"The board never lies still on the floor; the floor is taken as the board is at {time_s:.2f} s."
         hint = "Lay the board flat on the floor for a second, or state the time at which it lies there."

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.calibration.board.detection.detect import Found, find_board
+from pipeline.calibration.board.detection.detect import Found, find_board, is_exchanged
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration_choices import BOARD_FRAMES
@@ -21,6 +21,8 @@ from pipeline.video.info import VideoInfo
 
 _ENDINGS = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
 _MAX_SIDE_PX = 16_384
+# Pictures without the board, before it is found, in which it is looked for with columns and rows exchanged.
+_TRIED_EXCHANGED = 60
 # Names of Pose2Sim's folders of photographs.
 _POSE2SIM = re.compile(r"(?:int|ext)_(.+)_img")
 
@@ -161,10 +163,13 @@ def _views(
 ) -> BoardViews:
     times_s: list[float] = []
     found: list[Found] = []
-    num_pictures = num_mirrored = 0
+    num_pictures = num_mirrored = num_exchanged = num_tried = 0
     for time_s, image_rgb in pictures:
         num_pictures += 1
         if (one := find_board(image_rgb, board)) is None:
+            if not found and num_tried < _TRIED_EXCHANGED:
+                num_tried += 1
+                num_exchanged += is_exchanged(image_rgb, board)
             continue
         if one.is_mirrored:
             num_mirrored += 1
@@ -179,4 +184,5 @@ def _views(
         read_only(np.array([one.sharpness_px for one in found])),
         num_pictures,
         num_mirrored,
+        num_exchanged,
     )

@@ -1,7 +1,7 @@
 """Boards: chessboards and ChArUco boards, parsed from a specification."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -65,6 +65,11 @@ class Board:
     def is_ambiguous(self) -> bool:
         """Whether the board looks the same after half a turn: a chessboard with both counts odd or both even."""
         return self.kind == "chessboard" and (self.cols - self.rows) % 2 == 0
+
+    @property
+    def exchanged(self) -> "Board":
+        """Board with its numbers along width and height exchanged: printed or declared the other way round."""
+        return replace(self, cols=self.rows, rows=self.cols)
 
     @property
     def charuco(self) -> cv2.aruco.CharucoBoard:

@@ -34,6 +34,8 @@ class BoardViews:
         Number of pictures that were looked at, with and without the board.
     num_mirrored
         Number of pictures in which the board is mirrored.
+    num_exchanged
+        Number of pictures that show a board with the numbers of columns and rows exchanged.
     """
 
     camera: str
@@ -43,6 +45,7 @@ class BoardViews:
     sharpness_px: Float[np.ndarray, " views"]
     num_pictures: int
     num_mirrored: int = 0
+    num_exchanged: int = 0
 
     def __len__(self) -> int:
         """Number of views."""
@@ -59,6 +62,7 @@ class BoardViews:
             read_only(self.sharpness_px[index]),
             self.num_pictures,
             self.num_mirrored,
+            self.num_exchanged,
         )
 
 
@@ -69,6 +73,7 @@ def encode_views(views: BoardViews) -> bytes:
         "size_px": views.size_px,
         "num_pictures": views.num_pictures,
         "num_mirrored": views.num_mirrored,
+        "num_exchanged": views.num_exchanged,
     }
     arrays = {"time_s": views.time_s, "corners_px": views.corners_px, "sharpness_px": views.sharpness_px}
     return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
@@ -86,6 +91,7 @@ def decode_views(content: bytes) -> BoardViews:
         read_only(arrays["sharpness_px"]),
         head["num_pictures"],
         head["num_mirrored"],
+        head["num_exchanged"],
     )
 
 

@@ -43,6 +43,18 @@ def find_board(image: UInt8[np.ndarray, "height width 3"], board: Board) -> Foun
     return _find_charuco(gray, board)
 
 
+def is_exchanged(image: UInt8[np.ndarray, "height width 3"], board: Board) -> bool:
+    """Return whether the picture shows the ChArUco board with its numbers of columns and rows exchanged.
+
+    A chessboard looks the same then, and is found.
+    """
+    if board.kind == "chessboard" or board.cols == board.rows:
+        return False
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    found = _charuco_corners(gray, board.exchanged)
+    return found is not None and _aligned(gray, found, board.exchanged) is not None
+
+
 def _find_chessboard(gray: np.ndarray, board: Board) -> Found | None:
     factor = min(1.0, _SEARCHED_PX / max(gray.shape))
     small = gray if factor == 1.0 else cv2.resize(gray, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)

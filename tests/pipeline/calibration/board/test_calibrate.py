@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.board.calibrate import calibrate_board
-from pipeline.calibration.board.detection.detect import find_board
+from pipeline.calibration.board.detection.detect import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views, decode_views, encode_views
 from pipeline.calibration_choices import KnownPoint
@@ -45,6 +45,7 @@ def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
     for found, given in zip(made.cameras, truth, strict=True):
         assert abs(found.matrix[0, 0] / given.matrix[0, 0] - 1) < 0.003
     assert made.reprojection_error_px < 0.3
+    assert ("board_ambiguous" in {warning.code for warning in made.warnings}) is board.is_ambiguous
     assert [report.name for report in made.by_camera] == [camera.name for camera in truth]
     assert not [warning for warning in made.warnings if warning.code == "board_floor_uncertain"]
     # One camera is the origin of the adjustment; the standard deviations of the others are millimetres.
@@ -129,6 +130,22 @@ def test_a_board_that_was_not_found_is_named_with_its_numbers() -> None:
         calibrate_board(views, AMBIGUOUS, None, 25.0)
     assert [one.camera for one in raised.value.problems] == [one.camera for one in views]
     assert "5x7" in str(raised.value)
+
+
+def test_a_board_with_columns_and_rows_exchanged_is_named() -> None:
+    camera, rng = ring(4)[0], np.random.default_rng(3)
+    _, poses = board_poses([camera], CHARUCO, 1, rng)
+    image = BoardPainter(camera, CHARUCO).paint(poses[-1], rng)
+    declared = CHARUCO.exchanged
+    assert find_board(image, declared) is None
+    assert is_exchanged(image, declared)
+    assert not is_exchanged(image, CHARUCO)
+    (views, *_) = simulated(CHARUCO, num_poses=4)
+    unseen = replace(views.select([]), num_exchanged=3)
+    with pytest.raises(InputError) as raised:
+        calibrate_board([unseen], declared, None, 25.0)
+    (problem,) = raised.value.problems
+    assert (problem.code, problem.hint) == ("board_exchanged", f"State {CHARUCO}.")
 
 
 def test_views_come_back_from_their_archive() -> None:
