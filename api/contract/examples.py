@@ -318,7 +318,7 @@ _MOTION: dict[str, Any] = {
             "identity": 43,
         },
         "absent": -32768,
-        "error_step_px": 0.25,
+        "error_step_px": 0.5,
         "unknown_error": 255,
     },
     "people": [

@@ -9,8 +9,13 @@ import pytest
 from playwright.sync_api import ConsoleMessage, Page, ViewportSize, sync_playwright
 
 VENDOR = Path(__file__).parents[2] / "api" / "portal" / "vendor"
-# The browser makes no requests of its own, and root may start it.
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+# The browser makes no requests of its own, root may start it, and it draws 3D in software.
+FLAGS = [
+    *("--no-sandbox", "--disable-background-networking", "--disable-component-update"),
+    *("--disable-gpu", "--enable-unsafe-swiftshader"),
+]
+# What Chromium tells about its own drawing in software.
+OWN = ("GPU stall due to ReadPixels",)
 DESKTOP: ViewportSize = {"width": 1280, "height": 800}
 
 
@@ -34,7 +39,7 @@ def opened(url: str, viewport: ViewportSize = DESKTOP, *, allowed: tuple[str, ..
         complaints: list[str] = []
 
         def complain(message: ConsoleMessage) -> None:
-            if message.type in {"error", "warning"} and not any(part in message.text for part in allowed):
+            if message.type in {"error", "warning"} and not any(part in message.text for part in (*OWN, *allowed)):
                 complaints.append(f"{message.type}: {message.text}")
 
         page.on("console", complain)

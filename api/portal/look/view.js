@@ -1,4 +1,4 @@
-// View Look: one job and its files.
+// View Look: one job, its motion and its files.
 
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
@@ -8,6 +8,7 @@ import { readOptions } from "../shared/options.js";
 import { problemBox, warningList } from "../shared/problem.js";
 import { choiceList, errorBox, stageList } from "../watch/job.js";
 import { downloads } from "./downloads.js";
+import { Motion } from "./motion.js";
 
 export function open(place, route, caller) {
   const view = new Look(place, route.id, caller);
@@ -27,8 +28,10 @@ class Look {
   constructor(place, id, caller) {
     Object.assign(this, { place, id, caller });
     this.frame = document.createElement("div");
+    this.stage = document.createElement("div");
     this.below = document.createElement("div");
-    place.append(this.frame, this.below);
+    place.append(this.frame, this.stage, this.below);
+    this.motion = new Motion(this.stage);
     this.onFeed = () => this.#feedChanged();
   }
 
@@ -48,6 +51,7 @@ class Look {
 
   close() {
     this.#isClosed = true;
+    this.motion.close();
     feed.removeEventListener("change", this.onFeed);
   }
 
@@ -64,6 +68,7 @@ class Look {
     this.#viewed = `${this.job.attempt}`;
     this.results = (await call(this.job.links.results)).results;
     this.draw();
+    if (this.job.kind === "reconstruction") await this.motion.open(this.job, this.session);
   }
 
   draw() {

@@ -10,7 +10,7 @@ field                   type             meaning
 ``skeleton``            bones x 3 int16  position of each joint of the animation skeleton, likewise
 ``source_views``        joints x uint8   ``Source`` in the two low bits, number of cameras (at most 63) above them
 ``score``               joints x uint8   mean confidence of the observations, 255 for 1
-``error``               joints x uint8   mean reprojection error in steps of 0.25 px, 254 for more; 255: unknown
+``error``               joints x uint8   mean reprojection error in steps of 0.5 px, 254 for more; 255: unknown
 ``camera_error``        cameras x uint8  mean reprojection error of the body's joints in each camera, likewise
 ``identity``            uint8            confidence in the person's identity, 255 for 1
 ======================  ===============  ===========================================================================
@@ -31,7 +31,7 @@ from pipeline.export.writers.blocks import frame_blocks
 ABSENT = -32768
 """Coordinate of a joint without a position."""
 UNKNOWN_ERROR = 255
-ERROR_STEP_PX = 0.25
+ERROR_STEP_PX = 0.5
 POSITION_STEP_M = 1e-4
 
 _LARGEST = 32767

@@ -50,7 +50,7 @@ def test_records_hold_positions_sources_and_figures() -> None:
             assert found["source"] == track.source[row].tolist()
             assert found["views"] == track.views[row].tolist()
             np.testing.assert_allclose(found["score"], track.score[row], atol=0.002)
-            assert list(found["error"]) == [255 if np.isnan(px) else 8 for px in track.error_px[row]]
+            assert list(found["error"]) == [255 if np.isnan(px) else 4 for px in track.error_px[row]]
             assert found["camera_error"] == (0, 0, 0)
 
 
@@ -62,13 +62,13 @@ def test_a_camera_s_error_is_the_mean_of_the_body_s_joints() -> None:
     unseen[5, 2] = 0.0
     off = replace(off, observations=(off.observations[0], replace(off.observations[1], score=unseen)))
     description, content = written(off)
-    # 5 px are 20 steps; 255: the camera sees nothing of the person.
-    assert read_record(description, content, 1, 4)["camera_error"] == (0, 20, 0)
-    assert read_record(description, content, 1, 5)["camera_error"] == (0, 20, 255)
+    # 5 px are 10 steps; 255: the camera sees nothing of the person.
+    assert read_record(description, content, 1, 4)["camera_error"] == (0, 10, 0)
+    assert read_record(description, content, 1, 5)["camera_error"] == (0, 10, 255)
     strips = columns_of(description, 1)
     assert strips["cameras"][33:37].tolist() == [3, 3, 2, 3]
-    # Mean of 0, 5 and 0 px, and of 0 and 5 px, in steps of a quarter.
-    assert strips["error"][33:37].tolist() == [7, 7, 10, 7]
+    # Mean of 0, 5 and 0 px, and of 0 and 5 px, in steps of a half.
+    assert strips["error"][33:37].tolist() == [3, 3, 5, 3]
 
 
 def test_strips_tell_where_a_person_is_doubtful() -> None:

@@ -1,0 +1,45 @@
+// Joint angles and speeds from positions of the animation skeleton. Pure functions of typed arrays; NaN stays NaN.
+
+/** Angles that plots offer: the bend at `at` between the bones from `from` and to `to`; 0 is straight. */
+export const ANGLES = ["Left", "Right"].flatMap((side) => [
+  { label: `${side} elbow`, from: `${side}Arm`, at: `${side}ForeArm`, to: `${side}Hand` },
+  { label: `${side} knee`, from: `${side}UpLeg`, at: `${side}Leg`, to: `${side}Foot` },
+  { label: `${side} hip`, from: "Spine", at: `${side}UpLeg`, to: `${side}Leg` },
+]);
+
+/** Joints whose speeds plots offer. */
+export const SPEEDS = [["Hips", "hips"], ["LeftHand", "left hand"], ["RightHand", "right hand"], ["LeftFoot", "left foot"], ["RightFoot", "right foot"]];
+
+/** Bend in degrees at the joint `at`: the angle by which the second bone leaves the first one's direction. */
+export function bendDeg(positions, from, at, to) {
+  let dot = 0;
+  let first = 0;
+  let second = 0;
+  for (let axis = 0; axis < 3; axis++) {
+    const a = positions[3 * at + axis] - positions[3 * from + axis];
+    const b = positions[3 * to + axis] - positions[3 * at + axis];
+    dot += a * b;
+    first += a * a;
+    second += b * b;
+  }
+  const cosine = dot / Math.sqrt(first * second);
+  return (Math.acos(Math.min(1, Math.max(-1, cosine))) * 180) / Math.PI;
+}
+
+/** Speed of a joint in m/s between two frames that are `seconds` apart. */
+export function speedMS(before, after, joint, seconds) {
+  let square = 0;
+  for (let axis = 0; axis < 3; axis++) square += (after[3 * joint + axis] - before[3 * joint + axis]) ** 2;
+  return Math.sqrt(square) / seconds;
+}
+
+/** Mean of two sets of positions: at `share` of the way from `before` to `after`. NaN where one of both is. */
+export function between(before, after, share, out) {
+  for (let place = 0; place < before.length; place++) out[place] = before[place] + share * (after[place] - before[place]);
+  return out;
+}
+
+/** Whether a foot stands on the floor in a frame; `contacts` are the rows of a person's description. */
+export function standing(contacts, side, frame) {
+  return contacts.some(([ofSide, , first, count]) => ofSide === side && frame >= first && frame < first + count);
+}

@@ -1,0 +1,85 @@
+// Records of frames: what an answer of GET /v1/jobs/{id}/motion holds (docs/formats.md, "Motion for viewers").
+
+const HEAD_BYTES = 16;
+const FIELDS = { joints: "numJoints", skeleton: "numBones" };
+
+/** Split an answer into the pieces of its people: `{ id, firstFrame, numFrames, start }`, `start` in bytes. */
+export function parsePieces(buffer) {
+  const pieces = [];
+  const view = new DataView(buffer);
+  for (let place = 0; place < buffer.byteLength;) {
+    const [id, firstFrame, numFrames, numBytes] = [0, 4, 8, 12].map((offset) => view.getUint32(place + offset, true));
+    const start = place + HEAD_BYTES;
+    place = start + numFrames * numBytes;
+    if (numBytes === 0 || place > buffer.byteLength) throw new Error("The frames of the motion are cut short.");
+    pieces.push({ id, firstFrame, numFrames, start });
+  }
+  return pieces;
+}
+
+/** Reader of the records of a take. A place is `{ buffer, start }`: an answer, and the first byte of a record in it. */
+export class Records {
+  constructor(description) {
+    const { num_bytes, offsets, absent, error_step_px, unknown_error } = description.record;
+    this.numBytes = num_bytes;
+    this.numJoints = description.joint_names.length;
+    this.numBones = description.skeleton.names.length;
+    this.numCameras = description.cameras.length;
+    this.offsets = offsets;
+    this.absent = absent;
+    this.errorStepPx = error_step_px;
+    this.unknownError = unknown_error;
+  }
+
+  /** Number of positions that a field, `joints` or `skeleton`, holds. */
+  count(field) {
+    return this[FIELDS[field]];
+  }
+
+  /** Write the positions of a field in metres to `out` (x, y, z a joint); NaN for joints without a position. */
+  positions({ buffer, start }, field, stepM, out) {
+    // Records and their heads are multiples of four bytes, so both views are aligned.
+    const origin = new Float32Array(buffer, start + this.offsets.origin_m, 3);
+    const steps = new Int16Array(buffer, start + this.offsets[field], 3 * this.count(field));
+    for (let joint = 0; joint < steps.length; joint += 3) {
+      const isAbsent = steps[joint] === this.absent;
+      for (let axis = 0; axis < 3; axis++) {
+        out[joint + axis] = isAbsent ? NaN : origin[axis] + steps[joint + axis] * stepM;
+      }
+    }
+    return out;
+  }
+
+  /** Source of a joint (0 absent, 1 measured, 2 interpolated, 3 predicted). */
+  source(place, joint) {
+    return this.#byte(place, "source_views", joint) & 3;
+  }
+
+  /** Number of cameras that saw a joint. */
+  views(place, joint) {
+    return this.#byte(place, "source_views", joint) >> 2;
+  }
+
+  /** Reprojection error of a joint in pixels; NaN without one. */
+  jointErrorPx(place, joint) {
+    return this.#errorPx(this.#byte(place, "error", joint));
+  }
+
+  /** Mean reprojection error of the body in a camera, in pixels; NaN where the camera sees nothing of the person. */
+  cameraErrorPx(place, camera) {
+    return this.#errorPx(this.#byte(place, "camera_error", camera));
+  }
+
+  /** Confidence in the person's identity, from 0 to 1. */
+  identity(place) {
+    return this.#byte(place, "identity", 0) / 255;
+  }
+
+  #byte({ buffer, start }, field, number) {
+    return new Uint8Array(buffer, start + this.offsets[field] + number, 1)[0];
+  }
+
+  #errorPx(steps) {
+    return steps === this.unknownError ? NaN : steps * this.errorStepPx;
+  }
+}

@@ -1,0 +1,59 @@
+// Entry of the viewer: `mount(element, source)` shows a job's motion, `mountPair` two jobs on the same clock.
+
+import { el } from "./dom.js";
+import { Player } from "./player.js";
+import { Viewer } from "./viewer.js";
+
+/**
+ * Show a job's motion in an element.
+ *
+ * `source` is described in source.js. Returns a promise of the viewer, which has `player` and `close()`; it is rejected,
+ * and the element tells why, if the motion can't be read.
+ */
+export async function mount(element, source) {
+  const [description] = await describe(element, [source]);
+  return new Viewer(element, source, description, playerOf([description]));
+}
+
+/** Show two jobs of a session side by side, with one play head on the session's clock. Returns as `mount`. */
+export async function mountPair(element, sources, titles) {
+  const descriptions = await describe(element, sources);
+  const player = playerOf(descriptions);
+  const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h3", {}, title), el("div")));
+  element.replaceChildren(el("div", { class: "look-pair" }, places));
+  const viewers = places.map((place, number) => new Viewer(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0 }));
+  player.mustWait = (now) => viewers.some((viewer) => viewer.isLate(now));
+  linkOrbits(viewers);
+  return { player, close: () => viewers.forEach((viewer) => viewer.close()) };
+}
+
+async function describe(element, sources) {
+  element.replaceChildren(el("p", { class: "look-loading", role: "status" }, "Loading the motion …"));
+  try {
+    return await Promise.all(sources.map((source) => source.description()));
+  } catch (error) {
+    element.replaceChildren(el("p", { class: "look-problem", role: "alert" }, error.message));
+    throw error;
+  }
+}
+
+function playerOf(descriptions) {
+  const rateHz = Math.max(...descriptions.map((one) => one.frame_rate_hz));
+  const startS = Math.min(...descriptions.map((one) => one.start_time_s));
+  const endS = Math.max(...descriptions.map((one) => one.start_time_s + (one.num_frames - 1) / one.frame_rate_hz));
+  return new Player({ startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1 });
+}
+
+/** Turn the other view when one is turned. */
+function linkOrbits(viewers) {
+  const stages = viewers.flatMap(({ view }) => (view ? [view.stage] : []));
+  let isCopying = false;
+  for (const stage of stages) {
+    stage.controls.addEventListener("change", () => {
+      if (isCopying) return;
+      isCopying = true;
+      for (const other of stages) if (other !== stage) other.copyOrbit(stage);
+      isCopying = false;
+    });
+  }
+}

@@ -1,0 +1,157 @@
+// Time line: a slider for the play head, and below it heat strips of each person on the same scale.
+
+import { el, iconButton } from "../dom.js";
+import { badErrorPx, badSpots, bucketErrorPx, decodeStrips } from "../motion/strips.js";
+
+// Heights of the bands in pixels: sources, error, cameras, identity.
+const BANDS = { sources: 12, error: 6, cameras: 6, identity: 6 };
+const GAP = 1;
+const HEIGHT = Object.values(BANDS).reduce((sum, height) => sum + height + GAP, -GAP);
+const SOURCES = [["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"]];
+const EMPTY = "#232a28";
+const LEGEND = [
+  ["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"], ["large error", "#f0e14a"],
+  ["few cameras", "#5b3f8f"], ["doubtful identity", "#e0529c"],
+];
+
+export class Strips {
+  #player;
+  #description;
+  #range;
+  #head;
+  #announce;
+  #current = null;
+
+  constructor(description, player, { announce, onperson }) {
+    this.#description = description;
+    this.#player = player;
+    this.#announce = announce;
+    this.spots = description.people.map((_, person) => badSpots(description, person));
+    this.#range = el("input", {
+      type: "range", class: "look-range", min: 0, max: Math.max(0, description.num_frames - 1), step: 1, value: 0,
+      "aria-label": "Play head", oninput: () => { player.pause(); player.seek(Number(this.#range.value)); },
+    });
+    this.#head = el("div", { class: "look-head", "aria-hidden": "true" });
+    const rows = description.people.map((person, number) => this.#row(person, number, onperson));
+    this.element = el("div", { class: "look-timeline" },
+      el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#range)),
+      el("div", { class: "look-rows", role: "group", "aria-label": "Quality of each person over time" }, rows, this.#head),
+      rows.length === 0 ? el("p", { class: "look-quiet" }, "Nobody was found in this take.") : this.#legend());
+    player.addEventListener("time", () => this.draw());
+    this.draw();
+  }
+
+  /** Move the slider and the line to the play head. */
+  draw() {
+    const { frame, numFrames, rateHz, startS } = this.#player;
+    this.#range.value = frame;
+    this.#range.setAttribute("aria-valuetext", `frame ${frame}, ${(startS + frame / rateHz).toFixed(2)} seconds`);
+    this.#head.style.setProperty("--place", numFrames > 1 ? (frame + 0.5) / numFrames : 0.5);
+  }
+
+  /** Go to the next or the previous spot that deserves a look, of a person or of anybody. */
+  goToSpot(direction, person = null) {
+    const all = (person === null ? this.spots.flatMap((spots, number) => spots.map((spot) => ({ ...spot, number })))
+      : this.spots[person].map((spot) => ({ ...spot, number: person }))).sort((a, b) => a.from - b.from);
+    const { frame } = this.#player;
+    // Spots of several people may begin in the same frame.
+    const isNext = (spot) => (direction > 0 ? spot.from > frame : spot.from < frame);
+    const found = direction > 0 ? all.find(isNext) : all.findLast(isNext);
+    if (!found) {
+      this.#announce(direction > 0 ? "No later spot deserves a look." : "No earlier spot deserves a look.");
+      return;
+    }
+    this.#player.pause();
+    this.#player.seek(found.from);
+    const { name } = this.#description.people[found.number];
+    this.#announce(`${name}, frame ${found.from}: ${found.reason}.`);
+  }
+
+  #row(person, number, onperson) {
+    const strips = decodeStrips(this.#description, number);
+    const canvas = el("canvas", {
+      class: "look-strip", height: HEIGHT, width: strips.measured.length, role: "img",
+      "aria-label": `${person.name}: ${this.#summary(number)}`, title: "Click to go there",
+    });
+    paint(canvas.getContext("2d"), this.#description, strips, person, badErrorPx(this.#description, number));
+    this.#listen(canvas);
+    const swatch = el("input", { type: "checkbox", checked: true, "aria-label": `Show ${person.name}`, onchange: () => onperson(number, swatch.checked) });
+    const name = el("label", { class: "look-line-name" }, swatch, el("span", { class: "look-swatch" }), el("span", { class: "look-ellipsis" }, person.name));
+    name.style.setProperty("--tint", person.color);
+    const numSpots = this.spots[number].length;
+    return el("div", { class: "look-line" }, name,
+      el("div", { class: "look-track" }, canvas),
+      el("div", { class: "look-spots" },
+        iconButton("previous", `${person.name}: previous spot that deserves a look`, () => this.goToSpot(-1, number), { disabled: numSpots === 0 }),
+        el("span", { class: "look-count", title: "Spots that deserve a look" }, String(numSpots)),
+        iconButton("next", `${person.name}: next spot that deserves a look`, () => this.goToSpot(1, number), { disabled: numSpots === 0 })));
+  }
+
+  #summary(number) {
+    const { coverage } = this.#description.people[number];
+    const numSpots = this.spots[number].length;
+    return `${Math.round(100 * (coverage ?? 0))} % of the joints measured, ${numSpots} ${numSpots === 1 ? "spot deserves" : "spots deserve"} a look`;
+  }
+
+  #listen(canvas) {
+    const seek = (event) => {
+      const { left, width } = canvas.getBoundingClientRect();
+      this.#player.pause();
+      this.#player.seek(Math.floor(((event.clientX - left) / width) * this.#description.num_frames));
+    };
+    canvas.addEventListener("pointerdown", (event) => {
+      this.#current = event.pointerId;
+      canvas.setPointerCapture(event.pointerId);
+      seek(event);
+    });
+    canvas.addEventListener("pointermove", (event) => { if (this.#current === event.pointerId) seek(event); });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { this.#current = null; });
+  }
+
+  #legend() {
+    return el("ul", { class: "look-legend", "aria-label": "Colours of the strips" }, LEGEND.map(([label, color]) => {
+      const item = el("li", {}, el("span", { class: "look-swatch" }), label);
+      item.style.setProperty("--tint", color);
+      return item;
+    }));
+  }
+}
+
+/** Paint a person's bands, a pixel a bucket; the page stretches them. */
+function paint(context, description, strips, person, limitPx) {
+  const length = description.strips.frames_per_bucket;
+  const [first, last] = [person.start_frame, person.start_frame + person.num_frames - 1].map((frame) => Math.floor(frame / length));
+  const numCameras = Math.max(1, description.cameras.length);
+  for (let bucket = 0; bucket < strips.measured.length; bucket++) {
+    if (bucket < first || bucket > last) continue;
+    let top = 0;
+    context.fillStyle = EMPTY;
+    context.fillRect(bucket, 0, 1, HEIGHT);
+    for (const [name, color] of SOURCES) {
+      const height = (BANDS.sources * strips[name][bucket]) / 255;
+      context.fillStyle = color;
+      context.fillRect(bucket, top, 1, height);
+      top += height;
+    }
+    top = BANDS.sources + GAP;
+    const errorPx = bucketErrorPx(description, strips, bucket);
+    if (!Number.isNaN(errorPx)) fill(context, bucket, top, BANDS.error, ramp("#2b4a45", "#f0e14a", errorPx / limitPx));
+    top += BANDS.error + GAP;
+    fill(context, bucket, top, BANDS.cameras, ramp("#5b3f8f", "#4c9bd6", (strips.cameras[bucket] - 1) / Math.max(1, numCameras - 1)));
+    top += BANDS.cameras + GAP;
+    fill(context, bucket, top, BANDS.identity, ramp("#e0529c", "#33403d", strips.identity[bucket] / 255));
+  }
+}
+
+function fill(context, x, y, height, style) {
+  context.fillStyle = style;
+  context.fillRect(x, y, 1, height);
+}
+
+/** Colour between two others. */
+export function ramp(from, to, share) {
+  const clipped = Math.min(1, Math.max(0, share));
+  const part = (color, place) => parseInt(color.slice(place, place + 2), 16);
+  const mixed = [1, 3, 5].map((place) => Math.round(part(from, place) + clipped * (part(to, place) - part(from, place))));
+  return `rgb(${mixed.join(" ")})`;
+}

@@ -1,0 +1,99 @@
+// Play head: a time on the session's clock, in steps of output frames. Views and videos follow it.
+
+export const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
+
+// A tab that was in the background must not jump ahead by minutes.
+const MAX_ELAPSED_S = 1;
+
+/** Events: `time` when the play head has moved, `change` when playing, speed or loop has changed. */
+export class Player extends EventTarget {
+  #timeS;
+
+  /** Frames `0` to `numFrames - 1` are at `startS + frame / rateHz`. */
+  constructor({ startS, rateHz, numFrames }) {
+    super();
+    Object.assign(this, { startS, rateHz, numFrames });
+    // Whether time has to stand still for a moment; viewers set it.
+    this.mustWait = () => false;
+    this.isPlaying = false;
+    this.isLooping = true;
+    this.speed = 1;
+    this.#timeS = startS;
+  }
+
+  /** Exact time, which runs on between frames. */
+  get timeS() {
+    return this.#timeS;
+  }
+
+  get endS() {
+    return this.startS + (this.numFrames - 1) / this.rateHz;
+  }
+
+  /** Output frame at the play head. */
+  get frame() {
+    return this.frameAt(this.#timeS);
+  }
+
+  frameAt(timeS) {
+    return Math.min(this.numFrames - 1, Math.max(0, Math.round((timeS - this.startS) * this.rateHz)));
+  }
+
+  /** Move to a frame. */
+  seek(frame) {
+    this.seekTime(this.startS + Math.min(this.numFrames - 1, Math.max(0, frame)) / this.rateHz);
+  }
+
+  seekTime(timeS) {
+    this.#timeS = Math.min(this.endS, Math.max(this.startS, timeS));
+    this.dispatchEvent(new Event("time"));
+  }
+
+  /** Pause and move by frames. */
+  step(frames) {
+    this.pause();
+    this.seek(this.frame + frames);
+  }
+
+  play() {
+    if (this.frame === this.numFrames - 1) this.seek(0);
+    this.#set({ isPlaying: true });
+  }
+
+  pause() {
+    if (this.isPlaying) this.#set({ isPlaying: false });
+  }
+
+  toggle() {
+    if (this.isPlaying) this.pause();
+    else this.play();
+  }
+
+  setSpeed(speed) {
+    this.#set({ speed });
+  }
+
+  setLooping(isLooping) {
+    this.#set({ isLooping });
+  }
+
+  /** Let time pass while playing. Returns whether the play head has jumped back to the start. */
+  advance(elapsedS) {
+    if (!this.isPlaying) return false;
+    let timeS = this.#timeS + Math.min(elapsedS, MAX_ELAPSED_S) * this.speed;
+    const isOver = timeS > this.endS + 1 / this.rateHz;
+    if (isOver && !this.isLooping) {
+      this.pause();
+      timeS = this.endS;
+    }
+    const isBack = isOver && this.isLooping;
+    this.#timeS = isBack ? this.startS : timeS;
+    this.dispatchEvent(new Event("time"));
+    return isBack;
+  }
+
+  #set(values) {
+    Object.assign(this, values);
+    this.dispatchEvent(new Event("change"));
+  }
+}

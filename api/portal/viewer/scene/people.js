@@ -1,0 +1,207 @@
+// People in 3D: bodies of capsules, skeletons of lines, trails and contacts of feet. One draw call for each of these.
+
+import * as THREE from "../../vendor/three/three.module.js";
+import { standing } from "../motion/kinematics.js";
+
+const TRAIL_S = 1.5;
+const TRAIL_STEPS = 45;
+const TRAILED = ["Hips", "LeftHand", "RightHand", "LeftFoot", "RightFoot"];
+const FEET = [["LeftFoot", 0], ["RightFoot", 1]];
+const CONTACT_RADIUS_M = 0.13;
+// Radius of the capsule that ends at a joint, in metres, by the end of the joint's name; fingers are thin.
+const RADII = [
+  [/Hand(Thumb|Index|Middle|Ring|Pinky)/, 0.009], [/HeadEnd$/, 0.085], [/Head$/, 0.05], [/(Spine|Chest)$/, 0.1],
+  [/Neck$/, 0.07], [/Shoulder$/, 0.045], [/ForeArm$/, 0.045], [/Arm$/, 0.05], [/HandEnd$/, 0.028], [/Hand$/, 0.034],
+  [/UpLeg$/, 0.075], [/Leg$/, 0.068], [/FootEnd$/, 0.036], [/Foot$/, 0.05],
+];
+const HIDDEN = new THREE.Matrix4().makeScale(0, 0, 0);
+
+export class People {
+  #store;
+  #people;
+  #bones;
+  #positions;
+  #matrix = new THREE.Matrix4();
+  #direction = new THREE.Vector3();
+  #turn = new THREE.Quaternion();
+  #from = new THREE.Vector3();
+  #to = new THREE.Vector3();
+  #scale = new THREE.Vector3();
+
+  constructor(stage, store) {
+    const { skeleton, people } = store.description;
+    Object.assign(this, { stage });
+    this.#store = store;
+    this.#people = people.map((person) => ({ ...person, tint: new THREE.Color(person.color), isShown: true }));
+    this.#bones = skeleton.parents
+      .map((parent, joint) => ({ parent, joint, radius: RADII.find(([name]) => name.test(skeleton.names[joint]))?.[1] ?? 0.04 }))
+      // Collar bones start inside the chest: their capsules would stick out of the neck.
+      .filter(({ parent, joint }) => parent !== null && !/^(Left|Right)Shoulder$/.test(skeleton.names[joint]));
+    this.#positions = new Float32Array(3 * skeleton.names.length);
+    this.joints = Object.fromEntries(skeleton.names.map((name, number) => [name, number]));
+    // Where the people are: names are shown there.
+    this.anchors = people.map(() => new THREE.Vector3(NaN, NaN, NaN));
+    this.options = { body: true, skeleton: false, trails: true, contacts: true };
+    this.#build();
+  }
+
+  /** Show or hide a person. */
+  setShown(person, isShown) {
+    this.#people[person].isShown = isShown;
+  }
+
+  /** Put everybody where they are in a frame. */
+  show(frame) {
+    const { body, skeleton, contacts } = this.options;
+    let segment = 0;
+    this.#people.forEach((person, number) => {
+      const isHere = person.isShown && this.#store.positions(number, frame, "skeleton", this.#positions);
+      this.#anchor(number, isHere);
+      this.#showBody(number, isHere && body);
+      if (isHere && skeleton) segment = this.#addLines(segment, person.tint);
+      this.#showContacts(number, person, isHere && contacts, frame);
+    });
+    this.lines.geometry.setDrawRange(0, 2 * segment);
+    for (const name of ["position", "color"]) this.lines.geometry.getAttribute(name).needsUpdate = true;
+    for (const mesh of [this.capsules, this.discs]) mesh.instanceMatrix.needsUpdate = true;
+    this.#showTrails(frame);
+    this.stage.invalidate();
+  }
+
+  /** Box around all people in a frame; empty if nobody is there. */
+  boxAt(frame) {
+    const box = new THREE.Box3();
+    this.#people.forEach((person, number) => {
+      if (!person.isShown || !this.#store.positions(number, frame, "skeleton", this.#positions)) return;
+      for (let joint = 0; joint < this.#positions.length; joint += 3) {
+        if (Number.isFinite(this.#positions[joint])) box.expandByPoint(this.#from.fromArray(this.#positions, joint));
+      }
+    });
+    return box;
+  }
+
+  #build() {
+    const numPeople = Math.max(1, this.#people.length);
+    const numBones = Math.max(1, this.#bones.length);
+    this.capsules = new THREE.InstancedMesh(capsule(), new THREE.MeshLambertMaterial(), numPeople * numBones);
+    const disc = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.75, depthWrite: false });
+    this.discs = new THREE.InstancedMesh(new THREE.RingGeometry(0.55, 1, 20), disc, numPeople * FEET.length);
+    this.#people.forEach(({ tint }, number) => {
+      for (let bone = 0; bone < numBones; bone++) this.capsules.setColorAt(number * numBones + bone, tint);
+      for (let foot = 0; foot < FEET.length; foot++) this.discs.setColorAt(number * FEET.length + foot, tint);
+    });
+    this.lines = colouredLines(numPeople * numBones);
+    this.trails = colouredLines(numPeople * TRAILED.length * TRAIL_STEPS);
+    for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
+      mesh.frustumCulled = false; // bounds of what moves would have to be computed for each frame
+      this.stage.scene.add(mesh);
+    }
+  }
+
+  #anchor(number, isHere) {
+    const anchor = this.anchors[number];
+    anchor.set(NaN, NaN, NaN);
+    if (!isHere) return;
+    const top = [this.joints.HeadEnd, this.joints.Head, this.joints.Hips].find((joint) => Number.isFinite(this.#positions[3 * joint]));
+    if (top !== undefined) anchor.fromArray(this.#positions, 3 * top).z += 0.18;
+  }
+
+  #showBody(number, isShown) {
+    const numBones = this.#bones.length;
+    this.#bones.forEach(({ parent, joint, radius }, bone) => {
+      const place = number * numBones + bone;
+      this.#from.fromArray(this.#positions, 3 * parent);
+      this.#to.fromArray(this.#positions, 3 * joint);
+      this.#direction.subVectors(this.#to, this.#from);
+      const length = this.#direction.length();
+      if (!isShown || !(length > 1e-4)) {
+        this.capsules.setMatrixAt(place, HIDDEN);
+        return;
+      }
+      this.#turn.setFromUnitVectors(THREE.Object3D.DEFAULT_UP, this.#direction.divideScalar(length));
+      this.#from.add(this.#to).multiplyScalar(0.5);
+      // The round ends begin at the joints, so that capsules of neighbouring bones overlap there.
+      this.#scale.set(radius, length + 1.2 * radius, radius);
+      this.capsules.setMatrixAt(place, this.#matrix.compose(this.#from, this.#turn, this.#scale));
+    });
+  }
+
+  /** Add the bones to the lines from a segment on; returns the segment after them. */
+  #addLines(segment, tint) {
+    const points = this.lines.geometry.getAttribute("position");
+    const colors = this.lines.geometry.getAttribute("color");
+    for (const { parent, joint } of this.#bones) {
+      if (!Number.isFinite(this.#positions[3 * parent]) || !Number.isFinite(this.#positions[3 * joint])) continue;
+      for (const [end, place] of [[0, parent], [1, joint]]) {
+        points.setXYZ(2 * segment + end, this.#positions[3 * place], this.#positions[3 * place + 1], this.#positions[3 * place + 2]);
+        colors.setXYZ(2 * segment + end, tint.r, tint.g, tint.b);
+      }
+      segment += 1;
+    }
+    return segment;
+  }
+
+  #showContacts(number, { contacts }, isShown, frame) {
+    FEET.forEach(([name, side], foot) => {
+      const joint = 3 * this.joints[name];
+      const place = number * FEET.length + foot;
+      if (!isShown || !Number.isFinite(this.#positions[joint]) || !standing(contacts, side, frame)) {
+        this.discs.setMatrixAt(place, HIDDEN);
+        return;
+      }
+      const [x, y] = [this.#positions[joint], this.#positions[joint + 1]];
+      this.#from.set(x, y, this.stage.floorZ(x, y) + 0.006);
+      this.#scale.setScalar(CONTACT_RADIUS_M);
+      this.discs.setMatrixAt(place, this.#matrix.compose(this.#from, this.#turn.identity(), this.#scale));
+    });
+  }
+
+  /** Paths of hips, hands and feet over the last moments, fading out. */
+  #showTrails(frame) {
+    const { frame_rate_hz } = this.#store.description;
+    const stride = Math.max(1, Math.round((TRAIL_S * frame_rate_hz) / TRAIL_STEPS));
+    const points = this.trails.geometry.getAttribute("position");
+    const colors = this.trails.geometry.getAttribute("color");
+    const background = this.stage.scene.background;
+    let vertex = 0;
+    const numSteps = this.options.trails ? Math.min(TRAIL_STEPS, Math.round((TRAIL_S * frame_rate_hz) / stride)) : 0;
+    const before = new Float32Array(this.#positions.length);
+    const after = new Float32Array(this.#positions.length);
+    this.#people.forEach(({ isShown, tint }, number) => {
+      if (!isShown || numSteps === 0 || !this.#store.positions(number, frame, "skeleton", after)) return;
+      for (let step = 1; step <= numSteps; step++) {
+        if (!this.#store.positions(number, frame - step * stride, "skeleton", before)) break;
+        const fresh = [1 - (step - 1) / numSteps, 1 - step / numSteps];
+        for (const name of TRAILED) {
+          const joint = 3 * this.joints[name];
+          if (!Number.isFinite(before[joint] + after[joint])) continue;
+          [after, before].forEach((positions, end) => {
+            points.setXYZ(vertex, positions[joint], positions[joint + 1], positions[joint + 2]);
+            // Lines fade into the background: transparent ones would have to be sorted.
+            const mix = (of) => background[of] + (tint[of] - background[of]) * fresh[end] * 0.85;
+            colors.setXYZ(vertex, mix("r"), mix("g"), mix("b"));
+            vertex += 1;
+          });
+        }
+        after.set(before);
+      }
+    });
+    this.trails.geometry.setDrawRange(0, vertex);
+    points.needsUpdate = colors.needsUpdate = true;
+  }
+}
+
+/** Upright capsule of height and radius 1 with few corners: drawing in software takes its time by these. */
+function capsule() {
+  const outline = [[0, -0.5], [0.62, -0.47], [1, -0.38], [1, 0.38], [0.62, 0.47], [0, 0.5]];
+  return new THREE.LatheGeometry(outline.map(([radius, height]) => new THREE.Vector2(radius, height)), 8);
+}
+
+function colouredLines(numSegments) {
+  const geometry = new THREE.BufferGeometry();
+  for (const name of ["position", "color"]) {
+    const attribute = new THREE.BufferAttribute(new Float32Array(6 * Math.max(1, numSegments)), 3);
+    geometry.setAttribute(name, attribute.setUsage(THREE.DynamicDrawUsage));
+  }
+  return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ vertexColors: true }));
+}

