@@ -156,6 +156,14 @@ def test_another_tenant_s_upload_makes_no_session(guarded: Guarded) -> None:
         assert {item["code"] for item in problem["errors"]} == {"upload_unknown"}
 
 
+def test_another_tenant_s_footage_makes_no_session(guarded: Guarded) -> None:
+    body = {"session_id": guarded.ids["session_id"], "calibration_id": guarded.ids["calibration_id"]}
+    for path in ("/v1/sessions", "/v1/jobs"):
+        answer = guarded.ask("POST", path, guarded.mine, json=body, files=None)
+        problem = problem_of(answer, 422, "invalid_request")
+        assert {item["code"] for item in problem["errors"]} == {"session_unknown", "calibration_unknown"}
+
+
 def test_lists_show_the_caller_s_own(guarded: Guarded) -> None:
     for path, name in (("/v1/sessions", "sessions"), ("/v1/jobs", "jobs")):
         assert guarded.ask("GET", path, guarded.mine).json()[name] == []
