@@ -256,9 +256,9 @@ def test_rename(live: Live) -> None:
 @pytest.mark.parametrize(
     ("body", "code"),
     [
-        ({}, "missing"),
-        ({"name": ""}, "too_short"),
-        ({"name": "x" * 201}, "too_long"),
+        ({}, "missing_field"),
+        ({"name": ""}, "wrong_length"),
+        ({"name": "x" * 201}, "wrong_length"),
         ({"name": "turned\u202e"}, "control_characters"),
         ({"name": "walk", "id": "1"}, "unknown_field"),
     ],
