@@ -18,8 +18,8 @@ from pipeline.quality.names import first_names
 from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
 
 # Limit on the median angle from upright: people stand, walk or sit most of the time.
-_MAX_LEAN_DEG = 45.0
-_STATURE_RANGE_M = (1.0, 2.3)
+MAX_LEAN_DEG = 45.0
+STATURE_RANGE_M = (1.0, 2.3)
 
 _LEVEL = "Level the calibration: `refine_calibration` does it if people walk all over the place."
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
@@ -27,7 +27,7 @@ _ANKLES = ("left_ankle", "right_ankle")
 
 
 # A world counts as mirrored if left and right are exchanged in at least this share of so many frames.
-_MIRRORED_SHARE, _MIRRORED_FRAMES = 0.75, 20
+MIRRORED_SHARE, MIRRORED_FRAMES = 0.75, 20
 # Largest median epipolar distance of a camera, at the people: 1.3 to 1.8 cm on Shelf.
 _MAX_EPIPOLAR_M = 0.025
 
@@ -58,7 +58,8 @@ def _mean_m(points_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray,
     return np.where(known, points_m, 0.0).sum(1) / np.where(count > 0, count, np.nan)
 
 
-def _feet_to_head_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "frames 3"]:
+def feet_to_head_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "frames 3"]:
+    """Vector in metres from the ankles to the head in each frame; NaN if one of them is unknown."""
     return _mean_m(_points_m(track, joints, _HEAD)) - _mean_m(_points_m(track, joints, _ANKLES))
 
 
@@ -103,15 +104,15 @@ def world_checks(reconstruction: Reconstruction, statures_m: Mapping[int, float]
 
 
 def _check_upright(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
-    upwards = np.concatenate([np.zeros((0, 3)), *(_feet_to_head_m(track, joints) for track in tracks)])
+    upwards = np.concatenate([np.zeros((0, 3)), *(feet_to_head_m(track, joints) for track in tracks)])
     upwards = upwards[np.isfinite(upwards).all(-1)]
     if len(upwards) == 0:
         return
     lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
-    if lean_deg > 180.0 - _MAX_LEAN_DEG:
+    if lean_deg > 180.0 - MAX_LEAN_DEG:
         message = "Heads are below feet: the calibration's Z axis points down."
         yield "upside_down", message, None, lean_deg, "Turn the calibration: Z must point up."
-    elif lean_deg > _MAX_LEAN_DEG:
+    elif lean_deg > MAX_LEAN_DEG:
         message = f"People lean {lean_deg:.0f} degrees in most frames: the calibration's up axis may not be Z."
         yield "not_upright", message, None, lean_deg, "Check that the calibration's up axis is Z."
 
@@ -127,7 +128,7 @@ def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:
 
 
 def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
-    lowest_m, highest_m = _STATURE_RANGE_M
+    lowest_m, highest_m = STATURE_RANGE_M
     odd_m = {
         f"person-{track_id}": stature_m
         for track_id, stature_m in statures_m.items()
@@ -136,7 +137,7 @@ def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
     if not odd_m:
         return
     middle_m = float(np.median(list(odd_m.values())))
-    hint = _hint_of_unit(middle_m)
+    hint = hint_of_unit(middle_m)
     if len(odd_m) == 1:
         ((person, stature_m),) = odd_m.items()
         message = f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
@@ -153,9 +154,9 @@ def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
     )
 
 
-def _hint_of_unit(stature_m: float) -> str:
+def hint_of_unit(stature_m: float) -> str:
     """Guess the unit in which a person would have a human stature."""
-    lowest_m, highest_m = _STATURE_RANGE_M
+    lowest_m, highest_m = STATURE_RANGE_M
     for name, unit_m in (("cm", 0.01), ("mm", 0.001)):
         if lowest_m <= stature_m * unit_m <= highest_m:
             return f"The lengths look like {name}: state the unit (`units`)."
@@ -174,11 +175,11 @@ def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Found
 
 def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
     """Compare people's left with the left that follows from the front and the top of their heads and trunks."""
-    sides = [np.zeros(0), *(_leftness(track, joints) for track in tracks)]
+    sides = [np.zeros(0), *(leftness(track, joints) for track in tracks)]
     sign = np.concatenate(sides)
     sign = sign[np.isfinite(sign)]
     share = float(np.mean(sign < 0.0)) if len(sign) else 0.0
-    if len(sign) >= _MIRRORED_FRAMES and share >= _MIRRORED_SHARE:
+    if len(sign) >= MIRRORED_FRAMES and share >= MIRRORED_SHARE:
         yield (
             "mirrored_world",
             f"People's left and right are exchanged in {100 * share:.0f} % of the frames: the world is mirrored.",
@@ -188,7 +189,7 @@ def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_
         )
 
 
-def _leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
+def leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
     """Component of the left shoulder to the left of the face: positive in a true world, NaN if unknown."""
     needed = ("nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
     if not set(needed) <= set(joints.names):

@@ -1,0 +1,82 @@
+"""Agreement of two cameras about people, by epipolar distances relative to the size of the people.
+
+The measure has no unit, and needs neither the scale of the world nor an association of people.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+
+from pipeline.geometry.epipolar import distance_to_line_px
+from pipeline.preflight.sightings import Points
+
+# Distance, as a share of a person's extent in the picture, from which on a pair of bodies counts as not the same.
+# Detectors are off by 1 to 2 % of it. The next person is a body's width, a quarter of it, away.
+_FAR = 0.1
+# Fewer common joints are no evidence.
+_MIN_JOINTS = 5
+
+
+def disagreement(
+    fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
+) -> float:
+    """Mean epipolar distance of people who are matched at the same instants: 0 if they agree, 1 if they do not.
+
+    At each instant the people are paired so that the sum of their distances is least. The distance of a pair is the
+    median over its joints, as a share of the people's extents in the pictures; above 0.1 it counts as 0.1, and the mean
+    is divided by 0.1.
+
+    Parameters
+    ----------
+    fundamental
+        Matrix with ``x_left^T F x_right = 0``.
+    left, right
+        Undistorted people at each instant.
+
+    Returns
+    -------
+        NaN if the cameras see people at no common instant.
+    """
+    found = [distance for _, _, _, distance in matches(fundamental, left, right)]
+    return float(np.mean(np.minimum(found, _FAR))) / _FAR if found else np.nan
+
+
+def matches(
+    fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
+) -> Iterator[tuple[int, int, int, float]]:
+    """Pair people: yields the instant, the rows of both people, and their distance."""
+    for instant, (one, other) in enumerate(zip(left, right, strict=True)):
+        if one is not None and other is not None and len(one) and len(other):
+            distance = _distances(fundamental, one, other)
+            for row, column in zip(*linear_sum_assignment(distance), strict=True):
+                yield instant, int(row), int(column), float(distance[row, column])
+
+
+def is_same(distance: float) -> bool:
+    """Whether two bodies at a distance of ``matches`` may be one person."""
+    return distance < _FAR
+
+
+def _distances(fundamental: Float[np.ndarray, "3 3"], left: Points, right: Points) -> Float[np.ndarray, "left right"]:
+    """Distances of all pairs of people; 1 for people with too few common joints."""
+    of_left = np.concatenate([left, np.ones_like(left[..., :1])], axis=-1)
+    of_right = np.concatenate([right, np.ones_like(right[..., :1])], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        in_left = distance_to_line_px(left[:, None], (of_right @ fundamental.T)[None]) / _extent(left)[:, None, None]
+        in_right = distance_to_line_px(right[None], (of_left @ fundamental)[:, None]) / _extent(right)[None, :, None]
+    shares = (in_left + in_right) / 2
+    is_known = np.isfinite(shares)
+    # The median of the known joints: unknown ones are sorted to the end.
+    ordered = np.sort(np.where(is_known, shares, np.inf), axis=-1)
+    count = is_known.sum(-1)
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
+    return np.where(count >= _MIN_JOINTS, np.minimum(middle, 1.0), 1.0)
+
+
+def _extent(people: Points) -> Float[np.ndarray, " people"]:
+    """Diagonal of the box around each person's joints, at least a pixel."""
+    low = np.where(np.isfinite(people), people, np.inf).min(1)
+    high = np.where(np.isfinite(people), people, -np.inf).max(1)
+    return np.maximum(np.hypot(*(high - low).T), 1.0)

@@ -1,0 +1,173 @@
+"""Check a session by the people whom its cameras see at a few instants: ``check_people`` is the whole way."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from pipeline.data import Camera
+from pipeline.findings import Finding
+from pipeline.preflight.explain import DOUBTFUL, Evidence, Hypothesis, as_given, explain, move_points
+from pipeline.preflight.sightings import Sightings
+from pipeline.preflight.world import check_world, locate
+
+# Names that a message lists.
+_MAX_SHOWN = 6
+_OTHER_RIG = "Check that the calibration belongs to these videos, and that the videos are synchronised."
+
+
+def check_people(cameras: Sequence[Camera], sightings: Sightings) -> list[Finding]:
+    """Check whether cameras agree about people, and whether the world does.
+
+    Parameters
+    ----------
+    cameras
+        Calibrated cameras of the session, in the order of the sightings.
+
+    Returns
+    -------
+        Findings, each with numbers as evidence; empty if nothing is wrong.
+    """
+    seen = list(_check_anybody(cameras, sightings))
+    if any(one.severity == "error" for one in seen):
+        return seen
+    if copies := list(_check_copies(cameras, sightings)):
+        # The second camera of a copy has the wrong people, whatever its calibration.
+        return [*seen, *copies]
+    evidence = Evidence(cameras, sightings)
+    given, found = as_given(len(cameras)), explain(evidence)
+    disagreeing = list(_check_rest(cameras, evidence, found))
+    explained = [*_exchanged(cameras, evidence, given, found), *_moved(cameras, evidence, given, found)]
+    agreeing = [pair for pair, value in evidence.of_pairs(found, range(len(cameras))).items() if value <= DOUBTFUL]
+    mended = _mended(cameras, sightings, found)
+    rig = [cameras[place] for place in found.places]
+    of_world = check_world(rig, locate(rig, mended, agreeing), sightings.joints)
+    return [*seen, *explained, *disagreeing, *of_world]
+
+
+def _check_anybody(cameras: Sequence[Camera], sightings: Sightings) -> Iterator[Finding]:
+    counts = {camera.name: sightings.num_people(number) for number, camera in enumerate(cameras)}
+    empty = [name for name, count in counts.items() if not count]
+    num_instants = len(sightings.points_px[0])
+    if len(counts) - len(empty) < 2:
+        seeing = [name for name in counts if name not in empty]
+        message = f"Nobody was detected in any camera at {num_instants} instants."
+        if seeing:
+            message = f"Only {seeing[0]} sees people at {num_instants} instants: nobody can be located from one camera."
+        hint = (
+            "See whether people are in the pictures, upright, bright and large enough. Choose a more exact profile, or "
+            "another detector."
+        )
+        yield Finding("nobody_detected", message, None, "error", hint, {"people": counts, "num_instants": num_instants})
+        return
+    for name in empty:
+        message = f"Nobody was detected at {num_instants} instants, while other cameras see people."
+        hint = "See whether the camera looks at the people, and whether its picture is upright, bright and sharp."
+        yield Finding("camera_sees_nobody", message, name, "warning", hint, {"num_instants": num_instants})
+
+
+def _check_copies(cameras: Sequence[Camera], sightings: Sightings) -> Iterator[Finding]:
+    """Find cameras whose people are the same points as another camera's."""
+    for one, other in itertools.combinations(range(len(cameras)), 2):
+        pairs = [
+            (left, right)
+            for left, right in zip(sightings.points_px[one], sightings.points_px[other], strict=True)
+            if left is not None and right is not None and len(left) + len(right)
+        ]
+        same = sum(left.shape == right.shape and np.array_equal(left, right, equal_nan=True) for left, right in pairs)
+        if pairs and 2 * same > len(pairs):
+            first = cameras[one].name
+            message = f"The people are the same points as those of {first}: one video or folder was given twice."
+            evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
+            yield Finding("same_video", message, cameras[other].name, "error", "Give each camera its own.", evidence)
+
+
+def _exchanged(
+    cameras: Sequence[Camera], evidence: Evidence, given: Hypothesis, found: Hypothesis
+) -> Iterator[Finding]:
+    changed = [number for number, place in enumerate(found.places) if place != number]
+    if not changed:
+        return
+    hint = (
+        "Exchange the videos of these cameras, or their entries in the calibration. Give each video the name of its "
+        "camera."
+    )
+    for number in changed:
+        other = cameras[found.places[number]].name
+        message = f"What {cameras[number].name} sees fits the calibration of {other}: cameras or videos are exchanged."
+        yield Finding(
+            "cameras_exchanged",
+            message,
+            cameras[number].name,
+            "error",
+            hint,
+            {"other_camera": other, **_disagreements(evidence, given, found, number)},
+        )
+
+
+def _moved(cameras: Sequence[Camera], evidence: Evidence, given: Hypothesis, found: Hypothesis) -> Iterator[Finding]:
+    for number, move in enumerate(found.moves):
+        numbers = _disagreements(evidence, given, found, number)
+        if move == "mirrored":
+            message = "The picture is mirrored against its calibration: left is right."
+            hint = "Turn off the mirroring of the camera, or mirror the video back."
+            yield Finding("picture_mirrored", message, cameras[number].name, "error", hint, numbers)
+        elif move != "as is":
+            message = f"The picture is turned by {move} degrees against its calibration."
+            hint = f"Turn the video clockwise by {move} degrees, or calibrate the camera as it is turned."
+            turned = {"turn_deg": int(move), **numbers}
+            yield Finding("picture_turned", message, cameras[number].name, "error", hint, turned)
+
+
+def _disagreements(evidence: Evidence, given: Hypothesis, found: Hypothesis, number: int) -> Mapping[str, float]:
+    return {
+        "disagreement": round(evidence.of_cameras(given)[number], 3),
+        "disagreement_mended": round(evidence.of_cameras(found)[number], 3),
+    }
+
+
+def _check_rest(cameras: Sequence[Camera], evidence: Evidence, found: Hypothesis) -> Iterator[Finding]:
+    """Find cameras whose disagreement is not explained."""
+    by_pair = evidence.of_pairs(found, range(len(cameras)))
+    by_camera = evidence.of_cameras(found)
+    agreeing = {number for pair, value in by_pair.items() if value <= DOUBTFUL for number in pair}
+    doubtful = [
+        number
+        for number, value in enumerate(by_camera)
+        # A camera that agrees with most others is not at fault.
+        if value > DOUBTFUL and not _agrees_with_most(number, by_pair)
+    ]
+    if by_pair and not agreeing:
+        numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
+        message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
+        yield Finding("calibration_of_another_rig", message, None, "error", _OTHER_RIG, numbers)
+        return
+    for number in doubtful:
+        others = [cameras[other].name for other in sorted(agreeing - {number})][:_MAX_SHOWN]
+        message = f"The camera sees people elsewhere than {', '.join(others)} do."
+        hint = (
+            "If the camera was moved, calibrate it again or refine the calibration (`refine_calibration`); else check "
+            "its offset, and that its video and its calibration belong together."
+        )
+        numbers = {"disagreement": round(by_camera[number], 3)}
+        yield Finding("camera_disagrees", message, cameras[number].name, "error", hint, numbers)
+    for number, value in enumerate(by_camera):
+        if np.isnan(value) and evidence.sees_people(number):
+            message = "The camera sees people, but never at an instant at which another camera does."
+            hint = "Check its offset, and that it looks at the same place as another camera."
+            yield Finding("no_common_people", message, cameras[number].name, "error", hint)
+
+
+def _agrees_with_most(number: int, by_pair: Mapping[tuple[int, int], float]) -> bool:
+    values = [value for pair, value in by_pair.items() if number in pair]
+    return 2 * sum(value <= DOUBTFUL for value in values) > len(values)
+
+
+def _mended(cameras: Sequence[Camera], sightings: Sightings, found: Hypothesis) -> Sightings:
+    """Sightings with all points moved as they would fit."""
+    for number, move in enumerate(found.moves):
+        if move != "as is":
+            moving = partial(move_points, move=move, size_px=cameras[number].size_px, joints=sightings.joints)
+            sightings = sightings.moved(number, moving)
+    return sightings

@@ -1,0 +1,116 @@
+"""People whom the cameras see at a few instants of a session."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Camera, Detections, FrameTimes, Timebase
+from pipeline.geometry.undistortion import undistort_px
+from pipeline.joints import FINGER_JOINTS, JointSet
+
+NUM_INSTANTS = 12
+"""Number of instants at which people are looked at: enough for medians, few enough for a network on a processor."""
+
+# Joints with lower scores are guesses, and fewer joints are no body.
+_MIN_SCORE, _MIN_JOINTS = 0.3, 6
+
+Points = Float[np.ndarray, "people joints 2"]
+"""Joints of people in pixels, NaN where a joint was not seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """People at the same instants in all cameras.
+
+    Parameters
+    ----------
+    points_px
+        Joints of the people by camera, then by instant; ``None`` where the camera took no frame. Pixels of the picture
+        as the camera took it.
+    joints
+        Joints of the people, without fingers.
+    """
+
+    points_px: tuple[tuple[Points | None, ...], ...]
+    joints: JointSet
+
+    def num_people(self, camera: int) -> int:
+        """Number of people whom a camera sees, at all instants together."""
+        return sum(len(people) for people in self.points_px[camera] if people is not None)
+
+    def moved(self, camera: int, move: Callable[[Points], Points]) -> "Sightings":
+        """Sightings after the points of a camera were moved."""
+        own = tuple(None if people is None else move(people) for people in self.points_px[camera])
+        return replace(self, points_px=(*self.points_px[:camera], own, *self.points_px[camera + 1 :]))
+
+
+def choose_instants(stretches: Sequence[range], number: int = NUM_INSTANTS) -> list[int]:
+    """Output frames in the middle of equal parts of the recorded frames, ascending.
+
+    They do not depend on how the frames are cut into ranges.
+    """
+    total = sum(map(len, stretches))
+    places = sorted({int((part + 0.5) * total / number) for part in range(number)}) if total else []
+    frames: list[int] = []
+    before = 0
+    for stretch in stretches:
+        frames += [stretch[place - before] for place in places if before <= place < before + len(stretch)]
+        before += len(stretch)
+    return frames
+
+
+def frames_at(times: FrameTimes, timebase: Timebase, instants: Sequence[int]) -> list[int | None]:
+    """Frames of a camera that were taken at output frames; ``None`` where the camera took none."""
+    frames: list[int | None] = []
+    for instant in instants:
+        time_s = timebase.time_s(instant)
+        number = int(np.argmin(np.abs(times.time_s - time_s))) if len(times.time_s) else 0
+        is_near = len(times.time_s) and abs(times.time_s[number] - time_s) <= 1.0 / timebase.frame_rate_hz
+        frames.append(number if is_near else None)
+    return frames
+
+
+def sightings_of(
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Detections],
+    frames: Mapping[str, Sequence[int | None]],
+    joints: JointSet,
+) -> Sightings:
+    """Select the people in frames of each camera.
+
+    Parameters
+    ----------
+    detections
+        Detections by camera; those of other frames are left out.
+    frames
+        Frames of each camera at the instants; see ``frames_at``.
+    joints
+        Joints of the detections; fingers are left out.
+    """
+    kept = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
+    names = tuple(joints.names[number] for number in kept)
+    bones = tuple(bone for bone in joints.bones if FINGER_JOINTS.isdisjoint(bone))
+    return Sightings(
+        tuple(
+            tuple(
+                None if frame is None else _people(detections[camera.name], frame, kept)
+                for frame in frames[camera.name]
+            )
+            for camera in cameras
+        ),
+        JointSet(names, bones),
+    )
+
+
+def _people(detections: Detections, frame: int, kept: Sequence[int]) -> Points:
+    rows = np.flatnonzero(detections.frame == frame)
+    points_px = detections.keypoints_px[rows][:, kept]
+    points_px = np.where(detections.score[rows][:, kept, None] >= _MIN_SCORE, points_px, np.nan)
+    return np.asarray(points_px[np.isfinite(points_px[..., 0]).sum(-1) >= _MIN_JOINTS], np.float64)
+
+
+def ideal_px(camera: Camera, of_camera: Sequence[Points | None]) -> list[Points | None]:
+    """Undistort the people of a camera at all instants."""
+    return [people if people is None or not len(people) else undistort_px(camera, people) for people in of_camera]

@@ -1,0 +1,141 @@
+"""Checks of the world by people: they are upright, of human size, on the floor, and have left where left is."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.data import Camera, Source, Track3D
+from pipeline.findings import Finding
+from pipeline.geometry.camera import center_in_world, image_from_world
+from pipeline.geometry.epipolar import fundamental_matrices
+from pipeline.geometry.triangulation import triangulate
+from pipeline.joints import JointSet
+from pipeline.preflight.agreement import is_same, matches
+from pipeline.preflight.sightings import Sightings, ideal_px
+from pipeline.quality.report import estimate_stature_m
+from pipeline.quality.world_checks import (
+    MAX_LEAN_DEG,
+    MIRRORED_SHARE,
+    STATURE_RANGE_M,
+    feet_to_head_m,
+    hint_of_unit,
+    leftness,
+)
+from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
+
+# With fewer people, chance decides.
+_MIN_POSES, _MIN_FACES = 6, 10
+# Heights are less exact than those of a reconstruction, which has its own check.
+_MAX_FLOOR_M = 0.3
+_ANKLES = ("left_ankle", "right_ankle")
+
+
+def locate(
+    cameras: Sequence[Camera], sightings: Sightings, pairs: Sequence[tuple[int, int]]
+) -> Float[np.ndarray, "poses joints 3"]:
+    """Locate people from pairs of cameras; a person whom several pairs see has several poses.
+
+    Parameters
+    ----------
+    pairs
+        Numbers of cameras that agree.
+
+    Returns
+    -------
+        Joints in metres, NaN where not both cameras see a joint.
+    """
+    fundamentals = fundamental_matrices(cameras)
+    matrices = np.array([image_from_world(camera) for camera in cameras])
+    ideal = [ideal_px(camera, of_camera) for camera, of_camera in zip(cameras, sightings.points_px, strict=True)]
+    poses = []
+    for one, other in pairs:
+        for instant, row, column, distance in matches(fundamentals[one, other], ideal[one], ideal[other]):
+            left, right = ideal[one][instant], ideal[other][instant]
+            if is_same(distance) and left is not None and right is not None:
+                points_px = np.stack([left[row], right[column]])
+                weights = np.isfinite(points_px[..., 0]).astype(np.float64)
+                poses.append(triangulate(matrices[[one, other]], points_px, weights))
+    return np.array(poses) if poses else np.zeros((0, len(sightings.joints.names), 3))
+
+
+def check_world(
+    cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet
+) -> list[Finding]:
+    """Check the world by located people.
+
+    Parameters
+    ----------
+    poses_m
+        Poses of ``locate``.
+    """
+    if len(poses_m) < _MIN_POSES:
+        return []
+    poses = _as_track(poses_m)
+    wrong = [*_check_upright(poses, joints), *_check_stature(poses, joints), *_check_sides(poses, joints)]
+    # Heights mean nothing in another unit, or along another axis.
+    return wrong or list(_check_heights(cameras, poses_m, joints))
+
+
+def _as_track(poses_m: Float[np.ndarray, "poses joints 3"]) -> Track3D:
+    """Poses as frames of a track, whose medians are those of all people."""
+    known = np.isfinite(poses_m[..., 0])
+    source = np.where(known, Source.MEASURED, Source.ABSENT)
+    return Track3D(1, 0, poses_m, known.astype(np.float64), source, np.where(known, 0.0, np.nan), 2 * known)
+
+
+def _check_upright(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
+    upwards = feet_to_head_m(poses, joints)
+    upwards = upwards[np.isfinite(upwards).all(-1)]
+    if len(upwards) < _MIN_POSES:
+        return
+    lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
+    evidence = {"lean_deg": lean_deg, "num_people": len(upwards)}
+    if lean_deg > 180.0 - MAX_LEAN_DEG:
+        message = "Heads are below feet: the calibration's Z axis points down."
+        yield Finding("upside_down", message, None, "error", "Turn the calibration: Z must point up.", evidence)
+    elif lean_deg > MAX_LEAN_DEG:
+        message = f"People lean {lean_deg:.0f} degrees: the calibration's up axis may not be Z."
+        yield Finding("not_upright", message, None, "error", "Check that the calibration's up axis is Z.", evidence)
+
+
+def _check_stature(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
+    stature_m = estimate_stature_m(poses, joints)
+    lowest_m, highest_m = STATURE_RANGE_M
+    if np.isfinite(stature_m) and not lowest_m <= stature_m <= highest_m:
+        message = f"People are {stature_m:.3g} m tall: the unit of the calibration may not be the metre."
+        evidence = {"stature_m": stature_m, "num_people": poses.num_frames}
+        yield Finding("stature_out_of_range", message, None, "error", hint_of_unit(stature_m), evidence)
+
+
+def _check_sides(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
+    sides = leftness(poses, joints)
+    sides = sides[np.isfinite(sides)]
+    share = float(np.mean(sides < 0.0)) if len(sides) >= _MIN_FACES else 0.0
+    if share >= MIRRORED_SHARE:
+        message = f"Left and right of {100 * share:.0f} % of the people are exchanged: the world is mirrored."
+        hint = "Check whether an axis of the calibration has the wrong sign, or the videos are mirrored."
+        yield Finding("mirrored_world", message, None, "error", hint, {"share": share, "num_people": len(sides)})
+
+
+def _check_heights(
+    cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet
+) -> Iterator[Finding]:
+    if not set(_ANKLES) <= set(joints.names):
+        return
+    ankles_m = poses_m[:, joints.indices(_ANKLES), 2]
+    ankles_m = ankles_m[np.isfinite(ankles_m).all(-1)].min(-1)
+    if len(ankles_m) < _MIN_POSES:
+        return
+    floor_m = float(np.median(ankles_m)) - ANKLE_HEIGHT_M
+    if abs(floor_m) > _MAX_FLOOR_M:
+        message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
+        hint = f"Move the calibration's origin by {floor_m:.2f} m along Z."
+        evidence = {"height_m": floor_m, "num_people": len(ankles_m)}
+        yield Finding("floor_not_at_zero", message, None, "warning", hint, evidence)
+    for camera in cameras:
+        height_m = float(center_in_world(camera)[2])
+        if height_m < floor_m - _MAX_FLOOR_M:
+            message = f"The camera is {floor_m - height_m:.2f} m below the floor that people stand on."
+            hint = "Check the calibration's axes."
+            yield Finding("camera_below_floor", message, camera.name, "warning", hint, {"height_m": height_m})
