@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from pipeline.errors import Problem
+from pipeline.findings import SessionCheck
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import JointOffsets, JointSet
 
@@ -707,6 +708,8 @@ class Reconstruction:
         Report of the refinement of the calibration; ``None`` if none was asked for.
     synchronization
         Measured clocks; ``None`` if times are as they were declared.
+    check
+        Check of the session by its people.
     """
 
     cameras: tuple[Camera, ...]
@@ -722,6 +725,7 @@ class Reconstruction:
     offsets: JointOffsets = field(default_factory=dict)
     refinement: Refinement | None = None
     synchronization: Synchronization | None = None
+    check: SessionCheck = field(default_factory=SessionCheck)
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

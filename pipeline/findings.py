@@ -43,6 +43,10 @@ class Finding:
     hint: str | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        text = f"{self.camera}: {self.message}" if self.camera else self.message
+        return f"{text} {self.hint}" if self.hint else text
+
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> "Finding":
         """Read what ``to_json`` made."""
@@ -58,6 +62,25 @@ class Finding:
             "hint": None if self.hint is None else printable(self.hint),
             "evidence": {name: _shown(value) for name, value in self.evidence.items()},
         }
+
+
+@dataclass(frozen=True, slots=True)
+class SessionCheck:
+    """Check of a session by the people whom its cameras see at a few instants.
+
+    Parameters
+    ----------
+    findings
+        What is wrong.
+    people
+        Number of people by camera, at all instants together.
+    num_instants
+        Number of instants.
+    """
+
+    findings: tuple[Finding, ...] = ()
+    people: Mapping[str, int] = field(default_factory=dict)
+    num_instants: int = 0
 
 
 def _shown(value: Any) -> Any:

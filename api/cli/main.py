@@ -19,6 +19,7 @@ from pipeline.runtime.memory import keep_freed_memory
 COMMANDS: Mapping[str, str] = {
     "demo": "Reconstruct the sample capture with a temporary service: BVH, JSON, metrics and pictures.",
     "serve": "Run the service on this machine: web API, workers, broker and database.",
+    "check": "Check a session before its reconstruction: files, calibration, people at some instants.",
     "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
     "calibrate": "Make a calibration from videos or photographs of a board.",
     "calibration": "Calibration files of any supported format: show, convert.",

@@ -63,7 +63,7 @@ def detect_chunk(
             bodies.append((frame, found))
             if measures_colours:
                 colours.append(colour_histograms(image_rgb, found.keypoints_px, found.score, detector.joints))
-    detections = _as_detections(camera, bodies, len(detector.joints.names))
+    detections = stack_bodies(camera, bodies, len(detector.joints.names))
     return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours), changes=meter.changes())
 
 
@@ -204,7 +204,8 @@ def stack_fields(camera: str, numbered: Sequence[tuple[int, ImageFields]]) -> Pa
     )
 
 
-def _as_detections(camera: str, numbered: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:
+def stack_bodies(camera: str, numbered: Sequence[tuple[int, Bodies]], num_joints: int) -> Detections:
+    """Stack the bodies of some frames, in ascending order of the frames, to detections of a camera."""
     frame = np.repeat([frame for frame, _ in numbered], [len(bodies.score) for _, bodies in numbered]).astype(np.int64)
     return Detections(
         camera=camera,

@@ -61,8 +61,8 @@ class Hypothesis:
 
 def as_given(num_cameras: int) -> Hypothesis:
     """Hypothesis that everything is as it is given."""
-    moves: tuple[Move, ...] = ("as is",) * num_cameras
-    return Hypothesis(tuple(range(num_cameras)), moves)
+    as_is: Move = "as is"
+    return Hypothesis(tuple(range(num_cameras)), (as_is,) * num_cameras)
 
 
 class Evidence:

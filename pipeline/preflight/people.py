@@ -11,9 +11,8 @@ from pipeline.findings import Finding
 from pipeline.preflight.explain import DOUBTFUL, Evidence, Hypothesis, as_given, explain, move_points
 from pipeline.preflight.sightings import Sightings
 from pipeline.preflight.world import check_world, locate
+from pipeline.quality.names import first_names
 
-# Names that a message lists.
-_MAX_SHOWN = 6
 _OTHER_RIG = "Check that the calibration belongs to these videos, and that the videos are synchronised."
 
 
@@ -130,28 +129,23 @@ def _disagreements(evidence: Evidence, given: Hypothesis, found: Hypothesis, num
 def _check_rest(cameras: Sequence[Camera], evidence: Evidence, found: Hypothesis) -> Iterator[Finding]:
     """Find cameras whose disagreement is not explained."""
     by_pair = evidence.of_pairs(found, range(len(cameras)))
-    by_camera = evidence.of_cameras(found)
-    agreeing = {number for pair, value in by_pair.items() if value <= DOUBTFUL for number in pair}
-    doubtful = [
-        number
-        for number, value in enumerate(by_camera)
-        # A camera that agrees with most others is not at fault.
-        if value > DOUBTFUL and not _agrees_with_most(number, by_pair)
-    ]
-    if by_pair and not agreeing:
+    if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
         message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
         yield Finding("calibration_of_another_rig", message, None, "error", _OTHER_RIG, numbers)
         return
-    for number in doubtful:
-        others = [cameras[other].name for other in sorted(agreeing - {number})][:_MAX_SHOWN]
-        message = f"The camera sees people elsewhere than {', '.join(others)} do."
+    disagreeing = _disagreeing(by_pair)
+    agreeing = [camera.name for number, camera in enumerate(cameras) if number not in disagreeing]
+    for number, value in disagreeing.items():
+        message = f"The camera sees people elsewhere than {first_names(agreeing)} do."
         hint = (
             "If the camera was moved, calibrate it again or refine the calibration (`refine_calibration`); else check "
             "its offset, and that its video and its calibration belong together."
         )
-        numbers = {"disagreement": round(by_camera[number], 3)}
-        yield Finding("camera_disagrees", message, cameras[number].name, "error", hint, numbers)
+        yield Finding(
+            "camera_disagrees", message, cameras[number].name, "error", hint, {"disagreement": round(value, 3)}
+        )
+    by_camera = evidence.of_cameras(found)
     for number, value in enumerate(by_camera):
         if np.isnan(value) and evidence.sees_people(number):
             message = "The camera sees people, but never at an instant at which another camera does."
@@ -159,9 +153,17 @@ def _check_rest(cameras: Sequence[Camera], evidence: Evidence, found: Hypothesis
             yield Finding("no_common_people", message, cameras[number].name, "error", hint)
 
 
-def _agrees_with_most(number: int, by_pair: Mapping[tuple[int, int], float]) -> bool:
-    values = [value for pair, value in by_pair.items() if number in pair]
-    return 2 * sum(value <= DOUBTFUL for value in values) > len(values)
+def _disagreeing(by_pair: Mapping[tuple[int, int], float]) -> Mapping[int, float]:
+    """Cameras that disagree with the others, and their mean disagreement: the worst one is set aside, and so on."""
+    found: dict[int, float] = {}
+    while True:
+        left = {pair: value for pair, value in by_pair.items() if not set(pair) & found.keys()}
+        numbers = sorted({number for pair in left for number in pair})
+        means = {one: float(np.mean([value for pair, value in left.items() if one in pair])) for one in numbers}
+        worst = max(means, key=lambda one: means[one], default=None)
+        if worst is None or means[worst] <= DOUBTFUL:
+            return found
+        found[worst] = means[worst]
 
 
 def _mended(cameras: Sequence[Camera], sightings: Sightings, found: Hypothesis) -> Sightings:

@@ -5,11 +5,13 @@ set-up, with which no two cameras agree on a person.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
 
 from pipeline.data import DamagedVideo, Reconstruction, Refinement, Synchronization
+from pipeline.findings import SessionCheck
 from pipeline.quality.names import first_names
 
 # With fewer views, a wrong observation can't be detected.
@@ -19,12 +21,15 @@ _UNCERTAIN = 0.9
 _SHOWN_TIMES = 5
 # A single doubled picture does no harm.
 _MAX_DOUBLED = 0.01
+_NOBODY = "nobody_found"
+# Findings that a message quotes.
+_MAX_REASONS = 3
 
 
 def capture_checks(
     reconstruction: Reconstruction, seen: Mapping[int, Bool[np.ndarray, "frames cameras"]]
-) -> list[dict[str, str]]:
-    """List the failed checks of the capture, each with ``code`` and ``message``.
+) -> list[dict[str, Any]]:
+    """List the failed checks of the capture, each with ``code`` and ``message``, and ``evidence`` if nobody was found.
 
     Parameters
     ----------
@@ -36,7 +41,7 @@ def capture_checks(
         _check_rig(names),
         _check_videos(reconstruction.damaged),
         _check_doubled(reconstruction.damaged),
-        _check_people(seen),
+        _check_people(seen, reconstruction.check),
         _check_cameras(names, seen),
         _check_views(names, seen),
         _check_association(reconstruction),
@@ -44,7 +49,11 @@ def capture_checks(
         _check_refinement(reconstruction.refinement),
         _check_synchronization(reconstruction.synchronization),
     )
-    return [{"code": code, "message": message} for check in checks for code, message in check]
+    found: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
+    for one in found:
+        if one["code"] == _NOBODY:
+            one["evidence"] = _why_nobody(reconstruction.check)
+    return found
 
 
 def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
@@ -93,13 +102,32 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     )
 
 
-def _check_people(seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:
-    if not seen:
-        yield (
-            "nobody_found",
-            "Nobody was found. Check that the calibration belongs to these videos, that the videos are synchronised, "
-            "and that at least two cameras see the same person.",
-        )
+def _check_people(seen: Mapping[int, np.ndarray], check: SessionCheck) -> Iterator[tuple[str, str]]:
+    if seen:
+        return
+    errors = [finding for finding in check.findings if finding.severity == "error"]
+    reason = (
+        "Check that the calibration belongs to these videos, that the videos are synchronised, and that at least two "
+        "cameras see the same person."
+    )
+    if errors:
+        reason = " ".join(str(finding) for finding in errors[:_MAX_REASONS])
+    elif any(check.people.values()):
+        people = first_names([f"{count} in {camera}" for camera, count in check.people.items()])
+        detected = f"People were detected ({people}, at {check.num_instants} instants)"
+        reason = f"{detected}, but not matched across cameras. {reason}"
+    yield "nobody_found", f"Nobody was found. {reason}"
+
+
+def _why_nobody(check: SessionCheck) -> dict[str, Any]:
+    """Reason why nobody was found, and the people who were detected at some instants."""
+    errors = [finding.code for finding in check.findings if finding.severity == "error"]
+    not_matched = "not_matched" if any(check.people.values()) else "unknown"
+    return {
+        "reason": errors[0] if errors else not_matched,
+        "people": dict(check.people),
+        "num_instants": check.num_instants,
+    }
 
 
 def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:

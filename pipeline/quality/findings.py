@@ -11,6 +11,8 @@ _NOBODY = "nobody_found"
 _OF_CAPTURE = frozenset({_NOBODY, "camera_without_people"})
 # Checks that people decide better than the cameras alone.
 _BY_PEOPLE = frozenset({"upside_down", "not_upright", "camera_below_floor"})
+# Findings with which people are located nowhere, or wrongly.
+_UNDECIDED = frozenset({_NOBODY, "nobody_detected", "same_video", "calibration_of_another_rig"})
 
 
 def people_findings(report: Mapping[str, Any]) -> list[Finding]:
@@ -27,6 +29,6 @@ def people_findings(report: Mapping[str, Any]) -> list[Finding]:
 
 def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> list[Finding]:
     """Join findings about cameras alone with those of people, who decide what is up and where the floor is."""
-    if any(one.code == _NOBODY for one in of_people):
+    if any(one.code in _UNDECIDED for one in of_people):
         return [*alone, *of_people]
     return [*(one for one in alone if one.code not in _BY_PEOPLE), *of_people]

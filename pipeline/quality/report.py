@@ -132,6 +132,7 @@ def quality_report(reconstruction: Reconstruction) -> dict[str, Any]:
         ],
         "calibration": _describe_refinement(reconstruction.refinement),
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
+        "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
         "capture_checks": capture_checks(reconstruction, seen),
         "world_checks": world_checks(reconstruction, statures_m),
     }
@@ -175,9 +176,9 @@ def _describe_identity(doubts: Sequence[Doubt]) -> dict[str, Any]:
 
 
 def all_checks(report: Mapping[str, Any]) -> list[Finding]:
-    """Findings of all failed checks of a report."""
+    """Findings of all failed checks of a report: of the session at a few instants, of the capture, of the world."""
     of_capture = (
-        Finding(check["code"], check["message"], severity=_severity(check["code"]))
+        Finding(check["code"], check["message"], None, _severity(check["code"]), evidence=check.get("evidence", {}))
         for check in report["capture_checks"]
     )
     of_world = (
@@ -191,7 +192,11 @@ def all_checks(report: Mapping[str, Any]) -> list[Finding]:
         )
         for check in report["world_checks"]
     )
-    return [*of_capture, *of_world]
+    of_take = [*of_capture, *of_world]
+    known = {(finding.code, finding.camera) for finding in of_take}
+    of_session = [Finding.from_json(one) for one in report.get("session_checks", ())]
+    # What the whole take shows is more exact than what a few instants show.
+    return [*(one for one in of_session if (one.code, one.camera) not in known), *of_take]
 
 
 def _severity(code: str) -> Severity:

@@ -25,6 +25,7 @@ LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
+CHECK = "check_session"
 
 DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
@@ -252,6 +253,14 @@ STAGES = (
         is_planned=_is_synchronizing,
     ),
     Stage(
+        CHECK,
+        "Check the session",
+        cut="whole",
+        follows=(DETECT, SYNCHRONIZE),
+        choices=("frame_range",),
+        function="check_people_of_session",
+    ),
+    Stage(
         REFINE,
         "Refine calibration",
         cut="whole",
@@ -324,7 +333,7 @@ STAGES = (
         EXPORT,
         "Write files",
         cut="whole",
-        follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
+        follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
         choices=("exports", "bvh", "output_rate_hz"),
         function="export",
         is_reusable=False,

@@ -5,6 +5,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,8 @@ from pipeline.stages.association import (
     track,
 )
 from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
-from pipeline.stages.cameras.synchronization import measure_clocks
+from pipeline.stages.cameras.synchronization import measure_clocks, on_measured_clocks
+from pipeline.stages.checking import check_bodies, check_session, decode_check, encode_check
 from pipeline.stages.editing import animate_again, cut, edited_take, put_together, spans
 from pipeline.stages.inputs import (
     Context,
@@ -83,6 +85,7 @@ from pipeline.stages.outputs_npz import (
 )
 from pipeline.stages.plan import (
     ASSOCIATE,
+    CHECK,
     DETECT,
     EDIT,
     FIND_BOARD,
@@ -276,6 +279,19 @@ def make_proxy(task: Task, context: Context) -> Output:
     return Output(b"", (ResultFile(path.name, PROXY_KIND, None, "video/mp4", path),))
 
 
+def check_people_of_session(task: Task, context: Context) -> Output:
+    """Check the session by the people at a few instants, on measured clocks if they were measured."""
+    session, clocks = context.session(), measured_clocks(context)
+    joints = session.joints if isinstance(session, KeypointSession) else detection_joints(context.config)
+    cut = FrameCut(task.frames, context.facts.stretches, task.chunk_frames)
+    if clocks is None or isinstance(session, KeypointSession):
+        session = session if clocks is None else on_measured_clocks(session, clocks)
+        detected = partial(detected_in, task, context, session, joints)
+        return Output(encode_check(check_session(session, joints, cut, detected)))
+    detections = all_bodies(context, session, joints, map(decode_detections, context.outputs(DETECT)))
+    return Output(encode_check(check_bodies(on_measured_clocks(session, clocks), detections, joints, cut.parts)))
+
+
 def refine_calibration(task: Task, context: Context) -> Output:
     """Refine the calibration from the people that a first association finds."""
     session, joints = on_clocks(context, context.session())
@@ -439,6 +455,7 @@ def assemble(context: Context) -> Reconstruction:
         offsets=used_offsets(session, context.config),
         refinement=None if refined is None else refined[1],
         synchronization=measured_clocks(context),
+        check=decode_check(*context.outputs(CHECK)),
     )
     frames = kept_frames(context)
     return reconstruction if frames is None else cut(reconstruction, frames)
@@ -502,6 +519,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         calibrate,
         synchronize_cameras,
         make_proxy,
+        check_people_of_session,
         refine_calibration,
         measure_lengths,
         find_poses,

@@ -113,12 +113,13 @@ def _users_cache() -> Path | None:
     return None
 
 
-def _check_sources(
+def check_sources(
     videos: list[Path] | None,
     keypoints: Path | None,
     timestamps: Path | None,
     offsets: Mapping[str, float],
 ) -> None:
+    """Raise ``InputError`` if options of videos and of keypoints are mixed, or neither is given."""
     problems = []
     if (videos is None) == (keypoints is None):
         problems.append(Problem("sources", "A session has either videos or keypoints.", hint="Give one of them."))
@@ -132,7 +133,7 @@ def _check_sources(
         raise InputError(problems)
 
 
-def _parameters(said: Sequence[str], example: str) -> dict[str, float]:
+def parameters(said: Sequence[str], example: str) -> dict[str, float]:
     """NAME=VALUE pairs as numbers by name."""
     changes: dict[str, float] = {}
     problems = []
@@ -221,13 +222,13 @@ def command(
         choices = checked(chosen)
         config = replace(
             ReconstructionConfig.of(choices),
-            tracking=_parameters(tracking or [], "alpha_3d_m=0.2"),
-            clustering=_parameters(clustering or [], "tau2=0.25"),
+            tracking=parameters(tracking or [], "alpha_3d_m=0.2"),
+            clustering=parameters(clustering or [], "tau2=0.25"),
             chunk_frames=chosen["chunk_frames"],
             processes=chosen["processes"],
         )
-        offsets = _parameters(offset or [], "cam_2=0.48")
-        _check_sources(videos, keypoints, timestamps, offsets)
+        offsets = parameters(offset or [], "cam_2=0.48")
+        check_sources(videos, keypoints, timestamps, offsets)
         session: Session
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))

@@ -7,7 +7,7 @@ code that raises problems.
 from collections.abc import Mapping
 
 from api.contract.problem_codes.commands import COMMANDS, FINDINGS
-from api.contract.problem_codes.findings import FILES
+from api.contract.problem_codes.findings import FILES, PEOPLE
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 from api.contract.problem_codes.requests import ANSWERS, FIELDS, PARTS
 from api.contract.problem_codes.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
@@ -26,6 +26,7 @@ GROUPS: tuple[CodeGroup, ...] = (
     TIMES,
     FILES,
     EDITS,
+    PEOPLE,
     JOBS,
     READINESS,
     WARNINGS,

@@ -3,6 +3,8 @@
 from api.contract.problem_codes.model import CodeGroup, ProblemCode
 
 _FINDING = ("finding",)
+# Findings that are warnings of a job, too.
+_PEOPLE = ("finding", "warning")
 
 FILES = CodeGroup(
     "Findings about files",
@@ -80,5 +82,58 @@ FILES = CodeGroup(
             "See [formats](formats.md#videos); check that the calibration is of one of the two sizes.",
         ),
         ProblemCode("session_warning", _FINDING, "A warning of a version that had sentences only.", "Read `message`."),
+    ),
+)
+
+PEOPLE = CodeGroup(
+    "Findings about people",
+    "Codes of findings of `multicap check`, and of warnings of a job, from the people whom the cameras see at twelve "
+    "instants. Findings about the world have the codes of [warnings of a result](#warnings-of-a-result).",
+    (
+        ProblemCode(
+            "nobody_detected",
+            _PEOPLE,
+            "The detector found people in no camera, or in one alone.",
+            "See that people are in the pictures, upright, bright and large enough.",
+        ),
+        ProblemCode(
+            "camera_sees_nobody",
+            _PEOPLE,
+            "The detector found nobody in a camera, and people in others.",
+            "See that the camera looks at the people.",
+        ),
+        ProblemCode(
+            "same_video", _PEOPLE, "Two cameras have the same video or keypoints.", "Give each camera its own video."
+        ),
+        ProblemCode(
+            "cameras_exchanged",
+            _PEOPLE,
+            "The video of a camera fits the calibration of another camera.",
+            "Exchange the videos, or the entries of the calibration.",
+        ),
+        ProblemCode(
+            "picture_turned",
+            _PEOPLE,
+            "The picture of a camera is turned against its calibration.",
+            "Turn the video, or calibrate the camera as it is turned.",
+        ),
+        ProblemCode(
+            "picture_mirrored",
+            _PEOPLE,
+            "The picture of a camera is mirrored against its calibration.",
+            "Turn off the mirroring, or mirror the video back.",
+        ),
+        ProblemCode(
+            "calibration_of_another_rig",
+            _PEOPLE,
+            "No two cameras agree about people.",
+            "Give the calibration of these cameras; check the synchronisation.",
+        ),
+        ProblemCode(
+            "no_common_people",
+            _PEOPLE,
+            "A camera sees people, and never at the same time as another camera.",
+            "Check its offset, and where it looks.",
+        ),
     ),
 )
