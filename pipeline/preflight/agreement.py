@@ -64,8 +64,10 @@ def _distances(fundamental: Float[np.ndarray, "3 3"], left: Points, right: Point
     of_left = np.concatenate([left, np.ones_like(left[..., :1])], axis=-1)
     of_right = np.concatenate([right, np.ones_like(right[..., :1])], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        in_left = distance_to_line_px(left[:, None], (of_right @ fundamental.T)[None]) / _extent(left)[:, None, None]
-        in_right = distance_to_line_px(right[None], (of_left @ fundamental)[:, None]) / _extent(right)[None, :, None]
+        of_pairs = np.broadcast_arrays(left[:, None], right[None])
+        lines = np.broadcast_arrays((of_right @ fundamental.T)[None], (of_left @ fundamental)[:, None])
+        in_left = distance_to_line_px(of_pairs[0], lines[0]) / _extent(left)[:, None, None]
+        in_right = distance_to_line_px(of_pairs[1], lines[1]) / _extent(right)[None, :, None]
     shares = (in_left + in_right) / 2
     is_known = np.isfinite(shares)
     # The median of the known joints: unknown ones are sorted to the end.

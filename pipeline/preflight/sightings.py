@@ -16,8 +16,8 @@ NUM_INSTANTS = 12
 # Joints with lower scores are guesses, and fewer joints are no body.
 _MIN_SCORE, _MIN_JOINTS = 0.3, 6
 
-Points = Float[np.ndarray, "people joints 2"]
-"""Joints of people in pixels, NaN where a joint was not seen."""
+Points = Float[np.ndarray, "_ _ 2"]
+"""Joints of people, (people, joints, 2), in pixels; NaN where a joint was not seen."""
 
 
 @dataclass(frozen=True, slots=True)

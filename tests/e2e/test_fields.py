@@ -89,6 +89,7 @@ def test_the_service_gives_the_same_files(
     assert job["state"] == "succeeded", job
     assert [stage["name"] for stage in job["stages"]] == [
         "detect",
+        "check_session",
         "lengths",
         "poses",
         "associate",

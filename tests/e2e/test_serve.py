@@ -45,6 +45,7 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
     assert {stage["name"]: stage["reused"] for stage in stages} == {
         "look": True,
         "detect": True,
+        "check_session": True,
         "associate": True,
         "identify": True,
         "fit": True,

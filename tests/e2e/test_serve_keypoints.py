@@ -81,7 +81,7 @@ def test_the_same_files_as_without_the_service(
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded", job
     assert any("evidence" in warning for warning in job["warnings"]) == (method == "clustering")
-    before = ["lengths", "poses"] if method == "clustering" else []
+    before = ["check_session", *(["lengths", "poses"] if method == "clustering" else [])]
     assert [stage["name"] for stage in job["stages"]] == [*before, "associate", "identify", "fit", "export"]
     assert len(json.loads((tmp_path / "metrics.json").read_bytes())["people"]) >= 2
     assert served.downloads(job["id"]) == digests(tmp_path)
@@ -118,7 +118,14 @@ def test_a_disturbed_calibration_is_refined_with_the_same_files(served: Served, 
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
-    assert [stage["name"] for stage in job["stages"]] == ["refine", "associate", "identify", "fit", "export"]
+    assert [stage["name"] for stage in job["stages"]] == [
+        "check_session",
+        "refine",
+        "associate",
+        "identify",
+        "fit",
+        "export",
+    ]
     assert "calibration_refined" in [warning["code"] for warning in job["result_warnings"]]
     assert served.downloads(job["id"]) == digests(results)
     assert (results / "calibration.json").exists()

@@ -10,7 +10,7 @@ import pytest
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.edits import PersonSpan
 from pipeline.stages.output import Output, ResultFile
-from pipeline.stages.plan import ASSOCIATE, DETECT, EDIT, EXPORT, FIT, IDENTIFY, LOOK, REFIT
+from pipeline.stages.plan import ASSOCIATE, CHECK, DETECT, EDIT, EXPORT, FIT, IDENTIFY, LOOK, REFIT
 from worker.chunk import Work
 from worker.jobs.files.artifacts import LocalArtifacts
 from worker.jobs.model import InputFile, Job, Session
@@ -38,6 +38,10 @@ def detect(work: Work) -> Output:
         squares.append(str(frame * frame))
         work.on_unit()
     return Output(",".join(squares).encode())
+
+
+def check(work: Work) -> Output:
+    return Output(b"{}")
 
 
 def associate(work: Work) -> Output:
@@ -78,6 +82,7 @@ class Bench:
         default_factory=lambda: {
             LOOK: look,
             DETECT: detect,
+            CHECK: check,
             ASSOCIATE: associate,
             IDENTIFY: identify,
             FIT: fit,

@@ -16,6 +16,7 @@ from pipeline.detect.entries import REGISTRY
 from pipeline.stages.code import stage_codes
 from pipeline.stages.plan import (
     ASSOCIATE,
+    CHECK,
     DETECT,
     EXPORT,
     FIT,
@@ -92,6 +93,7 @@ def test_the_stages_and_their_sizes() -> None:
     assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
         (LOOK, 2),
         (DETECT, 6),
+        (CHECK, 1),
         (ASSOCIATE, 1),
         (IDENTIFY, 1),
         (FIT, 1),
@@ -108,13 +110,13 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
     assert {name for name in low if low[name] != high[name]} == {FIT, EXPORT}
 
 
-VIDEO_STAGES = (LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT)
+VIDEO_STAGES = (LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT)
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
 def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
-    detect, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
-    assert [stage.name for stage in stages] == [DETECT, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    detect, _, lengths, poses, *_ = stages = plan_job(make_session(60), CLUSTERING, 25)
+    assert [stage.name for stage in stages] == [DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
     assert next(iter(lengths.chunks)).payload["chunk_frames"] == 25
     ranges = [(chunk.payload["start_frame"], chunk.payload["stop_frame"]) for chunk in poses.chunks]
     assert ranges == [(0, 25), (25, 50), (50, 60)]
@@ -126,7 +128,7 @@ def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
 def test_refinement_is_a_stage_before_association_and_is_reused() -> None:
     session = make_session(60)
     refined = keys(session, JobSpec(refine_calibration="auto"))
-    assert list(refined) == [LOOK, DETECT, REFINE, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert list(refined) == [LOOK, DETECT, CHECK, REFINE, ASSOCIATE, IDENTIFY, FIT, EXPORT]
     assert len(refined[REFINE]) == 1
     smoothed = keys(session, JobSpec(refine_calibration="auto", smoothing="none", appearance="off"))
     assert smoothed[REFINE] == refined[REFINE]
@@ -176,7 +178,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
 @pytest.mark.parametrize(
     ("choice", "changed"),
     [
-        ({"detector": "openpose-mobilenet-thin"}, {LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT}),
+        ({"detector": "openpose-mobilenet-thin"}, {LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"method": "clustering"}, {ASSOCIATE, IDENTIFY, FIT, EXPORT}),
         ({"smoothing": "none"}, {FIT, EXPORT}),
         ({"feet": "off"}, {FIT, EXPORT}),
@@ -226,8 +228,8 @@ def test_keys_are_unique_and_safe_as_names() -> None:
 def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
     files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
     session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
-    assert list(keys(session)) == [ASSOCIATE, IDENTIFY, FIT, EXPORT]
-    assert list(keys(session, CLUSTERING)) == [LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert list(keys(session)) == [CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT]
+    assert list(keys(session, CLUSTERING)) == [CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, EXPORT]
     assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, EXPORT))
 
 
@@ -261,7 +263,7 @@ def test_of_the_frames_that_are_wanted_each_is_there_once(
     start = data.draw(st.integers(0, num_frames - 1))
     stop = data.draw(st.integers(start + 1, num_frames))
     session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
-    _, detect, _, poses, *_ = plan_job(session, spec, chunk_frames)
+    _, detect, _, _, poses, *_ = plan_job(session, spec, chunk_frames)
     ranges = [(one.start, one.stop) for one in FrameCut(range(start, stop), (range(num_frames),), chunk_frames)]
     for camera in ("0", "1"):
         payloads = [chunk.payload for chunk in detect.chunks if chunk.payload["camera"] == camera]
@@ -295,7 +297,7 @@ def ranges_of(stage: StagePlan) -> list[tuple[int, int]]:
 
 def test_pauses_have_no_chunks() -> None:
     session = paused(900_000, [[0, 60], [899_950, 900_000]])
-    detect, lengths, poses, *_ = plan_job(session, CLUSTERING, 25)
+    detect, _, lengths, poses, *_ = plan_job(session, CLUSTERING, 25)
     assert (
         ranges_of(detect) == ranges_of(poses) == [(0, 25), (25, 50), (50, 75), (899_950, 899_975), (899_975, 900_000)]
     )

@@ -88,7 +88,7 @@ def peak_bytes(folder: Path, stage: str) -> int:
 @pytest.mark.benchmark
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count other memory")
 def test_a_joint_takes_little_memory_in_every_stage(tmp_path: Path) -> None:
-    stages_in_order = ("associate", "identify", "fit", "export")
+    stages_in_order = ("check_session", "associate", "identify", "fit", "export")
     num_joints, peaks = [], []
     for number, wanted in enumerate((500_000, 2_500_000)):
         folder = tmp_path / str(number)

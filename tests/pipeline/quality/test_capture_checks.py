@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.data import Camera, CameraBump, CameraMove, DamagedVideo, Doubt, Observations, Refinement, WorldMove
+from pipeline.findings import Finding, SessionCheck
 from pipeline.quality.capture_checks import capture_checks
 from pipeline.quality.report import all_checks, quality_report
 from tests.pipeline.quality.test_report import CAMERAS, camera, observe, reconstruction
@@ -33,6 +34,22 @@ def test_nothing_is_wrong_with_somebody_whom_three_cameras_see() -> None:
 def test_an_empty_result_says_so() -> None:
     report = quality_report(reconstruction())
     assert [check.code for check in all_checks(report)] == ["nobody_found"]
+
+
+def nobody(check: SessionCheck) -> tuple[str, str, list[str]]:
+    """Sentence and reason of an empty result, and the codes of all findings."""
+    found = all_checks(quality_report(replace(reconstruction(), check=check)))
+    return found[-1].message, found[-1].evidence["reason"], [one.code for one in found]
+
+
+def test_an_empty_result_says_why() -> None:
+    undetected = Finding("nobody_detected", "Nobody was detected.", None, "error", "Look at the pictures.")
+    message, reason, codes = nobody(SessionCheck((undetected,), {"a": 0, "b": 0}, 12))
+    assert message == "Nobody was found. Nobody was detected. Look at the pictures."
+    assert (reason, codes) == ("nobody_detected", ["nobody_detected", "nobody_found"])
+    message, reason, codes = nobody(SessionCheck((), {"a": 24, "b": 12}, 12))
+    assert "24 in a, 12 in b, at 12 instants" in message
+    assert (reason, codes) == ("not_matched", ["nobody_found"])
 
 
 def test_two_cameras_are_few() -> None:

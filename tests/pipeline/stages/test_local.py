@@ -15,7 +15,7 @@ from pipeline.export.results import write_results
 from pipeline.progress import Progress
 from pipeline.simulation.scenes import find_scene, record
 from pipeline.stages.local import reconstruct
-from pipeline.stages.plan import ASSOCIATE, FIT, IDENTIFY, LENGTHS, POSES, STAGE_BY_NAME
+from pipeline.stages.plan import ASSOCIATE, CHECK, FIT, IDENTIFY, LENGTHS, POSES, STAGE_BY_NAME
 from tests.pipeline.simulations import write_simulation
 
 TRACKING = ReconstructionConfig(exports=("bvh", "csv"))
@@ -50,7 +50,7 @@ def run(session: KeypointSession, config: ReconstructionConfig, cache: Path | No
 
 def test_another_smoothing_reuses_the_tracks(session: KeypointSession, tmp_path: Path) -> None:
     first, of_first = run(session, TRACKING, tmp_path / "cache")
-    assert {name: units for name, (units, _) in of_first.items()} == {ASSOCIATE: 0, IDENTIFY: 0, FIT: 0}
+    assert {name: units for name, (units, _) in of_first.items()} == {CHECK: 0, ASSOCIATE: 0, IDENTIFY: 0, FIT: 0}
     again, of_again = run(session, TRACKING, tmp_path / "cache")
     assert all(units == total for units, total in of_again.values())
     assert written(again, tmp_path / "again") == written(first, tmp_path / "first")
@@ -82,7 +82,7 @@ def test_processes_and_ranges_change_no_byte(
 ) -> None:
     config = replace(CLUSTERING, frame_range=frame_range)
     one, units = run(session, config, None)
-    assert list(units) == [LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT]
+    assert list(units) == [CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT]
     two, _ = run(session, replace(config, processes=2, chunk_frames=13), None)
     assert written(one, tmp_path / "one") == written(two, tmp_path / "two")
 
@@ -95,7 +95,7 @@ def test_a_damaged_output_is_computed_again(session: KeypointSession, tmp_path: 
             content[-1] ^= 1
             path.write_bytes(content)
     again, units = run(session, TRACKING, tmp_path / "cache")
-    assert {name: number for name, (number, _) in units.items()} == {ASSOCIATE: 0, IDENTIFY: 0, FIT: 0}
+    assert {name: number for name, (number, _) in units.items()} == {CHECK: 0, ASSOCIATE: 0, IDENTIFY: 0, FIT: 0}
     assert written(again, tmp_path / "again") == written(first, tmp_path / "first")
 
 

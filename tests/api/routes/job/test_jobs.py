@@ -21,7 +21,15 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
     assert int(answer.headers["retry-after"]) >= 1
     assert uuid.UUID(job["id"]).version == 7
     assert (job["session_id"], job["state"], job["attempt"]) == (session_id, "queued", 1)
-    assert [stage["name"] for stage in job["stages"]] == ["look", "detect", "associate", "identify", "fit", "export"]
+    assert [stage["name"] for stage in job["stages"]] == [
+        "look",
+        "detect",
+        "check_session",
+        "associate",
+        "identify",
+        "fit",
+        "export",
+    ]
     # 60 frames of two cameras.
     assert [stage["total"] for stage in job["stages"]] == [24, 120, 6, 6, 6, 6]
     assert job["created_at"].endswith("Z")

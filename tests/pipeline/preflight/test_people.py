@@ -1,0 +1,180 @@
+"""Faults of a rig are found by the people of simulated scenes, and named; good rigs have none."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.data import Camera
+from pipeline.findings import Finding
+from pipeline.preflight.explain import MOVES, Move, move_points
+from pipeline.preflight.people import check_people
+from pipeline.preflight.sightings import Sightings, choose_instants, frames_at, sightings_of
+from pipeline.simulation.scenes import Simulation, find_scene, record
+from tests.pipeline.preflight.rigs import bumped, in_other_world, sightings
+
+SCENE = record(replace(find_scene("room"), duration_s=8.0), seed=3)
+CAMERAS, SEEN = SCENE.cameras, sightings(SCENE)
+NUM = len(CAMERAS)
+
+
+def found(cameras: Sequence[Camera] = CAMERAS, seen: Sightings = SEEN) -> list[tuple[str, str | None]]:
+    return [(one.code, one.camera) for one in check_people(cameras, seen)]
+
+
+def exchanged(order: Sequence[int]) -> tuple[Camera, ...]:
+    return tuple(replace(CAMERAS[place], name=camera.name) for place, camera in zip(order, CAMERAS, strict=True))
+
+
+@pytest.mark.parametrize(("scene", "seed"), [("room", 1), ("room", 2), ("store", 1), ("outdoor", 1), ("noisy", 1)])
+def test_good_rigs_have_no_finding(scene: str, seed: int) -> None:
+    simulation = record(replace(find_scene(scene), duration_s=6.0), seed)
+    assert found(simulation.cameras, sightings(simulation)) == []
+
+
+def test_exchanged_cameras_are_named_with_each_other() -> None:
+    order = [1, 0, *range(2, NUM)]
+    one, other = check_people(exchanged(order), SEEN)
+    assert (one.code, one.camera, one.evidence["other_camera"]) == (
+        "cameras_exchanged",
+        CAMERAS[0].name,
+        CAMERAS[1].name,
+    )
+    assert (other.camera, other.evidence["other_camera"]) == (CAMERAS[1].name, CAMERAS[0].name)
+    assert one.severity == "error"
+    assert one.evidence["disagreement_mended"] < 0.5 * one.evidence["disagreement"]
+
+
+def test_all_cameras_in_another_order() -> None:
+    order = [*range(1, NUM), 0]
+    named = {one.camera: one.evidence["other_camera"] for one in check_people(exchanged(order), SEEN)}
+    # Camera k has the calibration of its follower, so its picture fits what its predecessor was given.
+    assert named == {CAMERAS[number].name: CAMERAS[number - 1].name for number in range(NUM)}
+
+
+@pytest.mark.parametrize("move", MOVES)
+def test_a_turned_or_mirrored_picture(move: Move) -> None:
+    moved = SEEN.moved(2, lambda points: move_points(points, move, CAMERAS[2].size_px, SEEN.joints))
+    (finding,) = check_people(CAMERAS, moved)
+    assert finding.camera == CAMERAS[2].name
+    if move == "mirrored":
+        assert finding.code == "picture_mirrored"
+    else:
+        assert finding.code == "picture_turned"
+        # The picture was turned by the rest of a whole turn.
+        assert finding.evidence["turn_deg"] == (360 - int(move)) % 360
+
+
+@pytest.mark.parametrize("move", MOVES)
+def test_moving_points_back_is_the_inverse(move: Move) -> None:
+    points = np.arange(2.0 * 17 * 3).reshape(3, 17, 2)
+    back: dict[Move, Move] = {"90": "270", "180": "180", "270": "90", "mirrored": "mirrored"}
+    again = move_points(move_points(points, move, (640, 480), SEEN.joints), back[move], (640, 480), SEEN.joints)
+    np.testing.assert_allclose(again, points)
+
+
+@pytest.mark.parametrize("degrees", [3.0, 10.0, 60.0])
+def test_a_moved_camera_is_the_only_one_that_is_named(degrees: float) -> None:
+    cameras = (*CAMERAS[:1], bumped(CAMERAS[1], degrees), *CAMERAS[2:])
+    assert found(cameras) == [("camera_disagrees", CAMERAS[1].name)]
+
+
+def test_the_calibration_of_another_rig() -> None:
+    turns = np.random.default_rng(5).uniform(0.0, 360.0, NUM)
+    cameras = [bumped(camera, turn) for camera, turn in zip(CAMERAS, turns, strict=True)]
+    assert found(cameras) == [("calibration_of_another_rig", None)]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda camera: in_other_world(camera, scale=1000.0), "stature_out_of_range"),
+        (lambda camera: in_other_world(camera, scale=0.01), "stature_out_of_range"),
+        (lambda camera: in_other_world(camera, Rotation.from_euler("x", 180, degrees=True)), "upside_down"),
+        (lambda camera: in_other_world(camera, Rotation.from_euler("x", 90, degrees=True)), "not_upright"),
+        (lambda camera: in_other_world(camera, lift_m=1.5), "floor_not_at_zero"),
+    ],
+)
+def test_a_wrong_world_is_one_finding(change: Callable[[Camera], Camera], expected: str) -> None:
+    assert found([change(camera) for camera in CAMERAS]) == [(expected, None)]
+
+
+def test_the_unit_is_guessed_and_the_height_measured() -> None:
+    (unit,) = check_people([in_other_world(camera, scale=1000.0) for camera in CAMERAS], SEEN)
+    assert unit.hint is not None
+    assert "mm" in unit.hint
+    assert 1300 < unit.evidence["stature_m"] < 2000
+    (floor,) = check_people([in_other_world(camera, lift_m=1.5) for camera in CAMERAS], SEEN)
+    assert floor.evidence["height_m"] == pytest.approx(1.5, abs=0.1)
+
+
+def test_a_mirrored_world() -> None:
+    """Left and right of everybody are exchanged, as in a capture whose videos and board are mirrored."""
+    names = SEEN.joints.names
+    other = [names.index(_other(name)) for name in names]
+    mirrored = SEEN
+    for camera in range(NUM):
+        mirrored = mirrored.moved(camera, lambda points: points[:, other])
+    assert found(seen=mirrored) == [("mirrored_world", None)]
+
+
+def _other(name: str) -> str:
+    pairs = {"left": "right", "right": "left"}
+    side, _, rest = name.partition("_")
+    return f"{pairs[side]}_{rest}" if side in pairs else name
+
+
+def test_one_video_twice() -> None:
+    twice = replace(SEEN, points_px=(SEEN.points_px[0], SEEN.points_px[0], *SEEN.points_px[2:]))
+    assert found(seen=twice) == [("same_video", CAMERAS[1].name)]
+
+
+def without(*cameras: int) -> Sightings:
+    seen = SEEN
+    for camera in cameras:
+        seen = seen.moved(camera, lambda points: points[:0])
+    return seen
+
+
+def test_nobody() -> None:
+    (nobody,) = check_people(CAMERAS, without(*range(NUM)))
+    assert (nobody.code, nobody.severity) == ("nobody_detected", "error")
+    assert set(nobody.evidence["people"].values()) == {0}
+    (alone,) = check_people(CAMERAS, without(*range(1, NUM)))
+    assert alone.code == "nobody_detected"
+    assert CAMERAS[0].name in alone.message
+    assert found(seen=without(1)) == [("camera_sees_nobody", CAMERAS[1].name)]
+
+
+def test_a_camera_that_sees_people_at_other_instants() -> None:
+    halves = [tuple(one[:0] if k % 2 else one for k, one in enumerate(of) if one is not None) for of in SEEN.points_px]
+    late = tuple(one[:0] if not k % 2 else one for k, one in enumerate(SEEN.points_px[0]) if one is not None)
+    seen = replace(SEEN, points_px=(late, *halves[1:]))
+    assert found(seen=seen) == [("no_common_people", CAMERAS[0].name)]
+
+
+def test_instants_are_in_the_middle_of_equal_parts_of_what_was_recorded() -> None:
+    assert choose_instants([range(0, 8)], 4) == [1, 3, 5, 7]
+    assert choose_instants([range(0, 4), range(100, 104)], 4) == [1, 3, 101, 103]
+    assert choose_instants([range(5, 7)], 12) == [5, 6]
+    assert choose_instants([], 12) == []
+
+
+def test_a_camera_has_no_frame_before_it_starts() -> None:
+    simulation: Simulation = SCENE
+    times = next(iter(simulation.times.values()))
+    late = replace(times, time_s=times.time_s + 4.0)
+    frames = frames_at(late, simulation.timebase, [0, round(4.0 * simulation.timebase.frame_rate_hz) + 3])
+    assert frames[0] is None
+    assert frames[1] == 3
+    people = sightings_of(
+        CAMERAS, simulation.detections, {camera.name: [None] for camera in CAMERAS}, simulation.joints
+    )
+    assert people.points_px[0] == (None,)
+
+
+def test_findings_survive_their_json() -> None:
+    for finding in check_people(exchanged([1, 0, *range(2, NUM)]), SEEN):
+        assert Finding.from_json(finding.to_json()) == finding
