@@ -42,6 +42,7 @@ PASSED_ON = {
     ("api/requests/validation.py", "_items"),
     ("api/errors.py", "_from_status"),  # those of _CODES
     ("api/errors.py", "problem_response"),
+    ("api/routes/job/people.py", "edit_job_people"),  # those of edits
     ("api/routes/health.py", "_database_check"),  # that of database_damaged
     ("api/routes/job/people.py", "edit_job_people"),  # that of apply_edits
     ("pipeline/capture/session.py", "_range_problems"),
