@@ -46,9 +46,9 @@ from pipeline.stages.association import (
     tell_apart,
     track,
 )
+from pipeline.stages.cameras.checking import check_bodies, check_session, decode_check, encode_check
 from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
 from pipeline.stages.cameras.synchronization import measure_clocks, on_measured_clocks
-from pipeline.stages.checking import check_bodies, check_session, decode_check, encode_check
 from pipeline.stages.editing import animate_again, cut, edited_take, put_together, spans
 from pipeline.stages.inputs import (
     Context,

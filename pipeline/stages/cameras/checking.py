@@ -13,8 +13,8 @@ from pipeline.detect.chunk import bodies_in, concatenate, stack_bodies
 from pipeline.detect.decoders.fields import ImageFields
 from pipeline.detect.decoders.grouping import group
 from pipeline.detect.entries import entry_of
-from pipeline.detect.instants import detect_at
 from pipeline.detect.profiles.detection import BodyDetector, load_detector, load_own
+from pipeline.detect.profiles.instants import detect_at
 from pipeline.findings import Finding, SessionCheck
 from pipeline.joints import JointSet
 from pipeline.preflight.people import check_people

@@ -19,7 +19,7 @@ from pipeline.findings import Finding, documents, from_problem, has_error
 from pipeline.preflight.sightings import NUM_INSTANTS
 from pipeline.quality.findings import join_findings
 from pipeline.stages.association import Session
-from pipeline.stages.checking import check_at_instants
+from pipeline.stages.cameras.checking import check_at_instants
 
 
 def command(
