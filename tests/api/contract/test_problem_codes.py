@@ -44,6 +44,7 @@ PASSED_ON = {
     ("api/errors.py", "problem_response"),
     ("api/routes/job/people.py", "edit_job_people"),  # those of edits
     ("api/routes/health.py", "_database_check"),  # that of database_damaged
+    ("api/requests/calibration_intake.py", "_point_errors"),  # those of known points
     ("api/routes/job/people.py", "edit_job_people"),  # that of apply_edits
     ("pipeline/capture/session.py", "_range_problems"),
     ("pipeline/findings.py", "from_problem"),  # those of the problem
