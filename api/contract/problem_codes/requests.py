@@ -317,6 +317,9 @@ PARTS = CodeGroup(
             "Send either videos or keypoints, timestamps with keypoints only, a calibration or its id.",
         ),
         ProblemCode("too_many_videos", _FIELD, "The session has more videos than allowed.", "Send fewer cameras."),
+        ProblemCode(
+            "too_many_images", _FIELD, "There are more archives of images than allowed.", "Send fewer cameras."
+        ),
         ProblemCode("too_many_keypoints", _FIELD, "The session has more archives than allowed.", "Send fewer cameras."),
         ProblemCode(
             "file_name_invalid",

@@ -26,7 +26,7 @@ def addresses(live: Live) -> list[str]:
     session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
     job, session = f"/v1/jobs/{job_id}", f"/v1/sessions/{session_id}"
     return [
-        "/", "/docs", "/portal/page.js", "/openapi.json", "/healthz", "/nowhere", "/v1/caller",
+        "/", "/docs", "/portal/main.js", "/openapi.json", "/healthz", "/nowhere", "/v1/caller",
         "/v1/jobs", "/v1/jobs?limit=0", "/v1/sessions", job, session, f"{session}/jobs", f"{job}/attempts",
         f"{job}/results", f"{job}/results/person-1.bvh", f"{job}/results/person-9.bvh",
     ]  # fmt: skip
@@ -104,7 +104,7 @@ def test_unchanged_records_are_answered_by_304(live: Live, kind: str) -> None:
 
 
 def test_cache_control_of_each_kind_of_address(live: Live, addresses: list[str]) -> None:
-    kept = {"/": "no-cache", "/docs": "no-cache", "/portal/page.js": "no-cache", "/v1/options": "private, no-cache"}
+    kept = {"/": "no-cache", "/docs": "no-cache", "/portal/main.js": "no-cache", "/v1/options": "private, no-cache"}
     job, session, file = addresses[10], addresses[11], addresses[15]
     kept |= dict.fromkeys([job, session, file], "private, no-cache")
     said = {path: live.client.get(path).headers["cache-control"] for path in [*addresses, "/v1/options"]}

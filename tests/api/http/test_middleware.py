@@ -44,7 +44,7 @@ def test_allowed_hosts_are_served(make_settings: Callable[..., Settings]) -> Non
         problem_of(live.client.get("/healthz", headers={"Host": "other.example"}), 403, "host_not_allowed")
 
 
-@pytest.mark.parametrize("path", ["/", "/healthz", "/nowhere", "/portal/page.js"])
+@pytest.mark.parametrize("path", ["/", "/healthz", "/nowhere", "/portal/main.js"])
 def test_every_answer_has_safe_headers(live: Live, path: str) -> None:
     headers = live.client.get(path).headers
     assert headers["x-content-type-options"] == "nosniff"
