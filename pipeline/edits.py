@@ -26,12 +26,16 @@ class PersonSpan:
     num_frames: int
 
 
+def _require_action(schema: dict[str, Any]) -> None:
+    schema["required"] = ["action", *schema["required"]]
+
+
 class _Edit:
     """Base of the edits."""
 
     __slots__ = ()
-    # The web API's parser refuses unknown fields.
-    __pydantic_config__: ClassVar[Mapping[str, str]] = {"extra": "forbid"}
+    # The web API's parser refuses unknown fields, and finds the kind of an edit by its action.
+    __pydantic_config__: ClassVar[Mapping[str, Any]] = {"extra": "forbid", "json_schema_extra": _require_action}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
