@@ -38,7 +38,7 @@ from api.routes import (
     uploads,
 )
 from api.routes.job import events, jobs, motion, people, results
-from api.routes.viewing import links, videos
+from api.routes.viewing import links, thumbnails, videos
 from api.settings import Settings
 from api.tus.files import UploadSpool
 from pipeline.stages.code import stage_codes
@@ -83,6 +83,7 @@ def create_app(settings: Settings) -> FastAPI:
             sessions.router,
             sessions.small,
             videos.router,
+            thumbnails.router,
             jobs.router,
             jobs.small,
             events.router,

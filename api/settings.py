@@ -170,8 +170,8 @@ class Settings(StorageSettings):
     preflight_timeout_s: float = Field(
         default=15.0,
         gt=0,
-        description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
-        "keypoints.",
+        description="Time limit of a preflight, in addition to 0.2 s a file, 4 s a video, 60 s a GiB of videos and "
+        "1800 s a GiB of keypoints.",
     )
     preflight_wait_s: float = Field(
         default=10.0,

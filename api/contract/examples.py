@@ -24,6 +24,7 @@ PATH_PARAMETERS = {
     "name": "person-1.bvh",
     "sample_file": "cam01.mp4",
     "camera": "cam_0",
+    "number": 0,
 }
 
 REQUEST_HEADERS = {
@@ -97,6 +98,7 @@ _PREFLIGHT: dict[str, Any] = {
             "plays_in_browsers": True,
             "video_link": f"/v1/sessions/{_SESSION_ID}/videos/cam_{index}",
             "media_start_s": 0.0,
+            "thumbnails": [{"time_s": 5.0, "link": f"/v1/sessions/{_SESSION_ID}/thumbnails/cam_{index}/0"}],
         }
         for index in range(2)
     ],

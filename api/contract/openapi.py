@@ -56,7 +56,7 @@ def _exchanges(contract: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any
 def _requests(method: str, path: str, operation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Example requests of an operation, one for each accepted content type."""
     for name, value in examples.PATH_PARAMETERS.items():
-        path = path.replace(f"{{{name}}}", value)
+        path = path.replace(f"{{{name}}}", str(value))
     parameters = operation.get("parameters", ())
     named = {parameter["name"].lower() for parameter in parameters if parameter["in"] == "header"}
     headers = {name: value for name, value in examples.REQUEST_HEADERS.items() if name.lower() in named}

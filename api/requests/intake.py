@@ -40,9 +40,9 @@ from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_
 from api.requests.spec_checks import callback_errors, limit_errors, network_errors, spec_errors
 from api.requests.validation import model_items
 from api.schemas.captures import Manifest, UploadedCapture, UploadedFiles, UploadedSession
-from pipeline.capture.preflight_record import Preflight
+from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.errors import NotFound
-from worker.jobs.files.artifacts import input_key, record_key, session_prefix
+from worker.jobs.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
 from worker.jobs.model import InputFile
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -119,6 +119,8 @@ class CheckedSession:
     ----------
     record_path
         File that the preflight wrote for the workers.
+    thumbnails
+        Folder with the thumbnails that the preflight wrote; ``None`` without any.
     """
 
     form: Form
@@ -127,6 +129,7 @@ class CheckedSession:
     preflight: Preflight
     record_path: Path
     upload_ids: tuple[str, ...]
+    thumbnails: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +209,8 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         message = "Keypoints have timestamps, and their archives the cameras' names: nothing else can be said of them."
         errors.append(ErrorItem(code="cameras_of_keypoints", message=message, pointer=f"/{MANIFEST}/cameras"))
     preflight: Preflight | None = None
-    record_path = record_path_in(sent.folder)
+    record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
+    thumbnails.mkdir()
     if not form.errors and form.files[CALIBRATION]:
         try:
             with _tracer.start_as_current_span("preflight"):
@@ -216,6 +220,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
                     arguments_of(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
                     record_path,
                     allowance_s(form),
+                    thumbnails,
                     further_wait_s=further_wait_s(form),
                 )
         except InvalidFilesError as invalid:
@@ -230,7 +235,7 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
-    return CheckedSession(form, arrival.manifest, arrival.spec, preflight, record_path, arrival.upload_ids)
+    return CheckedSession(form, arrival.manifest, arrival.spec, preflight, record_path, arrival.upload_ids, thumbnails)
 
 
 @contextlib.contextmanager
@@ -250,6 +255,10 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
         with checked.record_path.open("rb") as content:
             record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
         services.artifacts.put_file(record_key(session_id), checked.record_path)
+        if checked.thumbnails is not None:
+            for camera, number, _ in checked.preflight.thumbnails():
+                name = thumbnail_name(camera, number)
+                services.artifacts.put_file(thumbnail_key(session_id, name), checked.thumbnails / name)
         yield NewSession(
             id=session_id,
             name=checked.manifest.name,

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from api.errors import ApiError, ErrorItem
 from api.requests.form import Form
-from pipeline.capture.preflight_record import Preflight
+from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.process.priorities import lower_priority
 
 _log = structlog.get_logger(__name__)
@@ -30,10 +30,14 @@ _log = structlog.get_logger(__name__)
 _EXIT_BAD_INPUT = 2
 _EXIT_DISK_FULL = 4
 _LOGGED_BYTES = 4000
+# More than a JPEG of 320 x 320 pixels of noise.
+_MAX_THUMBNAIL_BYTES = 2**18
 # Between the API's responses and the workers: a client waits for the check.
 _NICE = 5
 # Several times the time of a check on two cores, measured with good files that have few bytes a frame.
 _S_PER_FILE = 0.2
+# Time for a few pictures of each video.
+_S_PER_VIDEO = 4.0
 _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
 # Time of sending the files over a connection of some 140 Mbit/s.
@@ -45,7 +49,7 @@ def allowance_s(form: Form) -> float:
     views = (*form.videos, *form.keypoints)
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
     of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
-    return len(views) * _S_PER_FILE + of_videos + of_keypoints
+    return len(views) * _S_PER_FILE + len(form.videos) * _S_PER_VIDEO + of_videos + of_keypoints
 
 
 def further_wait_s(form: Form) -> float:
@@ -97,7 +101,9 @@ class PreflightProgram:
     max_record_bytes: int
     max_memory_bytes: int
 
-    def check(self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0) -> Preflight:
+    def check(
+        self, arguments: Sequence[str], record: Path, allowance_s: float = 0.0, thumbnails: Path | None = None
+    ) -> Preflight:
         """Check the files of a session.
 
         Parameters
@@ -109,6 +115,8 @@ class PreflightProgram:
             which the caller removes: a killed program leaves them behind.
         allowance_s
             Time for these files, in addition to ``timeout_s``.
+        thumbnails
+            Empty folder to which small copies of pictures are written, if the session is to be reconstructed.
 
         Returns
         -------
@@ -123,10 +131,11 @@ class PreflightProgram:
         OSError
             If the disk is full.
         """
-        answer = self._answer([*arguments, "--record", str(record)], record.parent, allowance_s)
-        if record.is_file() and (session := _parsed(answer)) is not None:
-            return session
-        raise _failed()
+        written = ["--record", str(record), *(["--thumbnails", str(thumbnails)] if thumbnails else [])]
+        session = _parsed(self._answer([*arguments, *written], record.parent, allowance_s))
+        if session is None or not record.is_file() or not _has_thumbnails(session, thumbnails):
+            raise _failed()
+        return session
 
     def read_calibration(self, arguments: Sequence[str], folder: Path) -> CalibrationContents:
         """Read a calibration.
@@ -228,6 +237,15 @@ def _parsed(printed: bytes) -> Preflight | None:
         return Preflight.from_json(json.loads(printed))
     except (ValueError, RecursionError):
         return None
+
+
+def _has_thumbnails(session: Preflight, folder: Path | None) -> bool:
+    """Whether all thumbnails of a session are files of the sizes that it states, and small."""
+    for camera, number, thumbnail in session.thumbnails():
+        path = (folder or Path()) / thumbnail_name(camera, number)
+        if not path.is_file() or not path.stat().st_size == thumbnail.num_bytes <= _MAX_THUMBNAIL_BYTES:
+            return False
+    return True
 
 
 def _problems(printed: bytes) -> tuple[ErrorItem, ...]:

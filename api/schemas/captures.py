@@ -176,6 +176,13 @@ class FileOut(ResponseModel):
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
 
 
+class ThumbnailOut(ResponseModel):
+    """Small copy of a picture of a video."""
+
+    time_s: float = Field(description="Time of the picture on the session's clock.")
+    link: str = Field(description="Path of the JPEG, whose longer side is at most 320 pixels.")
+
+
 class CameraOut(ResponseModel):
     """Camera of the calibration with its video or its keypoints.
 
@@ -194,17 +201,27 @@ class CameraOut(ResponseModel):
         "is made, and for keypoints."
     )
     media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
+    thumbnails: tuple[ThumbnailOut, ...] = Field(
+        default=(),
+        description="Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has "
+        "their places in this list. None for keypoints.",
+    )
 
     @classmethod
     def of(cls, session_id: str, camera: PreflightCamera, has_proxy: bool) -> Self:
         """Build the response from a camera of a session."""
         plays = camera.media_type is not None
-        path = f"/v1/sessions/{session_id}/videos/{quote(camera.name, safe='')}"
+        session, name = f"/v1/sessions/{session_id}", quote(camera.name, safe="")
+        path = f"{session}/videos/{name}"
         return cls(
-            **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s")),
+            **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s", "thumbnails")),
             plays_in_browsers=plays,
             video_link=path if plays or has_proxy else None,
             media_start_s=camera.media_start_s if plays else 0.0,
+            thumbnails=tuple(
+                ThumbnailOut(time_s=one.time_s, link=f"{session}/thumbnails/{name}/{number}")
+                for number, one in enumerate(camera.thumbnails)
+            ),
         )
 
 

@@ -4,7 +4,8 @@
 --keypoints ZIP... [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--units UNITS]`` prints one JSON object:
 the session's report, or ``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the
 numeric libraries, and without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the
-files need not be examined again.
+files need not be examined again. ``--thumbnails FOLDER`` also checks the cameras against each other and a few pictures
+of each video, whose small copies are stored in the folder as ``thumbnail_name`` says.
 
 Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
 without ``--calibration`` are those of a calibration that is to be made.
@@ -12,6 +13,7 @@ without ``--calibration`` are those of a calibration that is to be made.
 
 import argparse
 import errno
+import hashlib
 import json
 import math
 import sys
@@ -22,15 +24,26 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pipeline.calibration.board.spec import parse_board
+from pipeline.calibration.checks.check import check_cameras
 from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.capture.pictures import Thumbnail, look_at_pictures
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
-from pipeline.capture.preflight_record import Clock, Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
+from pipeline.capture.preflight_record import (
+    Clock,
+    Preflight,
+    PreflightCamera,
+    PreflightRecording,
+    PreflightThumbnail,
+    PreflightTimebase,
+    thumbnail_name,
+)
 from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.errors import DISK_FULL, InputError, Problem, listed, printable
+from pipeline.findings import Finding
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.properties.regularity import OF_TIMES
@@ -110,7 +123,30 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     if arguments.photographs:  # their numbers are no times
         session = replace(session, findings=tuple(one for one in session.findings if one.code not in OF_TIMES))
     files = [video.path.name for video in session.videos]
-    return report(session, files, units, recordings, clock), encode_session(session)
+    preflight, record = report(session, files, units, recordings, clock), encode_session(session)
+    if arguments.thumbnails:
+        looked = look_at_pictures(session)
+        stored = [_write_thumbnails(arguments.thumbnails, *one) for one in enumerate(looked.thumbnails)]
+        preflight = replace(preflight, cameras=tuple(map(_with_thumbnails, preflight.cameras, stored)))
+        preflight = _with_findings(preflight, [*check_cameras(session.cameras), *looked.findings])
+    return preflight, record
+
+
+def _write_thumbnails(folder: Path, camera: int, thumbnails: Sequence[Thumbnail]) -> tuple[PreflightThumbnail, ...]:
+    for number, one in enumerate(thumbnails):
+        (folder / thumbnail_name(camera, number)).write_bytes(one.content)
+    return tuple(
+        PreflightThumbnail(one.time_s, len(one.content), hashlib.sha256(one.content).hexdigest()) for one in thumbnails
+    )
+
+
+def _with_thumbnails(camera: PreflightCamera, thumbnails: tuple[PreflightThumbnail, ...]) -> PreflightCamera:
+    return replace(camera, thumbnails=thumbnails)
+
+
+def _with_findings(preflight: Preflight, findings: Sequence[Finding]) -> Preflight:
+    sentences = [printable(finding.message) for finding in findings]
+    return replace(preflight, findings=(*preflight.findings, *findings), warnings=(*preflight.warnings, *sentences))
 
 
 def _no_archive(path: Path) -> Problem:
@@ -130,7 +166,10 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
             arguments.max_joints,
         )
     files = [session.folders[camera.name] + ".zip" for camera in session.cameras]
-    return report(session, files, arguments.units), encode_keypoints(session)
+    preflight = report(session, files, arguments.units)
+    if arguments.thumbnails:
+        preflight = _with_findings(preflight, check_cameras(session.cameras))
+    return preflight, encode_keypoints(session)
 
 
 def _check(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -184,6 +223,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--photographs", action="store_true", help="The videos are archives of photographs.")
     parser.add_argument("--board", help="Board that the videos show; its specification is checked.")
     parser.add_argument("--record", type=Path)
+    parser.add_argument("--thumbnails", type=Path, help="Check cameras and pictures too; folder for small copies.")
     arguments = parser.parse_args(words)
     if arguments.calibration is None and not arguments.videos:
         parser.error("name a calibration")

@@ -4,6 +4,7 @@
 workers read it. So this module needs nothing but the standard library.
 """
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -11,6 +12,21 @@ from pipeline.findings import Finding
 
 Clock = Literal["declared", "timecode", "creation_time"]
 """Clock of the videos' starts: stated offsets, timecode, or times of creation."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreflightThumbnail:
+    """Small copy of a picture, a JPEG file.
+
+    Parameters
+    ----------
+    time_s
+        Time of the picture on the session's clock.
+    """
+
+    time_s: float
+    num_bytes: int
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +50,9 @@ class PreflightCamera:
         keypoints and sessions of older versions.
     media_start_s
         Time of the first frame on the clock of the video file, which players show.
+    thumbnails
+        Small copies of a few pictures, ascending in time; none of keypoints, and in records of earlier versions. Their
+        places are the numbers in the evidence ``pictures`` of findings.
     """
 
     name: str
@@ -44,6 +63,17 @@ class PreflightCamera:
     start_time_s: float = 0.0
     media_type: str | None = None
     media_start_s: float = 0.0
+    thumbnails: tuple[PreflightThumbnail, ...] = ()
+
+    @classmethod
+    def from_json(cls, document: Any) -> "PreflightCamera":
+        """Read a parsed JSON object."""
+        thumbnails = tuple(PreflightThumbnail(**one) for one in document.get("thumbnails", ()))
+        return cls(**{**document, "size_px": tuple(document["size_px"]), "thumbnails": thumbnails})
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON object."""
+        return {**asdict(self), "size_px": list(self.size_px), "thumbnails": [asdict(one) for one in self.thumbnails]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +129,12 @@ class Preflight:
         """Duration of all output frames."""
         return self.timebase.num_frames / self.timebase.frame_rate_hz
 
+    def thumbnails(self) -> Iterator[tuple[int, int, PreflightThumbnail]]:
+        """All thumbnails with the numbers of their camera and of their picture."""
+        for camera, of_camera in enumerate(self.cameras):
+            for number, thumbnail in enumerate(of_camera.thumbnails):
+                yield camera, number, thumbnail
+
     @classmethod
     def from_json(cls, document: Any) -> "Preflight":
         """Read a parsed JSON object; keys that older versions did not write get their defaults.
@@ -111,9 +147,7 @@ class Preflight:
         try:
             timebase = PreflightTimebase(**document["timebase"])
             return cls(
-                cameras=tuple(
-                    PreflightCamera(**{**camera, "size_px": tuple(camera["size_px"])}) for camera in document["cameras"]
-                ),
+                cameras=tuple(PreflightCamera.from_json(camera) for camera in document["cameras"]),
                 timebase=timebase,
                 # Older versions worked on all frames.
                 stretches=tuple(range(*one) for one in document.get("stretches", [[0, timebase.num_frames]])),
@@ -123,13 +157,13 @@ class Preflight:
                 findings=tuple(Finding.from_json(one) for one in document.get("findings", ())),
                 clock=document.get("clock", "declared"),
             )
-        except (KeyError, TypeError) as error:
+        except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
 
     def to_json(self) -> dict[str, Any]:
         """JSON object, whose keys are always in the same order."""
         return {
-            "cameras": [{**asdict(camera), "size_px": list(camera.size_px)} for camera in self.cameras],
+            "cameras": [camera.to_json() for camera in self.cameras],
             "timebase": asdict(self.timebase),
             "stretches": [[one.start, one.stop] for one in self.stretches],
             "warnings": list(self.warnings),
@@ -138,3 +172,8 @@ class Preflight:
             "findings": [one.to_json() for one in self.findings],
             "clock": self.clock,
         }
+
+
+def thumbnail_name(camera: int, number: int) -> str:
+    """Name of the file of a thumbnail, by the numbers of its camera and of the picture."""
+    return f"{camera}-{number}.jpg"

@@ -6,6 +6,7 @@ Each range is decoded in a child process with limits on memory and time, which w
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import closing
+from math import ceil
 
 import numpy as np
 from jaxtyping import UInt8
@@ -27,6 +28,7 @@ def decode(
     stop_frame: int,
     on_damaged: Callable[[int], object] = lambda _: None,
     only: Collection[int] | None = None,
+    limit_s: float | None = None,
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Decode the frames ``start_frame <= k < stop_frame``, in order.
 
@@ -39,6 +41,8 @@ def decode(
     only
         Numbers of the wanted frames of the range; ``None``: all. If all of them are keyframes, no other frame is
         decoded.
+    limit_s
+        Limit on the computing time, and on the wait for one frame; ``None``: enough for any range of a good file.
 
     Yields
     ------
@@ -60,7 +64,8 @@ def decode(
         return
     following = wanted[0]
     try:
-        with closing(decoded_frames(_request(video, wanted, only is not None))) as frames:
+        request = _request(video, wanted, only is not None, limit_s)
+        with closing(decoded_frames(request, limit_s)) as frames:
             previous_pts = None
             for frame in frames:
                 if frame.size_px != video.stored_size_px:
@@ -90,10 +95,11 @@ def _between(wanted: Sequence[int], start: int, stop: int) -> Sequence[int]:
     return wanted[bisect_left(wanted, start) : bisect_left(wanted, stop)]
 
 
-def _request(video: VideoInfo, wanted: Sequence[int], is_selection: bool) -> Request:
+def _request(video: VideoInfo, wanted: Sequence[int], is_selection: bool, limit_s: float | None) -> Request:
     width, height = video.stored_size_px
     first_pts = int(video.pts[wanted[0]])
     only_pts = video.pts[list(wanted)].tolist() if is_selection else None
+    max_cpu_s = _MAX_CPU_S + _MAX_CPU_S_PER_FRAME * (wanted[-1] + 1) if limit_s is None else ceil(limit_s)
     return Request(
         path=str(video.path.absolute()),
         codec=video.codec,
@@ -104,7 +110,7 @@ def _request(video: VideoInfo, wanted: Sequence[int], is_selection: bool) -> Req
         first_pts=first_pts,
         last_pts=int(video.pts[wanted[-1]]),
         to_the_end=wanted[-1] + 1 == video.num_frames,
-        max_cpu_s=_MAX_CPU_S + _MAX_CPU_S_PER_FRAME * (wanted[-1] + 1),
+        max_cpu_s=max_cpu_s,
         only_pts=only_pts,
         only_keyframes=only_pts is not None and bool(np.isin(only_pts, video.keyframe_pts).all()),
     )

@@ -54,10 +54,15 @@ class DecodedFrame(NamedTuple):
     image_rgb: UInt8[np.ndarray, "height width 3"] | None
 
 
-def decoded_frames(request: Request) -> Generator[DecodedFrame, None, None]:
+def decoded_frames(request: Request, timeout_s: float | None = None) -> Generator[DecodedFrame, None, None]:
     """Decode frames in a child process.
 
     Close the generator if it is not read to its end: that ends the process.
+
+    Parameters
+    ----------
+    timeout_s
+        Longest wait for one frame; ``None``: 45 s.
 
     Raises
     ------
@@ -83,7 +88,7 @@ def decoded_frames(request: Request) -> Generator[DecodedFrame, None, None]:
                     bufsize=0,
                     pass_fds=[shared.fileno()],
                 )
-            yield from _read_frames(child, request, picture, errors)
+            yield from _read_frames(child, request, picture, errors, _TIMEOUT_S if timeout_s is None else timeout_s)
         finally:
             if child is not None:
                 child.kill()
@@ -99,21 +104,21 @@ def _shared_file() -> IO[bytes]:
 
 
 def _read_frames(
-    child: "subprocess.Popen[bytes]", request: Request, picture: mmap.mmap, errors: IO[bytes]
+    child: "subprocess.Popen[bytes]", request: Request, picture: mmap.mmap, errors: IO[bytes], timeout_s: float
 ) -> Iterator[DecodedFrame]:
     stdin, stdout = (cast(IO[bytes], pipe).fileno() for pipe in (child.stdin, child.stdout))
     image_rgb = np.frombuffer(picture, np.uint8).reshape(request.height, request.square_width, 3)
     is_started = False
     exit_code: int | None = None
     with suppress(TimeoutError, subprocess.TimeoutExpired):
-        is_started = _read(stdout, len(READY)) == READY
-        while is_started and len(record := _read(stdout, FRAME.size)) == FRAME.size:
+        is_started = _read(stdout, len(READY), timeout_s) == READY
+        while is_started and len(record := _read(stdout, FRAME.size, timeout_s)) == FRAME.size:
             pts, width, height, is_damaged, has_picture = FRAME.unpack(record)
             yield DecodedFrame(pts, (width, height), is_damaged, image_rgb if has_picture else None)
             if has_picture:
                 with suppress(BrokenPipeError):  # the decoder has ended after its last picture
                     os.write(stdin, b"\n")
-        exit_code = child.wait(_TIMEOUT_S)
+        exit_code = child.wait(timeout_s)
     if exit_code == 0 and is_started:
         return
     if exit_code == EXIT_UNREADABLE:
@@ -122,17 +127,17 @@ def _read_frames(
         raise LimitError
     errors.seek(0)
     raise child_error(
-        f"decoder of {Path(request.path).name}", exit_code, _TIMEOUT_S, errors.read().decode(errors="replace")
+        f"decoder of {Path(request.path).name}", exit_code, timeout_s, errors.read().decode(errors="replace")
     )
 
 
-def _read(pipe: int, num_bytes: int) -> bytes:
+def _read(pipe: int, num_bytes: int, timeout_s: float) -> bytes:
     """Read bytes from a pipe, fewer at its end; raise ``TimeoutError`` if they don't arrive in time."""
     poll = select.poll()
     poll.register(pipe, select.POLLIN)
     content = b""
     while len(content) < num_bytes:
-        if not poll.poll(1000 * _TIMEOUT_S):
+        if not poll.poll(1000 * timeout_s):
             raise TimeoutError
         if not (more := os.read(pipe, num_bytes - len(content))):
             break

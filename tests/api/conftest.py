@@ -30,7 +30,7 @@ from worker.jobs.model import Result
 
 # Replaces the real preflight: the first bytes of a video choose the behaviour.
 PREFLIGHT = """
-import json, pathlib, sys, time
+import hashlib, json, pathlib, sys, time
 arguments = sys.argv[1:]
 at = arguments.index("--calibration")
 (kind,) = {"--videos", "--keypoints"}.intersection(arguments)
@@ -65,6 +65,13 @@ recordings = [said for one in arguments if one.startswith("--recordings=") for s
 cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
             "media_type": None if video.suffix == ".avi" else "video/mp4", "media_start_s": 0.08}
            for video in videos]
+if kind == "--videos" and "--thumbnails" in arguments:
+    folder = pathlib.Path(arguments[arguments.index("--thumbnails") + 1])
+    for place, camera in enumerate(cameras):
+        content = f"picture of {camera['name']}".encode()
+        (folder / f"{place}-0.jpg").write_bytes(content)
+        digest = hashlib.sha256(content).hexdigest()
+        camera["thumbnails"] = [{"time_s": 1.2, "num_bytes": len(content), "sha256": digest}]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
                   "warnings": ["The cameras are close together."],
                   "recordings": recordings}))

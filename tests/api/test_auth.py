@@ -110,6 +110,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
             "job_id": job_id,
             "name": "person-1.bvh",
             "camera": "cam_0",
+            "number": "0",
             "link_id": records.links.add(job_id, LinkScope.EVENTS, None, 3600.0)[0].id,
             "upload_id": upload.rpartition("/")[2],
             "sample_file": "cam01.mp4",

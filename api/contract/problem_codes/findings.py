@@ -9,7 +9,8 @@ _PEOPLE = ("finding", "warning")
 FILES = CodeGroup(
     "Findings about files",
     "Codes of `preflight.findings` of a session and of `multicap check`, from the files alone. A finding never refuses "
-    "a session; [preflight](preflight.md) describes the evidence of each.",
+    "a session; [preflight](preflight.md) describes the evidence of each. Findings about the cameras have the codes of "
+    "[findings about calibrations](#findings-of-checks).",
     (
         ProblemCode("file_ignored", _FINDING, "A file is not part of the session.", "Remove it, or name it as needed."),
         ProblemCode(
@@ -80,6 +81,24 @@ FILES = CodeGroup(
             _FINDING,
             "The pixels of a video are not square; its pictures are scaled.",
             "See [formats](formats.md#videos); check that the calibration is of one of the two sizes.",
+        ),
+        ProblemCode(
+            "picture_dark",
+            _FINDING,
+            "The picture of a camera is too dark.",
+            "Light the scene, open the aperture or expose longer.",
+        ),
+        ProblemCode(
+            "picture_blurred",
+            _FINDING,
+            "The picture of a camera is blurred.",
+            "Focus on the place where people are; clean the lens; send the video as the camera recorded it.",
+        ),
+        ProblemCode(
+            "picture_frozen",
+            _FINDING,
+            "The picture of a camera stays the same while another camera sees motion.",
+            "Look at the video; export it again, or leave the camera out.",
         ),
         ProblemCode("session_warning", _FINDING, "A warning of a version that had sentences only.", "Read `message`."),
     ),

@@ -5,11 +5,28 @@ import { html, nothing } from "../shared/lit.js";
 const TONES = { error: "bad", warning: "warn", info: "note" };
 const WORDS = { error: "Error", warning: "Warning", info: "Note" };
 
-// `wrap` puts the list where it belongs; nothing without findings.
-export function findingList(findings, wrap = (list) => list) {
+// Picture in the middle of a camera's time; nothing for keypoints.
+export function pictureOf(camera) {
+  const { thumbnails = [] } = camera ?? {};
+  if (thumbnails.length === 0) return nothing;
+  return html`<img class="thumb" src=${thumbnails[Math.floor(thumbnails.length / 2)].link} alt="" loading="lazy">`;
+}
+
+// Pictures that a finding names, with their times.
+function evidenceOf({ camera, evidence }, cameras) {
+  const { thumbnails = [] } = cameras.find(({ name }) => name === camera) ?? {};
+  const shown = (evidence?.pictures ?? []).map((number) => thumbnails[number]).filter(Boolean);
+  if (shown.length === 0) return nothing;
+  return html`<div class="pictures">${shown.map(({ link, time_s: time }) => html`<figure>
+    <img class="evidence" src=${link} alt="Picture of ${camera} at ${time.toFixed(1)} s" loading="lazy"><figcaption>${time.toFixed(1)} s</figcaption>
+  </figure>`)}</div>`;
+}
+
+// `wrap` puts the list where it belongs; nothing without findings. `cameras` are those of the check, with their pictures.
+export function findingList(findings, cameras = [], wrap = (list) => list) {
   if (findings.length === 0) return nothing;
   return wrap(html`<ul class="findings">${findings.map((finding) => html`<li data-tone=${TONES[finding.severity] ?? "note"}>
     <b>${WORDS[finding.severity] ?? "Note"}</b>
-    <p>${finding.message}${finding.hint ? html` <span class="hint">${finding.hint}</span>` : nothing}</p>
+    <div><p>${finding.message}${finding.hint ? html` <span class="hint">${finding.hint}</span>` : nothing}</p>${evidenceOf(finding, cameras)}</div>
   </li>`)}</ul>`);
 }

@@ -2,7 +2,7 @@
 
 import { percent, size } from "../shared/format.js";
 import { html, live, nothing, repeat, typed } from "../shared/lit.js";
-import { findingList } from "./findings.js";
+import { findingList, pictureOf } from "./findings.js";
 
 function stateOf(row) {
   if (row.isSent) return "sent";
@@ -46,7 +46,7 @@ export function fileTable({ sending, change, remove }) {
         <td><input type="checkbox" aria-label="Use ${row.name}" .checked=${live(row.isUsed)} ?disabled=${isLocked}
           @change=${(event) => change(row, { isUsed: event.target.checked })}></td>
         <td class="file"><div>
-          ${row.preview ? html`<video class="thumb" src="${row.preview}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>` : nothing}
+          ${sending.cameraOf(row)?.thumbnails?.length ? pictureOf(sending.cameraOf(row)) : row.preview ? html`<video class="thumb" src="${row.preview}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>` : nothing}
           <span><b>${row.name}</b><br><span class="quiet">${size(row.size)}</span></span>
         </div></td>
         <td>${cameraField(row, sending, change, isLocked)}</td>
@@ -59,7 +59,7 @@ export function fileTable({ sending, change, remove }) {
         <td><button type="button" class="button ghost icon" aria-label="Remove ${row.name}" title="Remove" ?disabled=${isLocked}
           @click=${(event) => remove(row, event.target)}>✕</button></td>
       </tr>
-      ${findingList(sending.findingsOf(row), (list) => html`<tr class="of-camera"><td></td><td colspan="6">${list}</td></tr>`)}
+      ${findingList(sending.findingsOf(row), sending.session?.preflight.cameras, (list) => html`<tr class="of-camera"><td></td><td colspan="6">${list}</td></tr>`)}
     `)}</tbody>
   </table></div>`;
 }

@@ -305,6 +305,11 @@ class Sending extends EventTarget {
     return [...refused, ...(this.session?.preflight.findings ?? []).filter(({ camera }) => camera && camera === row.camera)];
   }
 
+  // Camera of the check to which a file belongs.
+  cameraOf(row) {
+    return this.session?.preflight.cameras.find(({ file }) => file === row.name);
+  }
+
   async discardSession() {
     await call(this.session.links.self, { method: "DELETE" });
     this.clear();

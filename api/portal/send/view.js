@@ -117,7 +117,7 @@ export function open(place) {
     const isFine = preflight.warnings.length === 0 && !preflight.findings?.length;
     return html`<div class="checked"><h3>The check</h3>
       ${isFine ? html`<p>Nothing speaks against a reconstruction.</p>` : nothing}
-      ${findingList(general)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
+      ${findingList(general, preflight.cameras)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
   }
 
   function page() {

@@ -8,7 +8,7 @@ import { count, length, moment, size } from "../shared/format.js";
 import { hasEnded } from "../shared/jobs.js";
 import { html, nothing, repeat } from "../shared/lit.js";
 import { problemBox, warningList } from "../shared/problem.js";
-import { findingList } from "../send/findings.js";
+import { findingList, pictureOf } from "../send/findings.js";
 import { jobRow } from "./job.js";
 import { otherCalibrationForm, usableCalibrations } from "./other_calibration.js";
 import { runAgainForm, specOf } from "./run_again.js";
@@ -25,6 +25,7 @@ function factsOf(session) {
 }
 
 function thumbnail(camera) {
+  if (camera.thumbnails?.length) return pictureOf(camera);
   if (!camera.video_link) return nothing;
   return html`<video class="thumb" src="${camera.video_link}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>`;
 }
@@ -46,9 +47,9 @@ function cameraTable(view, session) {
       <tbody>${cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
         <td>${camera.size_px.join(" × ")}</td><td>${Number(camera.frame_rate_hz.toFixed(2))} Hz</td><td>${camera.num_frames}</td>
         <td>${camera.start_time_s.toFixed(3)} s</td><td>${sizes.has(camera.file) ? size(sizes.get(camera.file)) : ""}</td></tr>
-        ${findingList(findings.filter((finding) => finding.camera === camera.name), (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
+        ${findingList(findings.filter((finding) => finding.camera === camera.name), cameras, (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
     </table></div>
-    ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)))}
+    ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)), cameras)}
     ${warningList(warnings.filter((warning) => !known.has(warning)), `Warnings about the files of ${session.name}`)}
   </details>`;
 }

@@ -57,7 +57,8 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
         "deleteSession", "deleteUpload", "describeUploads", "editJobPeople", "getAllResults", "getCalibration",
         "getCalibrationFile", "getCaller", "getHealth", "getJob", "getJobPeople", "getMetrics", "getMotion",
         "getMotionDescription", "getOptions", "getReadiness", "getResult", "getSample", "getSampleFile",
-        "getSession", "getSessionVideo", "getUpload", "listAttempts", "listCalibrations", "listJobs",
+        "getSession", "getSessionThumbnail", "getSessionVideo", "getUpload", "listAttempts", "listCalibrations",
+        "listJobs",
         "listLinks", "listResults", "listSessionJobs", "listSessions", "openBrowserSession", "renameSession",
         "retryJob", "revokeLink", "streamJobEvents",
     ]  # fmt: skip

@@ -8,9 +8,10 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, TypeAdapter
 from sqlalchemy import Connection, func, select
 
+from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.jobs.backup.errors import BackupError
 from worker.jobs.database.tables import artifacts, jobs, results, sessions, uploads
-from worker.jobs.files.artifacts import record_key, require_key, stage_key
+from worker.jobs.files.artifacts import record_key, require_key, stage_key, thumbnail_key
 from worker.jobs.model import JobState
 
 MANIFEST = "manifest.json"
@@ -152,11 +153,16 @@ def _uploads(connection: Connection) -> Iterator[StoredFile]:
 
 
 def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
-    query = select(sessions.c.id, sessions.c.files, sessions.c.record_sha256).order_by(sessions.c.id)
-    for session_id, files, record_sha256 in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
+    columns = (sessions.c.id, sessions.c.files, sessions.c.record_sha256, sessions.c.preflight)
+    query = select(*columns).order_by(sessions.c.id)
+    rows = connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE})
+    for session_id, files, record_sha256, preflight in rows:
         for file in files:
             yield _artifact(file["key"], file["sha256"], needed=True)
         yield _artifact(record_key(session_id), record_sha256, needed=True)
+        for camera, number, thumbnail in Preflight.from_json(preflight).thumbnails():
+            key = thumbnail_key(session_id, thumbnail_name(camera, number))
+            yield _artifact(key, thumbnail.sha256, needed=False)
 
 
 def _outputs(connection: Connection) -> Iterator[StoredFile]:

@@ -4,6 +4,7 @@
 
     sessions/<session>/inputs/<number>-<name>
     sessions/<session>/record
+    sessions/<session>/thumbnails/<camera number>-<picture number>.jpg
     sessions/<session>/stages/<output key>
     jobs/<job>/results/<name>
     jobs/<job>/interim/<attempt>/<output key>
@@ -58,6 +59,11 @@ def input_key(session_id: str, number: int, name: str) -> str:
 def record_key(session_id: str) -> str:
     """Key of the file that the preflight wrote for the workers."""
     return f"{session_prefix(session_id)}record"
+
+
+def thumbnail_key(session_id: str, name: str) -> str:
+    """Key of a small copy of a picture of a session's video."""
+    return f"{session_prefix(session_id)}thumbnails/{name}"
 
 
 def stage_key(session_id: str, output_key: str) -> str:

@@ -1,5 +1,6 @@
 """`multicap check`: what is wrong or doubtful about a session, before it is reconstructed."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -12,7 +13,8 @@ from api.cli.console import EXIT_BAD_INPUT, console, emit, reporting, show_findi
 from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known, known_units
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.session import Recording, open_session
+from pipeline.capture.pictures import look_at_pictures
+from pipeline.capture.session import CaptureSession, Recording, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError
 from pipeline.findings import Finding, documents, from_problem, has_error
@@ -44,9 +46,13 @@ def command(
     units: UnitsOption = "m",
     profile: ProfileOption = DEFAULTS.profile,
     detector: DetectorOption = DEFAULTS.detector,
+    thumbnails: Annotated[
+        Path | None,
+        typer.Option(help="Folder for small copies of the pictures that are looked at.", show_default=False),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a session before its reconstruction: files, calibration, and people at twelve instants."""
+    """Check a session before its reconstruction: files, calibration, pictures, and people at twelve instants."""
     with reporting(as_json):
         offsets = parameters(offset or [], "cam_2=0.48")
         check_sources(videos, keypoints, timestamps, offsets)
@@ -65,7 +71,7 @@ def command(
         except InputError as error:
             findings = [from_problem(problem) for problem in error.problems]
         else:
-            findings = _check(session, config, as_json)
+            findings = _check(session, config, thumbnails, as_json)
     if as_json:
         emit({"findings": documents(findings)})
     else:
@@ -74,9 +80,28 @@ def command(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-def _check(session: Session, config: ReconstructionConfig, as_json: bool) -> list[Finding]:
-    """Findings of the files, of the calibration, and of the people, who decide what is up and where the floor is."""
+def _check(session: Session, config: ReconstructionConfig, thumbnails: Path | None, as_json: bool) -> list[Finding]:
+    """Findings of the files, of the pictures, of the calibration, and of the people."""
+    of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
     with Progress(console=console, disable=as_json, transient=True) as progress:
         task = progress.add_task("Look at people", total=NUM_INSTANTS * len(session.cameras))
         check = check_at_instants(session, config, lambda: progress.advance(task))
-    return [*session.findings, *join_findings(check_cameras(session.cameras), check.findings)]
+    return [*session.findings, *_once([*of_pictures, *join_findings(check_cameras(session.cameras), check.findings)])]
+
+
+def _look(session: CaptureSession, thumbnails: Path | None) -> Sequence[Finding]:
+    """Check a few pictures of each camera, and write small copies of them."""
+    with console.status("Look at pictures"):
+        looked = look_at_pictures(session)
+    if thumbnails is not None:
+        thumbnails.mkdir(parents=True, exist_ok=True)
+        for camera, of_camera in zip(session.cameras, looked.thumbnails, strict=True):
+            for number, one in enumerate(of_camera):
+                (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(one.content)
+    return looked.findings
+
+
+def _once(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings without those that repeat the code and the camera of an earlier one."""
+    first = {(one.code, one.camera): one for one in reversed(findings)}
+    return [one for one in findings if first[one.code, one.camera] is one]

@@ -69,7 +69,13 @@ def studio(make_settings: Callable[..., Settings]) -> Iterator[Studio]:
 
 def readable(studio: Studio) -> dict[str, str]:
     """Every address of the contract that GET answers, of the job, its session, and without ids."""
-    ids = {"job_id": studio.job_id, "session_id": studio.session_id, "name": "person-1.bvh", "camera": "cam_0"}
+    ids = {
+        "job_id": studio.job_id,
+        "session_id": studio.session_id,
+        "name": "person-1.bvh",
+        "camera": "cam_0",
+        "number": "0",
+    }
     return {
         path: re.sub(r"\{(\w+)\}", lambda found: ids.get(found[1], studio.job_id), path)
         for path, item in CONTRACT["paths"].items()
@@ -80,7 +86,10 @@ def readable(studio: Studio) -> dict[str, str]:
 OPENED = {
     ("file", "person-1.bvh"): {"/v1/jobs/{job_id}/results/{name}"},
     ("file", "results.zip"): {"/v1/jobs/{job_id}/results.zip"},
-    ("video", "cam_0"): {"/v1/sessions/{session_id}/videos/{camera}"},
+    ("video", "cam_0"): {
+        "/v1/sessions/{session_id}/thumbnails/{camera}/{number}",
+        "/v1/sessions/{session_id}/videos/{camera}",
+    },
     ("events", None): {"/v1/jobs/{job_id}/events"},
     ("job", None): {
         "/v1/jobs/{job_id}",
@@ -91,6 +100,7 @@ OPENED = {
         "/v1/jobs/{job_id}/results.zip",
         "/v1/jobs/{job_id}/results/{name}",
         "/v1/sessions/{session_id}",
+        "/v1/sessions/{session_id}/thumbnails/{camera}/{number}",
         "/v1/sessions/{session_id}/videos/{camera}",
     },
 }

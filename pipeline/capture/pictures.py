@@ -1,0 +1,171 @@
+"""Look at a few pictures of each video of a session: findings about them, and small copies of them as evidence.
+
+Decoders run in child processes with limits (``pipeline.video``); only arrays of pixels come back.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from pipeline.capture.session import CaptureSession
+from pipeline.errors import InputError
+from pipeline.findings import Finding, from_problem
+from pipeline.preflight.pictures.check import CameraPictures, check_pictures
+from pipeline.preflight.pictures.copies import MIN_INSTANTS, same_video, similar_views
+from pipeline.preflight.pictures.figures import PictureFigures, figures_of, reduced
+from pipeline.video.decode import decode
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe import reading_s
+
+NUM_PICTURES = 8
+"""Largest number of pictures of a camera."""
+THUMBNAIL_SIDE_PX = 320
+"""Largest side of a thumbnail."""
+
+# Pixels that are decoded at most for the pictures of a video with few keyframes: 600 frames of 1920 x 1080.
+_MAX_DECODED_PX = 600 * 1920 * 1080
+# Limit on the computing time of a decoder of a small file, and on the wait for one picture.
+_MAX_S = 12.0
+_DECODERS_AT_ONCE = 2
+_JPEG_QUALITY = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Thumbnail:
+    """Small copy of a picture.
+
+    Parameters
+    ----------
+    time_s
+        Time of the picture on the session's clock.
+    content
+        JPEG whose longer side is at most 320 pixels.
+    """
+
+    time_s: float
+    content: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class PicturesCheck:
+    """Findings about pictures, whose evidence ``pictures`` has numbers of thumbnails of the camera.
+
+    Parameters
+    ----------
+    thumbnails
+        Thumbnails of each camera of the session, ascending in time.
+    """
+
+    findings: tuple[Finding, ...]
+    thumbnails: tuple[tuple[Thumbnail, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """Pictures of a camera; a finding if its video could not be decoded."""
+
+    pictures: CameraPictures
+    frames: tuple[int, ...]
+    thumbnails: tuple[Thumbnail, ...]
+    problems: tuple[Finding, ...]
+
+
+def look_at_pictures(session: CaptureSession) -> PicturesCheck:
+    """Check a few pictures of each camera of a session.
+
+    A video that can't be decoded within the limits gives a finding.
+
+    Raises
+    ------
+    ChildError
+        If a decoder fails for a reason other than its file.
+    """
+    pairs = list(zip([camera.name for camera in session.cameras], session.videos, strict=True))
+    with ThreadPoolExecutor(_DECODERS_AT_ONCE) as pool:
+        try:
+            looked = list(pool.map(lambda pair: _look(session, *pair), pairs))
+            seen = [one.pictures for one in looked]
+            copies = list(pool.map(lambda pair: _compare(session, looked, *pair), similar_views(seen)))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    findings = [finding for one in looked for finding in one.problems]
+    findings += [*check_pictures(seen), *(copy for copy in copies if copy is not None)]
+    return PicturesCheck(tuple(findings), tuple(one.thumbnails for one in looked))
+
+
+def _look(session: CaptureSession, camera: str, video: VideoInfo) -> _Looked:
+    time_s = session.times[camera].time_s
+    frames: list[int] = []
+    figures: list[PictureFigures] = []
+    thumbnails: list[Thumbnail] = []
+    problems: list[Finding] = []
+    try:
+        for number, image_rgb in _decoded(video, frames_to_look_at(video)):
+            frames.append(number)
+            figures.append(figures_of(image_rgb))
+            thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
+    except InputError as error:
+        problems += [from_problem(replace(problem, camera=camera)) for problem in error.problems]
+    pictures = CameraPictures(camera, time_s[frames], tuple(figures))
+    return _Looked(pictures, tuple(frames), tuple(thumbnails), tuple(problems))
+
+
+def _compare(session: CaptureSession, looked: Sequence[_Looked], first: int, later: int) -> Finding | None:
+    """Compare two cameras with similar views at the same times since the starts of their files."""
+    one, other = session.videos[first], session.videos[later]
+    of_first = looked[first]
+    ends_s = float(other.time_s[-1])
+    known = [number for number, frame in enumerate(of_first.frames) if one.time_s[frame] <= ends_s]
+    chosen = [known[int((part + 0.5) * len(known) / MIN_INSTANTS)] for part in range(MIN_INSTANTS)] if known else []
+    if len(set(chosen)) < MIN_INSTANTS:
+        return None
+    figures = []
+    try:
+        for number in chosen:
+            frame = int(np.argmin(np.abs(other.time_s - one.time_s[of_first.frames[number]])))
+            figures += [figures_of(image_rgb) for _, image_rgb in _decoded(other, [frame])]
+    except InputError:
+        return None
+    if len(figures) < MIN_INSTANTS:
+        return None
+    known_figures = [of_first.pictures.figures[number] for number in chosen]
+    return same_video(of_first.pictures, looked[later].pictures, known_figures, figures)
+
+
+def frames_to_look_at(video: VideoInfo) -> list[int]:
+    """Frames of a video in the middle of equal parts, ascending: keyframes where there are enough of them.
+
+    Only keyframes can be decoded alone. In a video with few of them the frames are from its beginning, as far as
+    decoding all frames before them is quick.
+    """
+    keyframes = np.flatnonzero(np.isin(video.pts, video.keyframe_pts))
+    wanted = _middles(video.num_frames)
+    near = sorted({int(keyframes[np.argmin(np.abs(keyframes - frame))]) for frame in wanted}) if len(keyframes) else []
+    if 2 * len(near) > len(wanted):
+        return near
+    width, height = video.stored_size_px
+    return _middles(min(video.num_frames, max(1, _MAX_DECODED_PX // (width * height))))
+
+
+def _middles(num_frames: int) -> list[int]:
+    return sorted({int((part + 0.5) * num_frames / NUM_PICTURES) for part in range(NUM_PICTURES)})
+
+
+def _decoded(video: VideoInfo, frames: Sequence[int]) -> Iterator[tuple[int, np.ndarray]]:
+    limit_s = _MAX_S + reading_s(video.path)
+    with closing(decode(video, frames[0], frames[-1] + 1, only=frames, limit_s=limit_s)) as pictures:
+        yield from pictures
+
+
+def _encode(image_rgb: np.ndarray) -> bytes:
+    small = reduced(np.ascontiguousarray(image_rgb), THUMBNAIL_SIDE_PX)
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    is_encoded, content = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), options)
+    if not is_encoded:
+        raise RuntimeError("OpenCV can't write JPEG")
+    return content.tobytes()

@@ -1,0 +1,78 @@
+"""Find cameras that have the same video, whatever it was encoded with."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.findings import Finding
+from pipeline.preflight.pictures.check import PICTURES, STILL, CameraPictures, is_dark
+from pipeline.preflight.pictures.figures import DETAIL_MIN, PictureFigures, correlation, detail, largest_change
+
+# Correlation of the detail of two views: that of a camera with itself at other times is 0.7 to 1, since people cover
+# parts of it; that of two cameras is 0 up to chance, unless the place is symmetric.
+_SAME_VIEW = 0.5
+# Correlation of the changes between the same instants.
+_SAME_MOTION = 0.6
+# Changes of fewer instants may be alike by chance.
+MIN_INSTANTS = 3
+
+
+def similar_views(cameras: Sequence[CameraPictures]) -> list[tuple[int, int]]:
+    """Pairs of cameras with similar views, as numbers; for each camera the earlier one that is most alike."""
+    views = [_view(camera) for camera in cameras]
+    pairs = []
+    for later, view in enumerate(views):
+        alike = {
+            earlier: correlation(view, other)
+            for earlier, other in enumerate(views[:later])
+            if view is not None and other is not None and view.shape == other.shape
+        }
+        best = max(alike, key=lambda one: alike[one], default=None)
+        if best is not None and alike[best] >= _SAME_VIEW:
+            pairs.append((best, later))
+    return pairs
+
+
+def _view(camera: CameraPictures) -> Float[np.ndarray, "rows columns"] | None:
+    """Detail of what stands still in a camera's view; ``None`` if there is none."""
+    views = [one.view for one in camera.figures if not is_dark(one)]
+    still = detail(np.median(views, axis=0)) if views else np.zeros((1, 1))
+    return still if still.std() >= DETAIL_MIN else None
+
+
+def same_video(
+    first: CameraPictures, later: CameraPictures, of_first: Sequence[PictureFigures], of_later: Sequence[PictureFigures]
+) -> Finding | None:
+    """Compare the changes of two cameras with similar views.
+
+    Parameters
+    ----------
+    first, later
+        The cameras.
+    of_first, of_later
+        Figures of their pictures at the same times since the starts of their files, at least three.
+
+    Returns
+    -------
+        Finding about ``later``; ``None`` if the cameras see other motion.
+    """
+    if len(of_first) < MIN_INSTANTS or of_first[0].cells.shape != of_later[0].cells.shape:
+        return None
+    changes = [np.diff(np.array([one.cells for one in of_camera]), axis=0) for of_camera in (of_first, of_later)]
+    stands_still = [
+        all(largest_change(of_camera[0].cells, one.cells) < STILL for one in of_camera)
+        for of_camera in (of_first, of_later)
+    ]
+    # Where nothing moves, the same view is the same video.
+    similarity = 1.0 if all(stands_still) else correlation(*changes)
+    if similarity < _SAME_MOTION:
+        return None
+    message = f"The pictures are those of {first.camera}: one video was given twice."
+    evidence = {
+        "other_camera": first.camera,
+        "similarity": similarity,
+        "num_pictures": len(of_first),
+        PICTURES: [later.middle],
+    }
+    return Finding("same_video", message, later.camera, "error", "Give each camera its own.", evidence)
