@@ -33,8 +33,8 @@ PREFLIGHT = """
 import hashlib, json, pathlib, sys, time
 arguments = sys.argv[1:]
 at = arguments.index("--calibration")
-(kind,) = {"--videos", "--keypoints"}.intersection(arguments)
-videos = [pathlib.Path(name) for name in arguments[arguments.index(kind) + 1 : at]]
+kind = next((word for word in ("--videos", "--keypoints") if word in arguments), None)
+videos = [pathlib.Path(name) for name in arguments[arguments.index(kind) + 1 : at]] if kind else []
 problems = []
 for video in videos:
     with video.open("rb") as file:
@@ -60,6 +60,10 @@ if calibration.stat().st_size == 0:
 if problems:
     print(json.dumps({"problems": problems}))
     sys.exit(2)
+if kind is None:
+    print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "notes": [],
+                      "files": {"multicap": '{"cameras": []}'}}))
+    sys.exit(0)
 pathlib.Path(arguments[arguments.index("--record") + 1]).write_bytes(b"record")
 recordings = [said for one in arguments if one.startswith("--recordings=") for said in json.loads(one[13:])]
 cameras = [{"name": video.stem, "file": video.name, "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,

@@ -36,8 +36,8 @@ def test_the_same_view_with_other_people_is_no_copy() -> None:
 
 
 def test_the_same_view_in_which_nothing_moves_is_a_copy() -> None:
-    still = [pictures_of(name, [encoded_again(room(0), 0)] * 3) for name in ("cam_0", "cam_1")]
-    finding = same_video(*still, still[0].figures, still[1].figures)
+    one, other = (pictures_of(name, [encoded_again(room(0), 0)] * 3) for name in ("cam_0", "cam_1"))
+    finding = same_video(one, other, one.figures, other.figures)
     assert finding is not None
     assert finding.evidence["similarity"] == 1.0
 
