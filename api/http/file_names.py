@@ -23,19 +23,30 @@ def take_name(session_name: str) -> str:
     return short or "take"
 
 
-def result_name(session_name: str, name: str) -> str:
+def stem_of(session_name: str, revision: int = 0) -> str:
+    """Beginning of the names of a job's downloads: the take, and the revision of the edits of its people.
+
+    >>> stem_of("Handshake, take 3")
+    'handshake-take-3'
+    >>> stem_of("Handshake, take 3", revision=2)
+    'handshake-take-3_revision-2'
+    """
+    return take_name(session_name) + (f"_revision-{revision}" if revision else "")
+
+
+def result_name(session_name: str, name: str, revision: int = 0) -> str:
     """Name under which clients save a result file of a session.
 
     >>> result_name("Handshake, take 3", "person-1.bvh")
     'handshake-take-3_person-1.bvh'
     """
-    return f"{take_name(session_name)}_{name}"
+    return f"{stem_of(session_name, revision)}_{name}"
 
 
-def archived_name(session_name: str, name: str, person: str | None) -> str:
+def archived_name(session_name: str, name: str, person: str | None, revision: int = 0) -> str:
     """Path of a result file in the archive of all of them: a folder for each person."""
     folder = "" if person is None else f"{take_name(person)}/"
-    return folder + result_name(session_name, name)
+    return folder + result_name(session_name, name, revision)
 
 
 def disposition_of(name: str, disposition: str = "attachment") -> dict[str, str]:

@@ -198,7 +198,7 @@ class JobOut(ResponseModel):
 
     def for_link(self) -> Self:
         """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
-        links = self.links.model_copy(update={"cancel": None, "retry": None})
+        links = self.links.model_copy(update={"people": None, "cancel": None, "retry": None})
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
 
 
@@ -238,7 +238,9 @@ class ResultOut(ResponseModel):
     person: str | None = Field(description="Person in the file; null if it concerns all people.")
     format: str | None = Field(description="Format of a person's or of all people's motion, a value of `exports`.")
     preset: str | None = Field(description="Preset of a BVH file; null of other files.")
-    download_name: str = Field(description="Name under which clients save the file; it tells takes apart.")
+    download_name: str = Field(
+        description="Name under which clients save the file; it tells takes, and revisions of the edits, apart."
+    )
     media_type: str = Field(description="Content type of the file.")
     num_bytes: int = Field(description="Size of the file.")
     sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
@@ -250,7 +252,7 @@ class ResultOut(ResponseModel):
         return cls(
             format=result.kind if result.kind in FILE_FORMATS else None,
             preset=job.spec.bvh if result.kind == "bvh" else None,
-            download_name=result_name(job.session_name, result.name),
+            download_name=result_name(job.session_name, result.name, job.revision),
             link=f"/v1/jobs/{job.id}/results/{result.name}",
             **fields_of(result, cls, without=("format", "preset", "download_name", "link")),
         )

@@ -21,7 +21,7 @@ from api.downloads import (
     send_file,
 )
 from api.http.byte_ranges import ByteRange
-from api.http.file_names import archived_name, disposition_of, result_name, take_name
+from api.http.file_names import archived_name, disposition_of, result_name, stem_of
 from api.schemas.jobs import ResultList, ResultOut
 from worker.jobs.errors import DamagedArtifact, NotFound
 from worker.jobs.model import Result
@@ -65,12 +65,13 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
     """Download all result files of a job as one archive, with a folder for each person."""
     results = records.results.of_job(job_id)
     _require_whole(services, results)
-    session_name = records.jobs.get(job_id).session_name
+    job = records.jobs.get(job_id)
     # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
-        archive.add(_content(services, result), archived_name(session_name, result.name, result.person))
-    headers = {"Cache-Control": "private, no-cache", **disposition_of(f"{take_name(session_name)}.zip")}
+        name = archived_name(job.session_name, result.name, result.person, job.revision)
+        archive.add(_content(services, result), name)
+    headers = {"Cache-Control": "private, no-cache", **disposition_of(f"{stem_of(job.session_name, job.revision)}.zip")}
     return Stream(iter(archive), headers=headers, media_type="application/zip")
 
 
@@ -112,8 +113,10 @@ def get_result(
 ) -> Response:
     """Download a result file: the whole file, or a range, such as the rest of an interrupted download.
 
-    Clients save it under a name that begins with that of the take, such as `handshake-take-3_person-1.bvh`.
+    Clients save it under a name that begins with that of the take, such as `handshake-take-3_person-1.bvh`. After
+    edits of its people the name tells their revision: `handshake-take-3_revision-2_person-1.bvh`.
     """
     result = records.results.get(job_id, name)
-    download = Download.of(result, result_name(records.jobs.get(job_id).session_name, result.name))
+    job = records.jobs.get(job_id)
+    download = Download.of(result, result_name(job.session_name, result.name, job.revision))
     return send_file(request, services, download, conditions)

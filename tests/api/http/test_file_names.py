@@ -52,5 +52,6 @@ def test_a_header_holds_every_character(session: str) -> None:
 
 def test_archives_have_a_folder_for_each_person() -> None:
     assert archived_name("Walk 2", "person-1.bvh", "person-1") == "person-1/walk-2_person-1.bvh"
+    assert archived_name("Walk 2", "person-1.bvh", "person-1", 3) == "person-1/walk-2_revision-3_person-1.bvh"
     assert archived_name("Walk 2", "metrics.json", None) == "walk-2_metrics.json"
     assert archived_name("Walk 2", "x.bvh", "../..") == "take/walk-2_x.bvh"

@@ -106,3 +106,19 @@ def test_edits_wait_for_the_job(live: Live, job_id: str) -> None:
     assert edit(live, job_id, ANNA).status_code == 202
     problem_of(edit(live, job_id), 409, "conflict")
     live.finish(job_id, people=FOUND)
+
+
+def test_downloads_name_the_revision_of_the_edits(live: Live, job_id: str) -> None:
+    def names() -> list[str]:
+        (listed,) = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
+        sent = [live.client.get(path).headers["content-disposition"] for path in (listed["link"], zipped)]
+        return [listed["download_name"], *(header.partition('"')[2].partition('"')[0] for header in sent)]
+
+    zipped = f"/v1/jobs/{job_id}/results.zip"
+    take = names()[0].removesuffix("_person-1.bvh")
+    assert names() == [f"{take}_person-1.bvh", f"{take}_person-1.bvh", f"{take}.zip"]
+    for revision in (1, 2):
+        assert edit(live, job_id, ANNA).status_code == 202
+        live.finish(job_id, people=FOUND)
+        edited = f"{take}_revision-{revision}"
+        assert names() == [f"{edited}_person-1.bvh", f"{edited}_person-1.bvh", f"{edited}.zip"]

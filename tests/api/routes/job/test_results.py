@@ -332,7 +332,7 @@ def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: st
     (live.settings.data_dir / "held").unlink()
     if name == "results.zip":
         with zipfile.ZipFile(io.BytesIO(received)) as archive:
-            received = archive.read("person-1.bvh")
+            received = archive.read("person-1/untitled_person-1.bvh")
     assert received == LARGE
 
 
