@@ -1,7 +1,7 @@
 // Frame of the page: signing in, navigation, the view of the address.
 
 import { announce } from "./shared/announce.js";
-import { call, signedOut } from "./shared/api.js";
+import { call, signedOut, useLink } from "./shared/api.js";
 import { feed } from "./shared/feed.js";
 import { html, nothing, render } from "./shared/lit.js";
 import { problemBox } from "./shared/problem.js";
@@ -9,6 +9,8 @@ import { currentRoute, replace } from "./shared/router.js";
 import { sending } from "./send/sending.js";
 
 const RETRY_MS = 5000;
+// A guest opened the page by a link to one job, which is all that the link opens.
+const GUEST = { name: null, scopes: [], isGuest: true };
 
 // A view's module has `open(place, route, caller)`, which fills the place and returns `{ title, close() }`.
 const VIEWS = {
@@ -44,13 +46,17 @@ async function navigate({ isFirst = false } = {}) {
   announce(view.title);
 }
 
+function linkOf(route) {
+  return route.name === "jobs" ? route.query.get("link") : null;
+}
+
 function startView() {
   return feed.jobs.size === 0 && caller.scopes.includes("write") ? "new" : "captures";
 }
 
 function showNav(name) {
-  at("nav").hidden = caller === null;
-  if (caller === null) return;
+  at("nav").hidden = caller === null || caller === GUEST;
+  if (at("nav").hidden) return;
   const links = NAV.filter(([, , scope]) => caller.scopes.includes(scope));
   render(html`${links.map(([to, label]) => html`<a href="#/${to}" aria-current=${to === name ? "page" : nothing}>${label}</a>`)}`, at("nav"));
 }
@@ -98,13 +104,39 @@ function showEntrance(problem = null) {
   place.querySelector("input").focus();
 }
 
+// The link that opened the page opens nothing any more.
+function showEndedLink() {
+  feed.stop();
+  view?.close();
+  view = caller = null;
+  showStatus();
+  document.title = "Link ended · Multicap";
+  const place = document.createElement("div");
+  at("view").replaceChildren(place);
+  render(html`<section class="panel entrance" aria-labelledby="ended-title" role="alert">
+    <h1 id="ended-title">This link has ended or was revoked</h1>
+    <p>Ask the person who sent you the link for a new one.</p>
+  </section>`, place);
+}
+
 async function leave() {
   sending.clear(); // the next person at this browser may have another key
   await call("/v1/browser-session", { method: "DELETE" }).catch(() => null);
   showEntrance();
 }
 
+async function enterByLink(route, secret) {
+  useLink(secret);
+  caller = GUEST;
+  await feed.startOnly(route.id);
+  if (caller === null) return; // the link has ended
+  await navigate({ isFirst: true });
+}
+
 async function enter() {
+  const route = currentRoute();
+  const secret = linkOf(route);
+  if (secret !== null) return enterByLink(route, secret);
   try {
     caller = await call("/v1/caller");
   } catch (problem) {
@@ -122,10 +154,18 @@ async function enter() {
   await navigate({ isFirst: true });
 }
 
-signedOut.addEventListener("signedout", () => { if (caller !== null) showEntrance(); });
+const openedBy = linkOf(currentRoute());
+signedOut.addEventListener("signedout", () => {
+  if (caller === GUEST) showEndedLink();
+  else if (caller !== null) showEntrance();
+});
 feed.addEventListener("change", showStatus);
 sending.addEventListener("change", showStatus);
-addEventListener("hashchange", () => navigate());
+addEventListener("hashchange", () => {
+  // What a link opened is not mixed with what a key opens.
+  if (linkOf(currentRoute()) !== openedBy) location.reload();
+  else navigate();
+});
 document.querySelector(".skip").addEventListener("click", (event) => {
   event.preventDefault(); // the address' hash names the view
   at("view").focus();

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import ConsoleMessage, Page, ViewportSize, sync_playwright
 
+from tests.e2e.foreign import READERS
+
+AXE = READERS / "node_modules/axe-core/axe.min.js"
 VENDOR = Path(__file__).parents[2] / "api" / "portal" / "vendor"
 # The browser makes no requests of its own, root may start it, and it draws 3D in software.
 FLAGS = [
@@ -36,15 +39,45 @@ def opened(url: str, viewport: ViewportSize = DESKTOP, *, allowed: tuple[str, ..
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = browser.new_page(base_url=url, viewport=viewport)
-        complaints: list[str] = []
-
-        def complain(message: ConsoleMessage) -> None:
-            if message.type in {"error", "warning"} and not any(part in message.text for part in (*OWN, *allowed)):
-                complaints.append(f"{message.type}: {message.text}")
-
-        page.on("console", complain)
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto(url)
-        yield page
+        with _checked(page, allowed):
+            page.goto(url)
+            yield page
         browser.close()
+
+
+@contextlib.contextmanager
+def opened_by_a_stranger(
+    page: Page, url: str, viewport: ViewportSize = DESKTOP, *, allowed: tuple[str, ...] = ()
+) -> Iterator[Page]:
+    """Open an address in the browser of a page as ``opened`` does, without the cookies and the storage of the page."""
+    browser = page.context.browser
+    assert browser is not None
+    other = browser.new_page(viewport=viewport)
+    with _checked(other, allowed):
+        other.goto(url)
+        yield other
+    other.context.close()
+
+
+@contextlib.contextmanager
+def _checked(page: Page, allowed: tuple[str, ...]) -> Iterator[None]:
+    """Check at the end of the block that the console of a page has no errors."""
+    complaints: list[str] = []
+
+    def complain(message: ConsoleMessage) -> None:
+        if message.type in {"error", "warning"} and not any(part in message.text for part in (*OWN, *allowed)):
+            complaints.append(f"{message.type}: {message.text}")
+
+    page.on("console", complain)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    yield
     assert complaints == [], complaints
+
+
+def axe_findings(page: Page) -> list[str]:
+    """Violations that axe-core finds in the page as it is; the test is skipped without axe-core."""
+    if not AXE.is_file():
+        pytest.skip("axe-core is not installed (`make readers`)")
+    page.evaluate(AXE.read_text())
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    return [f"{one['id']}: {node['html'][:200]}" for one in found for node in one["nodes"]]

@@ -11,9 +11,8 @@ from typing import Any, Literal
 import pytest
 from playwright.sync_api import Locator, Page, Request, expect
 
-from tests.e2e.browsing import opened
+from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import keypoint_capture, video_capture
-from tests.e2e.foreign import READERS
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 from tests.pipeline.media import write_video
@@ -223,19 +222,10 @@ def test_files_are_matched_to_cameras_by_their_names(page: Page) -> None:
     assert found == [[matched, is_guess] for *_, matched, is_guess in NAMES]
 
 
-def axe_findings(page: Page) -> list[str]:
-    """Violations that axe-core finds in the page as it is."""
-    page.evaluate((READERS / "node_modules/axe-core/axe.min.js").read_text())
-    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
-    return [f"{one['id']}: {node['html'][:200]}" for one in found for node in one["nodes"]]
-
-
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_views_are_accessible_and_fit(
     served: Served, keypoints: dict[str, Path], width: int, scheme: Literal["light", "dark"]
 ) -> None:
-    if not (READERS / "node_modules/axe-core").is_dir():
-        pytest.skip("axe-core is not installed (`make readers`)")
     job = one_job(served, keypoints)
     views = {"#/new": "New capture", "#/captures": "Captures", "#/calibrations": "Calibrations"}
     views[f"#/jobs/{job['id']}"] = job["session_name"]

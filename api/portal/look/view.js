@@ -1,4 +1,4 @@
-// View Look: one job, its motion and its files.
+// View Look: one job, its motion, its people, its files and its public links. A guest, who has a link alone, reads only.
 
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
@@ -9,6 +9,8 @@ import { problemBox, warningList } from "../shared/problem.js";
 import { choiceList, errorBox, stageList } from "../watch/job.js";
 import { downloads } from "./downloads.js";
 import { Motion } from "./motion.js";
+import { PeoplePanel } from "./people/panel.js";
+import { Sharing } from "./sharing.js";
 
 export function open(place, route, caller) {
   const view = new Look(place, route.id, caller);
@@ -23,14 +25,18 @@ class Look {
   options = null;
   problem = null;
   #viewed = ""; // attempt that the files are of
+  #panel = null; // to edit the people
+  #sharing = null; // public links
   #isClosed = false;
 
   constructor(place, id, caller) {
     Object.assign(this, { place, id, caller });
     this.frame = document.createElement("div");
     this.stage = document.createElement("div");
+    this.people = document.createElement("div");
     this.below = document.createElement("div");
-    place.append(this.frame, this.stage, this.below);
+    this.links = document.createElement("div");
+    place.append(this.frame, this.stage, this.people, this.below, this.links);
     this.motion = new Motion(this.stage);
     this.onFeed = () => this.#feedChanged();
   }
@@ -41,7 +47,7 @@ class Look {
     try {
       this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
       document.title = `${this.job.session_name} · Multicap`;
-      [this.session, this.options] = await Promise.all([call(this.job.links.session), readOptions()]);
+      [this.session, this.options] = await Promise.all([call(this.job.links.session), this.caller.isGuest ? null : readOptions()]);
       await this.#showResults();
     } catch (problem) {
       this.problem = problem;
@@ -52,6 +58,8 @@ class Look {
   close() {
     this.#isClosed = true;
     this.motion.close();
+    this.#panel?.close();
+    this.#sharing?.close();
     feed.removeEventListener("change", this.onFeed);
   }
 
@@ -64,11 +72,17 @@ class Look {
   }
 
   async #showResults() {
-    if (this.job.state !== "succeeded" || this.session === null || this.#viewed === `${this.job.attempt}`) return;
-    this.#viewed = `${this.job.attempt}`;
-    this.results = (await call(this.job.links.results)).results;
+    const { job } = this;
+    const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.links.people !== null;
+    if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion);
+    await this.#panel?.follow(job);
+    if (job.state !== "succeeded" || this.session === null || this.#viewed === `${job.attempt}`) return;
+    this.#viewed = `${job.attempt}`;
+    this.results = (await call(job.links.results)).results;
     this.draw();
-    if (this.job.kind === "reconstruction") await this.motion.open(this.job, this.session);
+    if (job.kind !== "reconstruction") return;
+    if (this.caller.scopes.includes("write")) this.#sharing ??= new Sharing(this.links, job);
+    await this.motion.open(job, this.session, { startFrame: this.#panel?.people.start_frame ?? 0, isGuest: this.caller.isGuest });
   }
 
   draw() {
@@ -82,18 +96,20 @@ class Look {
     if (job === null) return html`<h1 class="title">Job</h1>${this.problem ? problemBox(this.problem) : html`<p class="quiet">Loading …</p>`}`;
     const { words, tone } = stateOf(job);
     return html`<div class="bar">
-        <p class="crumb"><a href="#/captures">Captures</a></p>
+        ${this.caller.isGuest ? nothing : html`<p class="crumb"><a href="#/captures">Captures</a></p>`}
         <h1 class="title">${job.session_name}</h1>
         <span class="state" data-tone=${tone}>${words}</span>
         ${choiceList(job, this.options)}
         <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
-      ${hasEnded(job) ? nothing : html`<div class="panel">${stageList(job)}</div>`}
+      ${hasEnded(job) || job.revision > 0 ? nothing : html`<div class="panel">${stageList(job)}</div>`}
       ${errorBox(job)}${problemBox(this.problem)}
       ${warningList(job.warnings, `Warnings of ${job.session_name}`)}`;
   }
 
   #files() {
-    return this.job?.state === "succeeded" && this.results ? downloads(this.job, this.results) : nothing;
+    if (this.job === null || !this.results) return nothing;
+    if (this.job.state === "succeeded") return downloads(this.job, this.results);
+    return html`<section class="panel" aria-labelledby="files-title"><h2 id="files-title">Files</h2><p class="quiet">The files are being made anew.</p></section>`;
   }
 }

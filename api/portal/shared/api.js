@@ -1,4 +1,4 @@
-// Requests to the service.
+// Requests to the service, by the browser's session or by the link that the page was opened with.
 
 export class Problem extends Error {
   // body: a problem of RFC 9457, or null if the service did not answer.
@@ -11,19 +11,41 @@ export class Problem extends Error {
   }
 }
 
-// Answer's JSON; null of an empty answer. `signedOut` hears of requests that need a key.
-export async function call(path, { method = "GET", body, form, headers: more } = {}) {
+let link = null;
+
+// From now on open everything by a link's secret.
+export function useLink(secret) {
+  link = secret;
+}
+
+// Address of something of the service for requests, videos and downloads: with the link's secret, if there is one.
+export function addressed(path) {
+  return link === null ? path : `${path}${path.includes("?") ? "&" : "?"}link=${encodeURIComponent(link)}`;
+}
+
+async function send(path, { method = "GET", body, form, headers: more } = {}) {
   const headers = { Accept: "application/json", ...more, ...(body !== undefined && { "Content-Type": "application/json" }) };
   let response;
   try {
-    response = await fetch(path, { method, headers, body: form ?? (body && JSON.stringify(body)) });
+    response = await fetch(addressed(path), { method, headers, body: form ?? (body && JSON.stringify(body)) });
   } catch {
     throw new Problem(null);
   }
   const answer = response.status === 204 ? null : await response.json().catch(() => null);
-  if (response.ok) return answer;
+  if (response.ok) return { answer, response };
   if (response.status === 401) signedOut.dispatchEvent(new Event("signedout"));
   throw new Problem(answer, response.status);
+}
+
+// Answer's JSON; null of an empty answer. `signedOut` hears of requests that need a key.
+export async function call(path, options) {
+  return (await send(path, options)).answer;
+}
+
+// Record with its entity tag, for a change by `If-Match`.
+export async function readTagged(path) {
+  const { answer: record, response } = await send(path);
+  return { record, etag: response.headers.get("ETag") };
 }
 
 export const signedOut = new EventTarget();

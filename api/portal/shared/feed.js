@@ -1,6 +1,6 @@
 // The jobs that the page knows, kept up to date: by event streams of a few running jobs, by polling for all others.
 
-import { call } from "./api.js";
+import { addressed, call } from "./api.js";
 import { hasEnded } from "./jobs.js";
 
 const POLL_MS = 1500;
@@ -18,6 +18,7 @@ class Feed extends EventTarget {
   #streams = new Map();
   #timer = 0;
   #isRunning = false;
+  #only = null; // the one job that is followed, by its id
 
   constructor() {
     super();
@@ -27,6 +28,12 @@ class Feed extends EventTarget {
   start() {
     this.#isRunning = true;
     return this.refresh();
+  }
+
+  // Follow a single job, which is all that a link opens.
+  startOnly(id) {
+    this.#only = id;
+    return this.start();
   }
 
   stop() {
@@ -62,22 +69,33 @@ class Feed extends EventTarget {
   async refresh() {
     clearTimeout(this.#timer);
     try {
-      const limit = this.isLoaded ? LATER : FIRST;
-      const { jobs, next_cursor: next } = await call(`/v1/jobs?limit=${limit}`);
-      if (!this.#isRunning) return;
-      if (!this.isLoaded) this.isComplete = next === null;
-      this.isLoaded = true;
-      const oldest = next === null ? "" : jobs.at(-1).id;
-      const listed = new Set(jobs.map(({ id }) => id));
-      for (const id of this.jobs.keys()) if (id >= oldest && !listed.has(id)) this.jobs.delete(id);
-      this.problem = null;
-      this.put(...jobs);
+      await (this.#only === null ? this.#refreshAll() : this.#refreshOnly());
     } catch (problem) {
       if (!this.#isRunning) return;
       this.problem = problem;
       this.#changed();
     }
     this.#schedule();
+  }
+
+  async #refreshOnly() {
+    const job = await call(`/v1/jobs/${encodeURIComponent(this.#only)}`);
+    if (!this.#isRunning) return;
+    this.problem = null;
+    this.put(job);
+  }
+
+  async #refreshAll() {
+    const limit = this.isLoaded ? LATER : FIRST;
+    const { jobs, next_cursor: next } = await call(`/v1/jobs?limit=${limit}`);
+    if (!this.#isRunning) return;
+    if (!this.isLoaded) this.isComplete = next === null;
+    this.isLoaded = true;
+    const oldest = next === null ? "" : jobs.at(-1).id;
+    const listed = new Set(jobs.map(({ id }) => id));
+    for (const id of this.jobs.keys()) if (id >= oldest && !listed.has(id)) this.jobs.delete(id);
+    this.problem = null;
+    this.put(...jobs);
   }
 
   #schedule() {
@@ -102,7 +120,7 @@ class Feed extends EventTarget {
   }
 
   #open(job) {
-    const stream = new EventSource(job.links.events);
+    const stream = new EventSource(addressed(job.links.events));
     stream.addEventListener("job", ({ data }) => this.put(JSON.parse(data)));
     stream.addEventListener("gone", () => this.remove(job.id));
     // Without the stream the job is polled; the browser tries again by itself unless the service refused.

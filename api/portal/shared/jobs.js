@@ -23,7 +23,9 @@ export function stateOf(job) {
 // Facts of a job in short: times, attempts, its place in the queue, time left.
 export function factsOf(job) {
   const facts = [moment(job.created_at)];
-  if (job.attempt > 1) facts.push(`attempt ${job.attempt}`);
+  // A change of the edits is an attempt too.
+  if (job.attempt > job.revision + 1) facts.push(`attempt ${job.attempt - job.revision}`);
+  if (job.revision > 0) facts.push(`revision ${job.revision}`);
   if (job.state === "queued" && job.queue_position) facts.push(`number ${job.queue_position} in the queue`);
   if (job.state === "running" && job.eta_s !== null) facts.push(`about ${roughly(job.eta_s)} left`);
   if (hasEnded(job) && job.started_at && job.finished_at) {

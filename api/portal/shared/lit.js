@@ -21,5 +21,17 @@ class Typed extends Directive {
 // Value of a field, as `.value=${typed(value)}`: it is left alone while somebody types in it.
 export const typed = directive(Typed);
 
+class Styled extends Directive {
+  render() { return noChange; }
+
+  update({ element }, [properties]) {
+    for (const [name, value] of Object.entries(properties)) element.style.setProperty(name, value);
+    return noChange;
+  }
+}
+
+// Custom properties of an element, as `<span ${styled({ "--tint": color })}>`: the page's policy allows no style attributes.
+export const styled = directive(Styled);
+
 // Text of the service, with `code` in backticks.
 export const prose = (text) => text.split("`").map((part, index) => (index % 2 ? html`<code>${part}</code>` : part));

@@ -15,7 +15,11 @@ export async function mount(element, source) {
   return new Viewer(element, source, description, playerOf([description]));
 }
 
-/** Show two jobs of a session side by side, with one play head on the session's clock. Returns as `mount`. */
+/**
+ * Show two jobs of a session side by side, with one play head on the session's clock.
+ *
+ * Returns a promise of the first job's viewer; it closes both.
+ */
 export async function mountPair(element, sources, titles) {
   const descriptions = await describe(element, sources);
   const player = playerOf(descriptions);
@@ -24,7 +28,9 @@ export async function mountPair(element, sources, titles) {
   const viewers = places.map((place, number) => new Viewer(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0 }));
   player.mustWait = (now) => viewers.some((viewer) => viewer.isLate(now));
   linkOrbits(viewers);
-  return { player, close: () => viewers.forEach((viewer) => viewer.close()) };
+  const [first, second] = viewers;
+  first.follower = second;
+  return first;
 }
 
 async function describe(element, sources) {
@@ -52,7 +58,7 @@ function linkOrbits(viewers) {
     stage.controls.addEventListener("change", () => {
       if (isCopying) return;
       isCopying = true;
-      for (const other of stages) if (other !== stage) other.copyOrbit(stage);
+      for (const other of stages) if (other !== stage) other.stand(stage.standpoint);
       isCopying = false;
     });
   }

@@ -10,10 +10,11 @@
 export class ApiSource {
   #videos;
 
-  /** `cameras` are those of the session, which link their videos. */
-  constructor(jobId, cameras = []) {
+  /** `cameras` are those of the session, which link their videos; `addressed` completes addresses, as by the secret of a link. */
+  constructor(jobId, cameras = [], addressed = (address) => address) {
     this.address = `/v1/jobs/${encodeURIComponent(jobId)}/motion`;
-    this.#videos = new Map(cameras.map(({ name, video_link: url, media_start_s: startS }) => [name, url ? { url, startS: startS ?? 0 } : null]));
+    this.addressed = addressed;
+    this.#videos = new Map(cameras.map(({ name, video_link: url, media_start_s: startS }) => [name, url ? { url: addressed(url), startS: startS ?? 0 } : null]));
   }
 
   async video(camera) {
@@ -21,11 +22,11 @@ export class ApiSource {
   }
 
   async description() {
-    return (await get(`${this.address}/description`)).json();
+    return (await get(this.addressed(`${this.address}/description`))).json();
   }
 
   async frames(from, to, signal) {
-    return (await get(`${this.address}?from=${from}&to=${to}`, signal)).arrayBuffer();
+    return (await get(this.addressed(`${this.address}?from=${from}&to=${to}`), signal)).arrayBuffer();
   }
 }
 

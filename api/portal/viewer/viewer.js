@@ -19,6 +19,7 @@ export class Viewer {
   #isDrawn = false;
   #shownFrame = -1;
   #lastTick = performance.now();
+  #orbit = null; // of the viewer before this one, for the first picture
   #listening = new AbortController();
 
   /** A leader moves the play head and listens to the keys; the other viewers of a pair follow. */
@@ -26,6 +27,7 @@ export class Viewer {
     Object.assign(this, { description, player, isLeader });
     this.store = new MotionStore(description, source);
     this.seen = null;
+    this.follower = null; // viewer of another job that shares the play head
     player.mustWait = (now) => this.isLate(now);
     this.#build(element, source);
     const { signal } = this.#listening;
@@ -43,6 +45,26 @@ export class Viewer {
     const frame = Math.round((this.player.timeS - startS) * rateHz);
     // While it plays, the play head runs on for the duration of the last frame.
     return frame >= 0 && frame <= numFrames ? Math.min(frame, numFrames - 1) : null;
+  }
+
+  /** Move the play head to an output frame of this take. */
+  goTo(frame) {
+    const { start_time_s: startS, frame_rate_hz: rateHz } = this.description;
+    this.player.pause();
+    this.player.seekTime(startS + frame / rateHz);
+  }
+
+  /** Play head and view, for a viewer of the same capture that `resume` puts there. */
+  get standpoint() {
+    return { timeS: this.player.timeS, speed: this.player.speed, orbit: this.view?.stage.standpoint ?? null };
+  }
+
+  /** Stand where another viewer stood. */
+  resume({ timeS, speed, orbit }) {
+    this.player.setSpeed(speed);
+    this.player.seekTime(timeS);
+    this.#orbit = orbit;
+    if (this.#isDrawn) this.#lookAsBefore();
   }
 
   /** Whether the play head must wait: for frames on their way, or for a video that is late. */
@@ -77,6 +99,7 @@ export class Viewer {
   }
 
   close() {
+    this.follower?.close();
     this.#isOpen = false;
     this.#listening.abort();
     this.player.pause();
@@ -141,7 +164,13 @@ export class Viewer {
   #first(frame) {
     this.#isDrawn = true;
     this.view?.open(frame);
+    this.#lookAsBefore();
     this.element.dataset.ready = "true";
+  }
+
+  #lookAsBefore() {
+    if (this.#orbit !== null) this.view?.stage.stand(this.#orbit);
+    this.#orbit = null;
   }
 
   #tick(now) {

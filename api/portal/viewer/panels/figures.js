@@ -7,14 +7,14 @@ export function peopleTable(description, player, spots) {
   const rate = description.frame_rate_hz;
   const rows = description.people.map((person, number) => el("tr", {},
     el("th", { scope: "row" }, el("span", { class: "look-swatch" }), person.name),
-    el("td", {}, goTo(player, person.start_frame, `${person.start_frame} – ${person.start_frame + person.num_frames - 1}`)),
+    el("td", {}, goTo(player, person.start_frame, `${person.start_frame} – ${person.start_frame + person.num_frames - 1}`, `${person.name}, frames`)),
     el("td", {}, figure(person.num_frames / rate, 1, " s")),
     el("td", {}, figure((person.coverage ?? NaN) * 100, 0, " %")),
     el("td", {}, figure(person.reprojection_error_px, 1, " px")),
     el("td", {}, figure(person.stature_m, 2, " m")),
-    el("td", {}, figure(person.identity.confidence * 100, 0, " %"), doubts(player, person.identity.doubts)),
+    el("td", {}, figure(person.identity.confidence * 100, 0, " %"), doubts(player, person)),
     el("td", {}, String(person.contacts.length)),
-    el("td", {}, spots[number].length === 0 ? "none" : goTo(player, spots[number][0].from, String(spots[number].length)))));
+    el("td", {}, spots[number].length === 0 ? "none" : goTo(player, spots[number][0].from, String(spots[number].length), `${person.name}, spots to look at:`))));
   rows.forEach((row, number) => row.style.setProperty("--tint", description.people[number].color));
   return table("People", ["Person", "Frames", "Length", "Measured", "Reprojection error", "Stature", "Identity", "Foot contacts", "Spots to look at"], rows);
 }
@@ -38,12 +38,13 @@ export function warningList(description) {
   return el("ul", { class: "look-warnings" }, description.warnings.map((warning) => el("li", {}, warning)));
 }
 
-function doubts(player, all) {
-  return all.map(({ frame, confidence }) => el("span", {}, " ", goTo(player, frame, `${figure(confidence * 100, 0, " %")} at ${frame}`)));
+function doubts(player, { name, identity }) {
+  return identity.doubts.map(({ frame, confidence }) => el("span", {}, " ", goTo(player, frame, `${figure(confidence * 100, 0, " %")} at ${frame}`, `${name}, identity:`)));
 }
 
-function goTo(player, frame, text) {
-  return el("button", { type: "button", class: "look-link", title: `Go to frame ${frame}`, onclick: () => { player.pause(); player.seek(frame); } }, text);
+/** Button that goes to a frame; `about` tells it from the others in its name. */
+function goTo(player, frame, text, about) {
+  return el("button", { type: "button", class: "look-link", title: `Go to frame ${frame}`, "aria-label": `${about} ${text}`, onclick: () => { player.pause(); player.seek(frame); } }, text);
 }
 
 function table(caption, heads, rows) {

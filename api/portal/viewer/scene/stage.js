@@ -148,11 +148,16 @@ export class Stage {
     return true;
   }
 
-  /** Look as another stage does. */
-  copyOrbit(other) {
+  /** Place of the eye and what it looks at, for `stand`. */
+  get standpoint() {
+    return this.#orbit ?? { position: this.camera.position.clone(), target: this.controls.target.clone() };
+  }
+
+  /** Look from a standpoint, unless this is seen through a camera. */
+  stand({ position, target }) {
     if (!this.controls.enabled) return;
-    this.camera.position.copy(other.camera.position);
-    this.controls.target.copy(other.controls.target);
+    this.camera.position.copy(position);
+    this.controls.target.copy(target);
     this.controls.update();
     this.invalidate();
   }

@@ -1,0 +1,176 @@
+// Panel Put right: the identity timeline, what can be done at the play head, and the list of edits.
+
+import { announce } from "../../shared/announce.js";
+import { call } from "../../shared/api.js";
+import { feed } from "../../shared/feed.js";
+import { count, percent } from "../../shared/format.js";
+import { hasEnded } from "../../shared/jobs.js";
+import { html, nothing, render } from "../../shared/lit.js";
+import { problemBox } from "../../shared/problem.js";
+import { actions } from "./actions.js";
+import { Editing } from "./editing.js";
+import { lanes } from "./lanes.js";
+import { describe, isNumbering, nameOf } from "./words.js";
+
+export class PeoplePanel {
+  selected = null; // id of the person whom actions are for
+  other = null; // id of the second person of a merge or an exchange
+  #isOpen = true;
+
+  // `motion` is what the viewer shows; its play head says which frame is meant.
+  constructor(place, job, motion) {
+    Object.assign(this, { place, motion });
+    this.editing = new Editing(job);
+    this.editing.addEventListener("change", () => this.draw());
+    this.onTime = () => this.#showHead();
+    motion.addEventListener("time", this.onTime);
+  }
+
+  get people() {
+    return this.editing.people;
+  }
+
+  // Frame at the play head, in the numbers of the whole reconstruction.
+  get frame() {
+    return this.motion.frame ?? this.people.start_frame;
+  }
+
+  follow(job) {
+    return this.editing.follow(job);
+  }
+
+  close() {
+    this.#isOpen = false;
+    this.motion.removeEventListener("time", this.onTime);
+  }
+
+  select(id) {
+    this.selected = id;
+    this.draw();
+  }
+
+  seek(frame) {
+    this.motion.seek(Math.min(this.people.stop_frame - 1, Math.max(this.people.start_frame, frame)));
+  }
+
+  nameOf(id) {
+    return nameOf(id, this.people);
+  }
+
+  add(edit) {
+    if (this.#mustWait()) return null;
+    return this.editing.add(edit);
+  }
+
+  draw() {
+    if (!this.#isOpen || this.people === null) return;
+    const ids = this.people.people.map(({ id }) => id);
+    if (!ids.includes(this.selected)) this.selected = ids[0] ?? null;
+    const others = ids.filter((id) => id !== this.selected);
+    if (!others.includes(this.other)) this.other = others[0] ?? null;
+    const { activeElement } = document;
+    const hadFocus = this.place.contains(activeElement);
+    render(this.#panel(), this.place);
+    // The button of an edit goes with it.
+    if (hadFocus && !activeElement.isConnected) this.place.querySelector("#edits-title").focus();
+    this.#showHead();
+  }
+
+  #panel() {
+    const { editing } = this;
+    return html`<section class="panel people" aria-labelledby="people-title" aria-busy=${editing.isBusy ? "true" : "false"} @keydown=${(event) => this.#key(event)}>
+      <div class="head"><h2 id="people-title">Put right who is who</h2>${this.#state()}</div>
+      ${this.#notices()}
+      ${lanes(this)}
+      ${actions(this)}
+      ${this.#list()}
+    </section>`;
+  }
+
+  // Revision that is shown, and how far the files of the next one are.
+  #state() {
+    const { job } = this.editing;
+    if (hasEnded(job)) return html`<p class="quiet">${job.revision === 0 ? "As found, no edits" : `Revision ${job.revision}`}</p>`;
+    const label = `Files of revision ${job.revision} are being made`;
+    return html`<div class="making"><span>${label}: ${percent(job.progress)}</span><progress max="1" .value=${job.progress} aria-label=${label}></progress></div>`;
+  }
+
+  #notices() {
+    const { editing } = this;
+    const { conflict, notice, job } = editing;
+    const isBroken = job.revision > 0 && (job.state === "failed" || job.state === "canceled");
+    return html`${problemBox(editing.problem)}
+      ${conflict ? html`<div class="problem" role="alert"><p>Somebody else has changed the edits meanwhile. The list shows theirs.
+          Not done: <b>${conflict.words}</b>. ${conflict.change ? "Check the timeline, then do it on their edits, or leave it." : "Check the list before you undo something of theirs."}</p>
+        <div class="actions">${conflict.change ? this.button("Do it on their edits", () => editing.repeat()) : nothing}
+          <button type="button" class="button small" @click=${() => editing.dismiss()}>Leave it</button></div></div>` : nothing}
+      ${notice ? html`<p class="notice">${notice}</p>` : nothing}
+      ${isBroken ? html`<div class="problem" role="alert"><p>The files of these edits were not made. Retry, or undo the last edit.</p>
+        ${job.links.retry ? html`<div class="actions">${this.button("Retry", () => this.#retry())}</div>` : nothing}</div>` : nothing}`;
+  }
+
+  #list() {
+    const { editing, people: { edits } } = this;
+    return html`<div class="edits">
+      <div class="head"><h3 id="edits-title" tabindex="-1">Edits</h3><div class="actions">
+        ${this.button("Undo", () => editing.undo(), { isOff: edits.length === 0, why: "There is no edit to undo." })}
+        ${this.button("Redo", () => editing.redo(), { isOff: !editing.canRedo, why: "Nothing was undone." })}</div></div>
+      ${edits.length === 0 ? html`<p class="quiet">No edits. What you change is listed here and can be undone.</p>`
+        : html`<ol aria-label="Edits">${edits.map((edit, index) => this.#item(edit, index))}</ol>`}
+    </div>`;
+  }
+
+  #item(edit, index) {
+    const words = describe(edit, this.people);
+    const withLater = isNumbering(this.people.edits, index);
+    const label = withLater ? "Undo from here on" : "Undo";
+    return html`<li><span>${words}</span>
+      ${this.button(label, () => this.editing.remove(index, { withLater }), { name: `${label}: ${words}`, style: "ghost" })}</li>`;
+  }
+
+  // Button that keeps the focus while it can't be used, and says why.
+  button(label, onClick, { name = null, isOff = false, why = "", style = "" } = {}) {
+    const click = () => {
+      if (this.#mustWait()) return;
+      if (isOff) announce(why);
+      else onClick();
+    };
+    return html`<button type="button" class="button small ${style}" aria-label=${name ?? nothing}
+      aria-disabled=${this.editing.isBusy || isOff ? "true" : "false"} title=${isOff && why ? why : nothing} @click=${click}>${label}</button>`;
+  }
+
+  #mustWait() {
+    if (this.editing.isBusy) announce("The files of the last change are being made. Wait until they are there.");
+    return this.editing.isBusy;
+  }
+
+  async #retry() {
+    feed.put(await call(this.editing.job.links.retry, { method: "POST" }));
+  }
+
+  #key(event) {
+    if (!(event.ctrlKey || event.metaKey) || event.target.matches("input:not([type=radio])")) return;
+    const key = event.key.toLowerCase();
+    const isRedo = key === "y" || (key === "z" && event.shiftKey);
+    if (!isRedo && key !== "z") return;
+    event.preventDefault();
+    if (this.#mustWait()) return;
+    if (isRedo && this.editing.canRedo) this.editing.redo();
+    else if (!isRedo && this.editing.canUndo) this.editing.undo();
+    else announce(isRedo ? "Nothing was undone." : "There is no edit to undo.");
+  }
+
+  // Move the line of the play head and the number of its frame, without drawing anything else.
+  #showHead() {
+    const { place, people } = this;
+    const line = place.querySelector(".lanes-head");
+    if (line === null || people === null) return;
+    line.style.setProperty("--from", (this.frame + 0.5) / people.num_frames);
+    for (const field of place.querySelectorAll(".frame-field")) if (field !== document.activeElement) field.value = this.frame;
+    for (const text of place.querySelectorAll(".frame-text")) text.textContent = this.frame;
+  }
+
+  get lengthText() {
+    return count(this.people.stop_frame - this.people.start_frame, "frame");
+  }
+}

@@ -1,0 +1,43 @@
+// Edits of people as words, and people by their numbers.
+
+const HUE_STEP = 0.618034; // as in pipeline/export/colors.py
+
+// Colour of a person by number, that of the 3D view and of the exported models.
+export function colorOf(id) {
+  const hue = ((id * HUE_STEP) % 1) * 6;
+  const part = (shift) => {
+    const distance = (shift + hue) % 6;
+    return Math.round(255 * (1 - 0.85 * Math.max(0, Math.min(distance, 4 - distance, 1))));
+  };
+  return `#${[5, 3, 1].map((shift) => part(shift).toString(16).padStart(2, "0")).join("")}`;
+}
+
+// Name of a person; people whom a later edit has taken away have the name that an edit gave them last.
+export function nameOf(id, { people, edits }) {
+  const given = edits.findLast(({ action, person }) => action === "rename" && person === id)?.name;
+  return people.find((person) => person.id === id)?.name ?? given ?? `person-${id}`;
+}
+
+// An edit in words, with the present names of people.
+export function describe(edit, document) {
+  const person = nameOf(edit.person, document);
+  const other = nameOf(edit.other, document);
+  const words = {
+    rename: () => `Rename person-${edit.person} to ${edit.name}`,
+    remove: () => `Delete ${person}`,
+    merge: () => `Merge ${other} into ${person}`,
+    split: () => `Split ${person} at frame ${edit.frame}`,
+    exchange: () => `Exchange ${person} and ${other} ${during(edit)}`,
+    cut: () => `Keep frames ${edit.start_frame} to ${edit.stop_frame - 1}`,
+  };
+  return words[edit.action]();
+}
+
+function during({ start_frame: start, stop_frame: stop }) {
+  return stop === null || stop === undefined ? `from frame ${start} on` : `in frames ${start} to ${stop - 1}`;
+}
+
+// Whether the edits after this one would be of other people without it: a split gives the next free number.
+export function isNumbering(edits, index) {
+  return edits[index].action === "split" && edits.slice(index + 1).some(({ action }) => action !== "cut");
+}

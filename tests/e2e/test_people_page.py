@@ -1,0 +1,279 @@
+"""View Look in a real browser: people are put right, edits undone, and a public link shows one job."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import httpx2
+import pytest
+from playwright.sync_api import Locator, Page, ViewportSize, expect
+
+from tests.e2e.browsing import axe_findings, opened, opened_by_a_stranger
+from tests.e2e.captures import keypoint_capture
+from tests.e2e.serving import serving
+from tests.e2e.test_serve_keypoints import files
+from tests.waiting import wait_for
+
+MAKING_MS = 120_000
+NARROW: ViewportSize = {"width": 390, "height": 844}
+
+
+@dataclass
+class Portal:
+    """Service with a key, and a finished job of three people of 100 frames."""
+
+    client: httpx2.Client
+    key: str
+    job_id: str
+
+    @property
+    def url(self) -> str:
+        return str(self.client.base_url)
+
+    def people(self) -> dict[str, Any]:
+        return dict(self.client.get(f"/v1/jobs/{self.job_id}/people").raise_for_status().json())
+
+    def edit(self, *edits: dict[str, Any]) -> None:
+        path = f"/v1/jobs/{self.job_id}/people"
+        self.client.patch(path, json={"edits": edits}).raise_for_status()
+        self.wait()
+
+    def wait(self) -> None:
+        wait_for(lambda: self.client.get(f"/v1/jobs/{self.job_id}").json()["state"] == "succeeded", timeout_s=240)
+
+
+@pytest.fixture(scope="module")
+def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Portal]:
+    folder = tmp_path_factory.mktemp("people")
+    keypoint_capture(folder, 4.0)
+    data = folder / "data"
+    make = [sys.executable, "-P", "-m", "api.cli.main", "keys", "create", "animator", "--json", "--data", str(data)]
+    made = json.loads(subprocess.run(make, check=True, capture_output=True).stdout)
+    with serving(data) as served:
+        served.client.headers["Authorization"] = f"Bearer {made['key']}"
+        manifest = ("manifest", (None, json.dumps({"name": "Room, take 1"})))
+        answer = served.client.post("/v1/jobs", files=[*files(folder), manifest])
+        assert answer.status_code == 202, answer.text
+        found = Portal(served.client, made["key"], answer.json()["id"])
+        found.wait()
+        yield found
+
+
+@pytest.fixture
+def page(portal: Portal) -> Iterator[Page]:
+    if portal.people()["edits"]:
+        portal.edit()
+    allowed = ("401 (Unauthorized", "409 (Conflict", "422 (Unprocessable")
+    with opened(portal.url, allowed=allowed) as page:
+        sign_in(page, portal)
+        yield page
+
+
+def sign_in(page: Page, portal: Portal) -> None:
+    page.get_by_label("Key").fill(portal.key)
+    page.get_by_role("button", name="Sign in").click()
+    expect(page.get_by_role("heading", name="Captures", level=1)).to_be_visible(timeout=30_000)
+    look_at(page, portal)
+
+
+def look_at(page: Page, portal: Portal) -> None:
+    page.goto(f"/#/jobs/{portal.job_id}")
+    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
+    expect(panel(page)).to_be_visible()
+
+
+def panel(page: Page) -> Locator:
+    return page.get_by_role("region", name="Put right who is who")
+
+
+def choose(page: Page, person: str, frame: int | None = None) -> None:
+    panel(page).get_by_role("radio", name=re.compile(f"^{person} ")).check()
+    if frame is not None:
+        panel(page).get_by_label("Frame", exact=True).fill(str(frame))
+        panel(page).get_by_label("Frame", exact=True).press("Enter")
+
+
+def press(page: Page, name: str) -> None:
+    panel(page).get_by_role("button", name=name, exact=True).click()
+
+
+def made(page: Page, revision: int) -> None:
+    """Wait until the files of a revision are there and the viewer shows them."""
+    expect(panel(page).get_by_text(f"Revision {revision}", exact=True)).to_be_visible(timeout=MAKING_MS)
+    expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
+
+
+def expect_in_view(page: Page, *names: str) -> None:
+    """Wait until the viewer's table has these people."""
+    rows = page.get_by_role("table", name="People").get_by_role("rowheader")
+    expect(rows).to_have_text(names, timeout=30_000)
+
+
+def test_people_are_merged_and_the_merge_is_undone(page: Page, portal: Portal) -> None:
+    revision = portal.people()["revision"]
+    frame = 40
+    choose(page, "person-2", frame)
+    page.get_by_role("button", name="Top").click()
+    press(page, "Merge into person-1")
+    edits = panel(page).get_by_role("list", name="Edits").get_by_role("listitem")
+    expect(edits).to_have_text([re.compile("Merge person-2 into person-1")])
+    expect(panel(page).get_by_text(re.compile(f"Files of revision {revision + 1} are being made"))).to_be_visible()
+    # The focus stays on the button, which is for the next pair now.
+    expect(panel(page).get_by_role("button", name="Merge into person-3")).to_be_focused()
+    made(page, revision + 1)
+    expect(page.locator("#announcer")).to_have_text(re.compile(f"The files of revision {revision + 1} are there."))
+    expect(panel(page).get_by_role("radio")).to_have_count(2)
+    expect_in_view(page, "person-1", "person-3")
+    expect(panel(page).get_by_label("Frame", exact=True)).to_have_value(str(frame))
+    with page.expect_download() as download:
+        page.get_by_role("region", name="Files").get_by_role("link", name="person-1.bvh").click()
+    assert download.value.suggested_filename == f"room-take-1_revision-{revision + 1}_person-1.bvh"
+
+    press(page, "Undo: Merge person-2 into person-1")
+    made(page, revision + 2)
+    # Its button is gone with the edit.
+    expect(panel(page).get_by_role("heading", name="Edits")).to_be_focused()
+    expect(panel(page).get_by_role("radio")).to_have_count(3)
+    expect_in_view(page, "person-1", "person-2", "person-3")
+    panel(page).get_by_role("radio").first.focus()
+    page.keyboard.press("Control+y")
+    made(page, revision + 3)
+    assert portal.people()["edits"] == [{"action": "merge", "person": 1, "other": 2}]
+    page.keyboard.press("Control+z")
+    made(page, revision + 4)
+    assert portal.people()["edits"] == []
+
+
+def test_split_exchange_rename_delete_and_cut(page: Page, portal: Portal) -> None:
+    before = portal.people()
+    revision, num_frames = before["revision"], before["num_frames"]
+    choose(page, "person-1", 30)
+    press(page, "Split here")
+    made(page, revision + 1)
+    expect(panel(page).get_by_role("radio", name=f"person-4 frames 30 to {num_frames - 1}")).to_be_visible()
+    choose(page, "person-2", 50)
+    panel(page).get_by_label("Other person").select_option("person-3")
+    press(page, "Exchange with person-3 from here on")
+    made(page, revision + 2)
+    choose(page, "person-3")
+    panel(page).get_by_label("New name of person-3").fill("Zoë")
+    panel(page).get_by_label("New name of person-3").press("Enter")
+    made(page, revision + 3)
+    expect_in_view(page, "person-1", "person-2", "Zoë", "person-4")
+    choose(page, "person-4")
+    press(page, "Delete person-4")
+    made(page, revision + 4)
+    choose(page, "person-1", 10)
+    press(page, "Start the take here")
+    made(page, revision + 5)
+    expect(panel(page).get_by_text(f"{num_frames - 10} frames of {num_frames} kept")).to_be_visible()
+    expect(page.get_by_role("slider", name="Play head")).to_have_attribute("max", str(num_frames - 11))
+    # The viewer counts from the cut, the panel from the start of the whole take.
+    expect(page.get_by_role("slider", name="Play head")).to_have_value("0")
+    expect(panel(page).get_by_label("Frame", exact=True)).to_have_value("10")
+    after = portal.people()
+    assert [edit["action"] for edit in after["edits"]] == ["split", "exchange", "rename", "remove", "cut"]
+    assert (after["start_frame"], after["stop_frame"]) == (10, num_frames)
+    assert {one["name"]: [(p["person"], p["start_frame"]) for p in one["pieces"]] for one in after["people"]} == {
+        "person-1": [(1, 0)],
+        "person-2": [(2, 0), (3, 50)],
+        "Zoë": [(3, 0), (2, 50)],
+    }
+    # Later edits count on the number of a person who was split off.
+    press(page, "Undo from here on: Split person-1 at frame 30")
+    made(page, revision + 6)
+    assert portal.people()["edits"] == []
+    press(page, "Redo")
+    made(page, revision + 7)
+    assert portal.people()["edits"] == after["edits"]
+
+
+def test_impossible_edits_say_what_to_do(page: Page, portal: Portal) -> None:
+    revision = portal.people()["revision"]
+    choose(page, "person-1", 0)
+    press(page, "Split here")
+    problem = panel(page).get_by_role("alert")
+    expect(problem).to_contain_text(
+        "Split person-1 at frame 0: Person 1 can't be split at frame 0. Choose a frame from 1 to"
+    )
+    assert portal.people()["revision"] == revision
+
+
+def test_two_people_who_edit_at_once(page: Page, portal: Portal) -> None:
+    theirs = {"action": "rename", "person": 3, "name": "Theirs"}
+    choose(page, "person-1", 30)
+    portal.edit(theirs)
+    press(page, "Split here")
+    problem = panel(page).get_by_role("alert")
+    expect(problem).to_contain_text("Somebody else has changed the edits meanwhile.")
+    expect(problem).to_contain_text("Not done: Split person-1 at frame 30.")
+    expect(panel(page).get_by_role("list", name="Edits")).to_contain_text("Rename person-3 to Theirs")
+    assert portal.people()["edits"] == [theirs]
+    press(page, "Do it on their edits")
+    made(page, portal.people()["revision"])
+    assert portal.people()["edits"] == [theirs, {"action": "split", "person": 1, "frame": 30}]
+    # A change that nothing was done against shows as well.
+    portal.edit()
+    expect(panel(page).get_by_text("Somebody else has changed the edits. These are theirs.")).to_be_visible(
+        timeout=30_000
+    )
+    expect(panel(page).get_by_text("No edits.")).to_be_visible()
+
+
+def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Portal) -> None:
+    sharing = page.get_by_role("region", name="Public link")
+    sharing.get_by_label("Ends after").select_option("1 day")
+    sharing.get_by_role("button", name="Make a link").click()
+    field = sharing.get_by_label("Address of the new link")
+    expect(field).to_be_focused()
+    address = field.input_value()
+    assert address.startswith(f"{portal.url.rstrip('/')}/#/jobs/{portal.job_id}?link=mcl_")
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    sharing.get_by_role("button", name="Copy the link").click()
+    expect(page.locator("#announcer")).to_have_text(re.compile("The link is copied."))
+    assert page.evaluate("navigator.clipboard.readText()") == address
+
+    with opened_by_a_stranger(page, address, allowed=("401 (Unauthorized",)) as guest:
+        expect(guest.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=60_000)
+        expect(guest.get_by_role("heading", name="Room, take 1", level=1)).to_be_visible()
+        expect(guest.get_by_role("region", name="Put right who is who")).to_have_count(0)
+        expect(guest.get_by_role("region", name="Public link")).to_have_count(0)
+        expect(guest.get_by_role("navigation")).to_have_count(0)
+        with guest.expect_download() as download:
+            guest.get_by_role("link", name="person-1.bvh").click()
+        assert download.value.path().read_bytes().startswith(b"HIERARCHY")
+        assert axe_findings(guest) == []
+        # The link opens nothing else.
+        secret = address.partition("link=")[2]
+        for path in ("/v1/jobs", f"/v1/jobs/{portal.job_id}/people", f"/v1/jobs/{portal.job_id}/links"):
+            assert guest.request.get(f"{portal.url.rstrip('/')}{path}?link={secret}").status == 401
+
+        sharing.get_by_role("button", name="Revoke").click()
+        page.get_by_role("dialog").get_by_role("button", name="Revoke", exact=True).click()
+        expect(sharing.get_by_role("list", name="Links")).to_have_count(0)
+        expect(sharing.get_by_role("heading", name="Public link")).to_be_focused()
+        guest.reload()
+        expect(guest.get_by_role("heading", name="This link has ended or was revoked")).to_be_visible(timeout=30_000)
+        expect(guest.get_by_text("Ask the person who sent you the link")).to_be_visible()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_the_panel_is_accessible_and_fits(
+    page: Page, portal: Portal, width: int, scheme: Literal["light", "dark"]
+) -> None:
+    portal.edit({"action": "split", "person": 1, "frame": 30}, {"action": "cut", "start_frame": 10, "stop_frame": 90})
+    page.set_viewport_size({"width": width, "height": 844})
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+    page.reload()
+    look_at(page, portal)
+    page.get_by_role("button", name="Make a link").click()
+    expect(page.get_by_label("Address of the new link")).to_be_visible()
+    choose(page, "person-2", 40)
+    assert axe_findings(page) == []
+    assert page.evaluate("document.scrollingElement.scrollWidth") <= width
+    names = page.get_by_role("button").evaluate_all("all => all.map((one) => one.ariaLabel ?? one.textContent.trim())")
+    assert len(names) == len(set(names))
