@@ -45,14 +45,14 @@ export class Sharing {
         <label class="field"><span>Address of the new link. It is shown only now.</span>
           <input id="made-link" readonly .value=${this.made.address} @focus=${(event) => event.target.select()}></label>
         <button type="button" class="button small" @click=${() => this.#copy()}>Copy the link</button></div>`}
-      ${this.links.length === 0 ? nothing : html`<ul class="links" aria-label="Links">${repeat(this.links, ({ id }) => id, (link) => this.#item(link))}</ul>`}
+      ${this.links.length === 0 ? nothing : html`<ul class="links" aria-label="Links">${repeat(this.links, ({ id }) => id, (link, index) => this.#item(link, this.links.length - index))}</ul>`}
     </section>`;
   }
 
-  #item(link) {
+  #item(link, number) {
     const [made, ends] = [link.created_at, link.expires_at].map(momentOf);
-    return html`<li><span>Ends ${ends}${link.id === this.made?.id ? " (the new one)" : ""} <span class="quiet">made ${made}</span></span>
-      <button type="button" class="button small danger-quiet" aria-label="Revoke the link that was made ${made}" @click=${() => this.#revoke(link)}>Revoke</button></li>`;
+    return html`<li><span>Link ${number} ends ${ends}${link.id === this.made?.id ? " (the new one)" : ""} <span class="quiet">made ${made}</span></span>
+      <button type="button" class="button small danger-quiet" aria-label="Revoke link ${number}" @click=${() => this.#revoke(link)}>Revoke</button></li>`;
   }
 
   async #load() {
