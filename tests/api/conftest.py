@@ -32,6 +32,12 @@ from worker.jobs.model import Result
 PREFLIGHT = """
 import hashlib, json, pathlib, sys, time
 arguments = sys.argv[1:]
+if not {"--calibration"} < {"--calibration", "--videos", "--keypoints"}.intersection(arguments):
+    # A calibration alone, or the videos of one that is to be made.
+    file = pathlib.Path(arguments[1]).name
+    print(json.dumps({"problems": [{"code": "calibration_unreadable", "message": "No calibration.", "file": file,
+                                    "camera": None, "field": None, "hint": None}]}))
+    sys.exit(2)
 at = arguments.index("--calibration")
 kind = next((word for word in ("--videos", "--keypoints") if word in arguments), None)
 videos = [pathlib.Path(name) for name in arguments[arguments.index(kind) + 1 : at]] if kind else []
