@@ -1,18 +1,19 @@
 """Intrinsics of a camera from views of a board (Zhang 2000), with the distortion model chosen by cross-validation."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.calibration.board.fisheye import FISHEYE_COEFFICIENTS, fisheye_errors2_px2, fit_fisheye
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.calibration.guess import guessed_camera
-from pipeline.data import Camera, read_only
-from pipeline.geometry.rigid import Rigid3
+from pipeline.data import Camera, LensModel, read_only
+from pipeline.geometry.lenses.fisheye import NUM_COEFFICIENTS
+from pipeline.geometry.undistortion import undistort_px
 
 MIN_VIEWS = 4
 _NUM_FOLDS = 5
@@ -20,6 +21,8 @@ _NUM_FOLDS = 5
 _FITTED_VIEWS, _COMPARED_VIEWS = 40, 18
 # A model with more coefficients must lower the error of views that it was not fitted to by this share.
 _WORTH = 0.03
+# Below this angle from the axis a lens is described by the standard models.
+_WIDE_RAD = np.radians(40.0)
 _FIXED_RADIAL = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
 
 
@@ -32,17 +35,20 @@ class DistortionModel:
     name
         What the report calls it.
     flags
-        Flags of ``cv2.calibrateCamera``.
+        Flags of ``cv2.calibrateCamera``; none for a fisheye lens.
     free
         Numbers of the coefficients that are not zero, in OpenCV's order.
     length
         Number of coefficients that a camera has then.
+    lens
+        OpenCV's model that the coefficients are of.
     """
 
     name: str
     flags: int
     free: tuple[int, ...]
     length: int
+    lens: LensModel = "standard"
 
 
 MODELS = (
@@ -52,6 +58,7 @@ MODELS = (
     DistortionModel("k1, k2, p1, p2", cv2.CALIB_FIX_K3, (0, 1, 2, 3), 4),
     DistortionModel("k1, k2, p1, p2, k3", 0, (0, 1, 2, 3, 4), 5),
     DistortionModel("rational, 8 coefficients", cv2.CALIB_RATIONAL_MODEL, (0, 1, 2, 3, 4, 5, 6, 7), 8),
+    DistortionModel("fisheye, 4 coefficients", 0, FISHEYE_COEFFICIENTS, NUM_COEFFICIENTS, "fisheye"),
 )
 """Models, the simplest first."""
 
@@ -83,21 +90,57 @@ class Intrinsics:
 
 def calibrate_intrinsics(views: BoardViews, board: Board) -> Intrinsics:
     """Calibrate a camera with square pixels from at least ``MIN_VIEWS`` views, of which some are chosen."""
-    few = _points(views.select(choose_views(views, _COMPARED_VIEWS)), board)
-    held_out = [_held_out_error_px(*few, views.size_px, model) for model in MODELS]
+    compared = views.select(choose_views(views, _COMPARED_VIEWS))
+    held_out = [_held_out_error_px(compared, board, model) for model in MODELS if model.lens == "standard"]
+    if _is_wide(compared, board):
+        held_out += [_held_out_error_px(compared, board, model) for model in MODELS if model.lens == "fisheye"]
     limit_px = min(held_out) * (1 + _WORTH)
     number = next((k for k, error_px in enumerate(held_out) if error_px <= limit_px), 2)
-    model = MODELS[number]
-    all_points = _points(views.select(choose_views(views, _FITTED_VIEWS)), board)
-    error_px, matrix, distortion, sigma = _fit(*all_points, views.size_px, model)
-    camera = Camera(
-        views.camera,
-        views.size_px,
-        read_only(matrix),
-        read_only(distortion[: model.length].copy()),
-        Rigid3(read_only(np.eye(3)), read_only(np.zeros(3))),
-    )
-    return Intrinsics(camera, model, error_px, held_out[number], float(sigma[:2].max() / matrix[0, 0]))
+    fitted_to = views.select(choose_views(views, _FITTED_VIEWS))
+    camera, focal_sigma = _fit(fitted_to, board, MODELS[number]) or _fit_standard(fitted_to, board, MODELS[2])
+    error_px = float(np.sqrt(_errors2_px2(camera, fitted_to, board).mean()))
+    return Intrinsics(camera, MODELS[number], error_px, held_out[number], focal_sigma)
+
+
+def _is_wide(views: BoardViews, board: Board) -> bool:
+    """Whether corners are seen at an angle from the axis at which lens models differ."""
+    camera, _ = _fit_standard(views, board, MODELS[2])
+    corners_px = np.concatenate(_points(views, board)[1]).astype(float)
+    ideal = np.linalg.norm((undistort_px(camera, corners_px) - camera.matrix[:2, 2]) / camera.matrix[0, 0], axis=-1)
+    return not np.all(np.arctan(ideal) < _WIDE_RAD)
+
+
+def _held_out_error_px(views: BoardViews, board: Board, model: DistortionModel) -> float:
+    """Cross-validated error of a model: a view's pose is fitted to it, its intrinsics are those of other views."""
+    num_folds = min(_NUM_FOLDS, len(views))
+    number = np.arange(len(views))
+    squares: list[Float[np.ndarray, " corners"]] = []
+    for fold in range(num_folds):
+        kept, left_out = number[number % num_folds != fold], number[fold::num_folds]
+        if len(kept) < MIN_VIEWS - 1:
+            return float("nan")
+        fitted = _fit(views.select(kept), board, model)
+        squares.append(np.full(1, np.inf) if fitted is None else _errors2_px2(fitted[0], views.select(left_out), board))
+    return float(np.sqrt(np.concatenate(squares).mean()))
+
+
+def _fit(views: BoardViews, board: Board, model: DistortionModel) -> tuple[Camera, float] | None:
+    """Camera at the identity, and the standard deviation of its focal length as a share of it."""
+    return fit_fisheye(views, board) if model.lens == "fisheye" else _fit_standard(views, board, model)
+
+
+def _errors2_px2(camera: Camera, views: BoardViews, board: Board) -> Float[np.ndarray, " corners"]:
+    """Squares of the distances that remain when poses are fitted to views."""
+    if camera.lens == "fisheye":
+        return fisheye_errors2_px2(camera, views, board)
+    distortion = camera.distortion if len(camera.distortion) else np.zeros(4)
+    squares: list[Float[np.ndarray, " corners"]] = []
+    for points_m, points_px in zip(*_points(views, board), strict=True):
+        _, turn, shift_m = cv2.solvePnP(points_m, points_px, camera.matrix, distortion, flags=cv2.SOLVEPNP_IPPE)
+        turn, shift_m = cv2.solvePnPRefineLM(points_m, points_px, camera.matrix, distortion, turn, shift_m)
+        projected, _ = cv2.projectPoints(points_m, turn, shift_m, camera.matrix, distortion)
+        squares.append(((projected.reshape(-1, 2) - points_px) ** 2).sum(-1))
+    return np.concatenate(squares)
 
 
 def _points(views: BoardViews, board: Board) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -107,41 +150,15 @@ def _points(views: BoardViews, board: Board) -> tuple[list[np.ndarray], list[np.
     return points_m, [one[mask].astype(np.float32) for one, mask in zip(views.corners_px, seen, strict=True)]
 
 
-def _held_out_error_px(
-    points_m: Sequence[np.ndarray], points_px: Sequence[np.ndarray], size_px: tuple[int, int], model: DistortionModel
-) -> float:
-    """Cross-validated error of a model: a view's pose is fitted to it, its intrinsics are those of other views."""
-    num_folds = min(_NUM_FOLDS, len(points_m))
-    squares, count = 0.0, 0
-    for fold in range(num_folds):
-        kept = [k for k in range(len(points_m)) if k % num_folds != fold]
-        if len(kept) < MIN_VIEWS - 1:
-            return float("nan")
-        _, matrix, distortion, _ = _fit([points_m[k] for k in kept], [points_px[k] for k in kept], size_px, model)
-        for k in range(fold, len(points_m), num_folds):
-            error2_px2 = _pose_error2_px2(points_m[k], points_px[k], matrix, distortion)
-            squares, count = squares + error2_px2.sum(), count + len(error2_px2)
-    return float(np.sqrt(squares / count))
-
-
-def _pose_error2_px2(
-    points_m: np.ndarray, points_px: np.ndarray, matrix: np.ndarray, distortion: np.ndarray
-) -> Float[np.ndarray, " points"]:
-    """Squares of the distances that remain when a pose is fitted to a view."""
-    _, turn, shift_m = cv2.solvePnP(points_m, points_px, matrix, distortion, flags=cv2.SOLVEPNP_IPPE)
-    turn, shift_m = cv2.solvePnPRefineLM(points_m, points_px, matrix, distortion, turn, shift_m)
-    projected, _ = cv2.projectPoints(points_m, turn, shift_m, matrix, distortion)
-    squares: np.ndarray = ((projected.reshape(-1, 2) - points_px) ** 2).sum(-1)
-    return squares
-
-
-def _fit(
-    points_m: Sequence[np.ndarray], points_px: Sequence[np.ndarray], size_px: tuple[int, int], model: DistortionModel
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    """Error, camera matrix, distortion coefficients and standard deviations of the intrinsics."""
+def _fit_standard(views: BoardViews, board: Board, model: DistortionModel) -> tuple[Camera, float]:
+    """Fit a camera with one of ``cv2.calibrateCamera``'s models."""
+    guess = guessed_camera(views.camera, views.size_px)
+    points_m, points_px = _points(views, board)
     flags = model.flags | cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
-    begin: Any = guessed_camera("", size_px).matrix.copy()
-    error_px, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
-        points_m, points_px, size_px, begin, np.zeros(max(5, model.length)), flags=flags
+    begin: Any = guess.matrix.copy()
+    _, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
+        points_m, points_px, views.size_px, begin, np.zeros(max(5, model.length)), flags=flags
     )
-    return error_px, np.asarray(matrix, float), np.asarray(distortion, float).ravel(), np.asarray(sigma).ravel()
+    matrix, distortion = np.asarray(matrix, float), np.asarray(distortion, float).ravel()[: model.length]
+    camera = replace(guess, matrix=read_only(matrix), distortion=read_only(distortion.copy()))
+    return camera, float(np.ravel(sigma)[:2].max() / matrix[0, 0])

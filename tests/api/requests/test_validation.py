@@ -8,13 +8,11 @@ import pytest
 
 from api.errors import MEANINGS
 from api.schemas.captures import CameraManifest, Manifest
+from api.schemas.jobs import JobSpec
 from pipeline.capture.quantities import FRAME_RATE_HZ, OFFSET_S
 from tests.api.conftest import Live, form, problem_of
 
-SPEC_FIELDS = (
-    "method, profile, joints, detector, smoothing, cutoff_hz, feet, appearance, joint_centers, "
-    "refine_calibration, frame_range, output_rate_hz, people, exports, bvh, callback_url"
-)
+SPEC_FIELDS = ", ".join(JobSpec.model_fields)
 PEOPLE = "people must be auto, or a whole number from 1 to 1000."
 CUTOFF = "cutoff_hz must be a number above 0 and of at most 1000."
 CALLBACK = (

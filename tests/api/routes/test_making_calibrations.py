@@ -257,7 +257,13 @@ def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulatio
     calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
     assert calibration["state"] == "ready", calibration["error"]
     assert calibration["method"] == "people"
-    assert calibration["source"] == {"board": None, "has_intrinsics": True, "stature_m": [1.7, 1.65]}
+    assert calibration["source"] == {
+        "board": None,
+        "has_photographs": False,
+        "has_intrinsics": True,
+        "stature_m": [1.7, 1.65],
+        "known_points": [],
+    }
     assert [camera["name"] for camera in calibration["cameras"]] == [camera.name for camera in walk.cameras]
     assert all(1.9 < camera["position_m"][2] < 2.5 for camera in calibration["cameras"])
     assert calibration["report"]["reprojection_error_px"] < 5.0
