@@ -7,10 +7,11 @@ import pytest
 
 from pipeline.calibration.guess import guessed_camera
 from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration_choices import KnownPoint
 from pipeline.data import FrameTimes
 from pipeline.errors import InputError
 from pipeline.evaluation.camera_errors import camera_errors
-from pipeline.geometry.camera import center_in_world
+from pipeline.geometry.camera import center_in_world, project
 from pipeline.simulation.scenes import Simulation
 from tests.pipeline.calibration.people.conftest import bare, room, without
 
@@ -93,6 +94,23 @@ def test_a_wrong_clock_and_a_video_given_twice_are_named(walk: Simulation) -> No
     same = dict(walk.detections) | {"cam_01": replace(walk.detections["cam_00"], camera="cam_01")}
     twice = calibrate_people(bare(walk.cameras), walk.times, same, walk.joints, [1.7], True)
     assert ("people_same_place", "cam_01") in {(one.code, one.camera) for one in twice.warnings}
+
+
+def test_known_points_make_the_world_and_its_scale(walk: Simulation) -> None:
+    xyz_m = np.array([[0.8, 0.6, 0.0], [-0.9, 0.2, 0.1], [0.2, -0.7, 1.2]])
+    seen_px = {camera.name: project(camera, xyz_m).tolist() for camera in walk.cameras}
+    points = tuple(
+        KnownPoint(f"P{k}", (x_m, y_m, z_m), tuple((name, one[k][0], one[k][1]) for name, one in seen_px.items()))
+        for k, (x_m, y_m, z_m) in enumerate(xyz_m.tolist())
+    )
+    # The stature is wrong by a tenth, and does not count.
+    given = [1.1 * one for one in statures_m(walk)]
+    made = calibrate_people(
+        bare(walk.cameras), walk.times, walk.detections, walk.joints, given, True, known_points=points
+    )
+    assert "3 known points" in made.world
+    for true, found in zip(walk.cameras, made.cameras, strict=True):
+        assert np.linalg.norm(center_in_world(found) - center_in_world(true)) < 0.01 * DISTANCE_MM / 1000
 
 
 @pytest.mark.slow
