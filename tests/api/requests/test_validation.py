@@ -8,9 +8,9 @@ import pytest
 
 from api.errors import MEANINGS
 from api.schemas.captures import CameraManifest, Manifest
-from api.schemas.jobs import JobSpec
 from pipeline.capture.quantities import FRAME_RATE_HZ, OFFSET_S
 from tests.api.conftest import Live, form, problem_of
+from worker.jobs.spec import JobSpec
 
 SPEC_FIELDS = ", ".join(JobSpec.model_fields)
 PEOPLE = "people must be auto, or a whole number from 1 to 1000."

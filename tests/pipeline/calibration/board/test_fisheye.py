@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.board.intrinsics import calibrate_intrinsics
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.guess import guessed_camera
-from pipeline.data import Camera, read_only
+from pipeline.data import Camera, LensModel, read_only
 from pipeline.geometry.rigid import Rigid3
 from tests.pipeline.calibration.board.conftest import views_of
 
 BOARD = parse_board("charuco:7x5:0.05:0.0375:DICT_4X4_50")
 
 
-def camera_of(focal_share: float, distortion: list[float], lens: str) -> Camera:
+def camera_of(focal_share: float, distortion: list[float], lens: LensModel) -> Camera:
     guess = guessed_camera("cam", (1280, 960))
     matrix = guess.matrix.copy()
     matrix[[0, 1], [0, 1]] = focal_share * 1280
@@ -44,7 +44,7 @@ def poses_around(rng: np.random.Generator, num_poses: int, most_deg: float) -> l
         (camera_of(0.5, [-0.2, 0.03, 0.001, -0.0005], "standard"), "standard"),
     ],
 )
-def test_the_lens_model_is_the_one_that_made_the_pictures(truth: Camera, lens: str) -> None:
+def test_the_lens_model_is_the_one_that_made_the_pictures(truth: Camera, lens: LensModel) -> None:
     rng = np.random.default_rng(11)
     poses = poses_around(rng, 60, 65.0 if lens == "fisheye" else 40.0)
     (views,) = views_of([truth], BOARD, np.arange(60.0), poses, rng)
