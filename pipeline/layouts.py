@@ -54,6 +54,8 @@ _COCO_FEET: Points = tuple(
     joint for side in ("left", "right") for joint in (f"{side}_big_toe", None, f"{side}_heel")
 )  # the middle one is the small toe
 _FACE_POINTS: Points = (None,) * 68
+# After COCO's: top of the head, neck, centre of the hips.
+_HALPE_BODY: Points = (*COCO_17.names, None, None, None, *_both("big_toe", None, "heel"))
 
 LAYOUTS: Mapping[str, Layout] = {
     layout.name: layout
@@ -65,8 +67,8 @@ LAYOUTS: Mapping[str, Layout] = {
             (*COCO_17.names, *_COCO_FEET, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND),
             WHOLE_BODY,
         ),
-        # After COCO's: top of the head, neck, centre of the hips.
-        Layout("halpe-26", (*COCO_17.names, None, None, None, *_both("big_toe", None, "heel")), BODY_FEET),
+        Layout("halpe-26", _HALPE_BODY, BODY_FEET),
+        Layout("halpe-136", (*_HALPE_BODY, *_FACE_POINTS, *_LEFT_HAND, *_RIGHT_HAND), WHOLE_BODY),
         Layout("body-25", BODY_25.names, BODY_25),
         Layout("coco-18", COCO_18.names, COCO_18),
         Layout(

@@ -190,7 +190,7 @@ class Client:
         Parameters
         ----------
         archives
-            Zip of each camera's OpenPose files, by camera name.
+            Zip of each camera's keypoint files, by camera name.
         calibration
             Calibration in Multicap's own format, JSON.
         timestamps

@@ -110,7 +110,7 @@ def session_body(*documents: str) -> dict[str, Any]:
             "type": "array",
             "items": file,
             "minItems": 1,
-            "description": "Keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as the "
+            "description": "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the "
             "camera.",
         },
         CALIBRATION: file | {"description": "Calibration of all cameras; or `calibration_id`."},

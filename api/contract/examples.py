@@ -131,6 +131,7 @@ _SESSION: dict[str, Any] = {
     "newest_job": {"id": _JOB_ID, "state": "running"},
     "proxies_job": None,
     "preflight": _PREFLIGHT,
+    "sync": "declared",
     "metadata": {"scene": 12},
     "links": {"self": f"/v1/sessions/{_SESSION_ID}", "jobs": f"/v1/sessions/{_SESSION_ID}/jobs"},
 }

@@ -37,7 +37,7 @@ from api.requests.form import (
 from api.requests.idempotency import IdempotentRequest
 from api.requests.multipart import receive_form
 from api.requests.preflight import InvalidFilesError, allowance_s, further_wait_s
-from api.requests.spec_checks import callback_errors, limit_errors, network_errors, spec_errors
+from api.requests.spec_checks import callback_errors, for_session, limit_errors, network_errors, spec_errors
 from api.requests.validation import model_items
 from api.schemas.captures import Manifest, UploadedCapture, UploadedFiles, UploadedSession
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
@@ -235,7 +235,16 @@ async def check(request: Request, services: Services, records: TenantRecords, se
         errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
-    return CheckedSession(form, arrival.manifest, arrival.spec, preflight, record_path, arrival.upload_ids, thumbnails)
+    sync = arrival.manifest.sync
+    return CheckedSession(
+        form,
+        arrival.manifest,
+        for_session(arrival.spec, sync),
+        replace(preflight, sync=sync),
+        record_path,
+        arrival.upload_ids,
+        thumbnails,
+    )
 
 
 @contextlib.contextmanager

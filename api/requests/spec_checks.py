@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 from api.dependencies import Services
 from api.errors import ErrorItem, pointer_to
 from pipeline.capture.preflight_record import Preflight
-from pipeline.config import install_command, networks_of
+from pipeline.config import Sync, install_command, networks_of
 from worker.jobs.repositories.work.workers import installed_detectors
 from worker.jobs.spec import JobSpec
 from worker.jobs.tenant_records import TenantRecords
@@ -19,6 +19,11 @@ def spec_errors(spec: JobSpec, preflight: Preflight, *field: str) -> list[ErrorI
         ErrorItem(pointer=pointer_to(*field, name), code=code, message=message)
         for name, (code, message) in problems.items()
     ]
+
+
+def for_session(spec: JobSpec, sync: Sync) -> JobSpec:
+    """Spec with the session's synchronisation, unless the client stated one."""
+    return spec if "sync" in spec.model_fields_set else spec.model_copy(update={"sync": sync})
 
 
 def limit_errors(services: Services, preflight: Preflight) -> list[ErrorItem]:

@@ -92,6 +92,11 @@ class Manifest(BaseModel):
         description="Clock of the first frames of videos: `declared` is their start plus `offset_s`; `timecode` and "
         "`creation_time` are those that the files state, to which `offset_s` is added.",
     )
+    sync: Literal["declared", "auto"] = Field(
+        default="declared",
+        description="Synchronisation of the session's jobs whose spec does not state `sync`: `auto` measures the "
+        "clocks of the cameras from the people.",
+    )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
         default={}, description="Data of the client, which every response with the session repeats."
     )
@@ -128,7 +133,7 @@ class UploadedSession(UploadedFiles):
 
     keypoints: tuple[UUID, ...] = Field(
         default=(),
-        description="Uploads of keypoints in place of videos: for each camera a zip of OpenPose's JSON files, named as "
+        description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
         "the camera.",
     )
     calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
@@ -300,6 +305,7 @@ class SessionOut(ResponseModel):
         description="Job that makes small copies of the videos that browsers can't play; null if none had to."
     )
     preflight: PreflightOut = Field(description="Result of the check of the files.")
+    sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
     links: SessionLinks
 
@@ -319,6 +325,7 @@ class SessionOut(ResponseModel):
             newest_job=NewestJobOut.of(capture.newest_job),
             proxies_job=NewestJobOut.of(capture.proxies_job),
             preflight=PreflightOut.of(capture),
+            sync=session.preflight.sync,
             metadata=dict(session.metadata),
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )

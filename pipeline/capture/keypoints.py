@@ -1,8 +1,9 @@
 """Open a session of 2D joints that another program detected: a folder a camera.
 
-``keypoint_files`` reads the folders: JSON of OpenPose, COCO-WholeBody or MediaPipe, a file a frame such as
-``frame_000000000123_keypoints.json``, or a file of all frames. A joint is undetected if its score is 0 or less, or if a
-number is not finite. People without a detected joint are left out. A missing frame is a dropped frame.
+``keypoint_files`` reads the folders: JSON of OpenPose, AlphaPose, MMPose, COCO or MediaPipe, or CSV of DeepLabCut; a
+file a frame such as ``frame_000000000123_keypoints.json``, or a file of all frames. A joint is undetected if its score
+is 0 or less, or if a number is not finite. People without a detected joint are left out. A missing frame is a dropped
+frame.
 """
 
 import sys
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
 from pipeline.calibration.registry import read_contents
 from pipeline.capture.keypoint_files.folders import camera_folders, read_folder
+from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair_by_name
@@ -128,11 +130,16 @@ def open_keypoints(
         problems += unpaired
         findings += pairing_findings
     camera_of = {name: camera for camera, name in pairs.items()}
+    sizes_px = {camera.name: camera.size_px for camera in cameras}
+    forms: set[str] = set()
     frames: dict[str, dict[int, People]] = {}
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
-        frames[name], num_joints = read_folder(path, camera_of.get(name, name), left_joints, findings, problems)
-        left_joints -= num_joints
+        camera = camera_of.get(name, name)
+        contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems)
+        frames[name] = contents_of.frames
+        forms |= contents_of.forms
+        left_joints -= contents_of.num_joints
         if left_joints < 0:
             message = f"With this camera's files the session has more than {max_joints:,} joints."
             problems.append(Problem("session_too_large", message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
@@ -154,6 +161,9 @@ def open_keypoints(
     )
     if problems or joints is None or timebase is None:
         raise InputError(problems)
+    if forms != {OPENPOSE}:
+        message = f"The keypoints are read as those of {' and '.join(sorted(forms))}."
+        findings.append(Finding("keypoints_form", message, severity="info", evidence={"forms": sorted(forms)}))
     findings += [
         Finding("camera_saw_nobody", f"Camera {camera} saw nobody.", camera, hint="Check the detector's output.")
         for camera, by_frame in people_by_camera.items()

@@ -18,7 +18,8 @@ _Found = TypeVar("_Found")
 def unpack_keypoints(archives: Sequence[Path], folder: Path) -> None:
     """Unpack each archive into a folder of the same name, for ``keypoints.open_keypoints``.
 
-    The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON files are unpacked.
+    The files of an archive lie at its top or in one folder. Folder names are dropped, and only JSON and CSV files are
+    unpacked.
 
     Parameters
     ----------
@@ -54,18 +55,18 @@ def _attempt(archive: Path, step: Callable[[], _Found], problems: list[Problem])
         if not isinstance(refused, ArchiveError):
             raise
         message = str(refused)
-    hint = "Send one zip archive for each camera, with the JSON files of its frames."
+    hint = "Send one zip archive for each camera, with its keypoint files: JSON, or CSV of DeepLabCut."
     problems.append(Problem("keypoints_archive", message, file=archive.name, hint=hint))
     return None
 
 
 def _list_files(archive: Path, folder: Path) -> Sequence[zipfile.ZipInfo]:
-    """List the JSON files in the directory of an archive, check them, and make the target folder."""
+    """List the JSON and CSV files in the directory of an archive, check them, and make the target folder."""
     target = folder / archive.stem
     if archive.suffix.lower() != ".zip" or target.exists():
         raise ArchiveError("The archive must have the name of its camera with the ending .zip.")
     target.mkdir()
-    return list_entries(archive, {".json"}, MAX_FILE_BYTES)
+    return list_entries(archive, {".json", ".csv"}, MAX_FILE_BYTES)
 
 
 def _unpack(archive: Path, files: Sequence[zipfile.ZipInfo], target: Path, left_bytes: int) -> int:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from pipeline.config import Sync
 from pipeline.findings import Finding
 
 Clock = Literal["declared", "timecode", "creation_time"]
@@ -113,6 +114,8 @@ class Preflight:
         What the client should know of the files; none in records of earlier versions, which have sentences only.
     clock
         Clock of the videos' starts.
+    sync
+        Synchronisation of jobs of the session that don't state one.
     """
 
     cameras: tuple[PreflightCamera, ...]
@@ -123,6 +126,7 @@ class Preflight:
     units: str = "m"
     findings: tuple[Finding, ...] = ()
     clock: Clock = "declared"
+    sync: Sync = "declared"
 
     @property
     def duration_s(self) -> float:
@@ -156,6 +160,7 @@ class Preflight:
                 units=document.get("units", "m"),
                 findings=tuple(Finding.from_json(one) for one in document.get("findings", ())),
                 clock=document.get("clock", "declared"),
+                sync=document.get("sync", "declared"),
             )
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -171,6 +176,7 @@ class Preflight:
             "units": self.units,
             "findings": [one.to_json() for one in self.findings],
             "clock": self.clock,
+            "sync": self.sync,
         }
 
 

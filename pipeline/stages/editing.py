@@ -25,9 +25,6 @@ from pipeline.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
 from pipeline.joints import JointOffsets, JointSet
 from pipeline.progress import OnShare
 from pipeline.skeleton.animate import animate
-from pipeline.stages.inputs import Context, archive_of_people
-from pipeline.stages.outputs_npz import open_people
-from pipeline.stages.plan import IDENTIFY
 from pipeline.stages.stored import StoredSequence
 from pipeline.video.timeline import cut_timebase
 
@@ -35,11 +32,6 @@ from pipeline.video.timeline import cut_timebase
 def spans(tracks: Sequence[Track3D]) -> tuple[PersonSpan, ...]:
     """Frames of each person, of tracks one each a person."""
     return tuple(PersonSpan(track.track_id, track.start_frame, track.num_frames) for track in tracks)
-
-
-def spans_found(context: Context) -> tuple[PersonSpan, ...]:
-    """Frames of the people who were found, before any edit."""
-    return spans(open_people(archive_of_people(context, IDENTIFY, "found.npz")).tracks)
 
 
 def edited_take(found: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:

@@ -49,6 +49,14 @@ def find_doubts(
     return tuple(refusals), warnings
 
 
+def precision_doubts(
+    times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]
+) -> tuple[tuple[Problem, ...], tuple[Problem, ...]]:
+    """Find clocks that are not known well enough: reasons to refuse them, or warnings."""
+    refusals = tuple(_uncertain(times, clocks))
+    return refusals, () if refusals else tuple(_imprecise(times, clocks))
+
+
 def _unlinked(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],

@@ -6,6 +6,7 @@ from typing import Any
 
 from pipeline.data import Synchronization
 from pipeline.errors import Problem, listed
+from pipeline.synchronization.sound.offsets import SoundOffsets
 
 
 def sync_document(synchronization: Synchronization) -> dict[str, Any]:
@@ -20,6 +21,15 @@ def sync_document(synchronization: Synchronization) -> dict[str, Any]:
         "certain": synchronization.is_certain,
         "refusals": _problems(synchronization.refusals),
         "warnings": _problems(synchronization.warnings),
+    }
+
+
+def sound_document(sound: SoundOffsets) -> dict[str, Any]:
+    """Offsets from sound as JSON, relative to the first camera that has one, and why others have none."""
+    return {
+        "offsets_s": {name: round(value, 6) for name, value in sound.offset_s.items()},
+        "uncertainty_s": {name: round(value, 6) for name, value in sound.sigma_s.items()},
+        "reasons": dict(sound.reasons),
     }
 
 

@@ -4,10 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from pipeline.data import Camera, Detections, FrameTimes
 from pipeline.joints import JointSet
 from pipeline.synchronization.synchronize import synchronize
+
+HALF_A_FRAME = 0.5
+"""Error in frames above which a camera is wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +23,7 @@ class RemainingOffset:
     camera
         Name of the camera.
     late_s
-        Time by which the camera's frames were taken later than declared, compared with the median camera.
+        Time by which the camera's frames were taken later than declared, compared with the cameras that agree.
     sigma_s
         Standard deviation.
     frames
@@ -34,7 +38,7 @@ class RemainingOffset:
     @property
     def is_wrong(self) -> bool:
         """Whether the declared times are wrong by more than half a frame, and the measurement can tell."""
-        return abs(self.frames) > 0.5 and abs(self.late_s) > 3.0 * self.sigma_s
+        return abs(self.frames) > HALF_A_FRAME and abs(self.late_s) > 3.0 * self.sigma_s
 
 
 def remaining_offsets(
@@ -70,13 +74,20 @@ def remaining_offsets(
     for clock in found.clocks:
         middle_s = times[clock.camera].time_s[[0, -1]].mean(keepdims=True)
         late_s.append(float(clock.session_s(middle_s)[0] - middle_s[0]))
-    median_s = float(np.median(late_s))
+    periods_s = [float(np.median(np.diff(times[clock.camera].time_s))) for clock in found.clocks]
+    agreed_s = _agreed_s(np.array(late_s), np.array(periods_s))
     return tuple(
-        RemainingOffset(
-            clock.camera,
-            value_s - median_s,
-            clock.sigma_s,
-            (value_s - median_s) / float(np.median(np.diff(times[clock.camera].time_s))),
-        )
-        for clock, value_s in zip(found.clocks, late_s, strict=True)
+        RemainingOffset(clock.camera, value_s - agreed_s, clock.sigma_s, (value_s - agreed_s) / period_s)
+        for clock, value_s, period_s in zip(found.clocks, late_s, periods_s, strict=True)
     )
+
+
+def _agreed_s(late_s: Float[np.ndarray, " cameras"], periods_s: Float[np.ndarray, " cameras"]) -> float:
+    """Lateness of the camera from which the fewest others differ by more than half a frame; the first of several.
+
+    A mean of two cameras would be a quarter of a frame from each, where they are half a frame apart.
+    """
+    apart = np.abs(late_s[:, None] - late_s) / periods_s
+    order = np.lexsort((apart.sum(1).round(6), (apart > HALF_A_FRAME).sum(1)))
+    near = apart[order[0]] <= HALF_A_FRAME
+    return float(np.median(late_s[near])) if near.sum() > 2 else float(late_s[order[0]])

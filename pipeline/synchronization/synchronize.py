@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +14,7 @@ from pipeline.progress import OnShare, ignore
 from pipeline.synchronization.checks import find_doubts
 from pipeline.synchronization.coarse import shift_curve, solve_offsets, splits_of
 from pipeline.synchronization.groups import match_people
-from pipeline.synchronization.motions import STEP_S, Motion, excerpt, find_motions
+from pipeline.synchronization.motions import STEP_S, Motion, find_motions
 from pipeline.synchronization.pairs import PairCurve, compare_pair
 from pipeline.synchronization.refine import FineClocks, refine_clocks
 from pipeline.synchronization.speeds import likely_lags
@@ -25,6 +26,7 @@ _DECLARED_REACH, _PROPOSED_REACH, _FINAL_REACH, _LAG_STEP = 125, 25, 75, 2
 _PARTNERS = 6
 # Takes that are long enough for rates of clocks to matter and to be measured.
 _MIN_DRIFT_S = 30.0
+NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +68,7 @@ def synchronize(
     joints: JointSet,
     starts_s: Mapping[str, float],
     on_share: OnShare = ignore,
+    near_s: Mapping[str, float] = NOTHING_KNOWN,
 ) -> Synchronized:
     """Measure the cameras' clocks from the motion of people whom several cameras see.
 
@@ -80,26 +83,32 @@ def synchronize(
         session begins when it was declared to begin.
     times, detections
         Declared frame times and bodies by camera. Nothing is known of the offsets: they are looked for over the whole
-        take.
+        take. ``motions.excerpt`` gives the bodies of a long take that are enough.
     joints
         Joints of the detections.
     starts_s
         Declared time at which each camera's own time is 0, by camera.
     on_share
         Called with the share of the work that is done.
+    near_s
+        Corrections of declared times that are known roughly, by camera, such as from sound: of two such cameras only
+        lags within half a second of these are compared.
 
     Returns
     -------
         Clocks, with reasons not to rely on them if there are any: nothing is raised.
     """
-    detections = excerpt(times, detections)
     motions = find_motions(cameras, times, detections, joints)
     on_share(0.2)
     pairs = list(itertools.combinations(range(len(cameras)), 2))
-    curves = [compare_pair(cameras, pair, motions, _lags_of(motions, pair)) for pair in pairs]
+    known = {number: near_s[camera.name] for number, camera in enumerate(cameras) if camera.name in near_s}
+    curves = [compare_pair(cameras, pair, motions, _lags_of(motions, pair, known)) for pair in pairs]
     on_share(0.6)
     offsets = solve_offsets(curves, len(cameras))
-    curves = [_around(cameras, motions, curve, offsets) for curve in _best(curves, len(cameras))]
+    curves = [
+        curve if known.keys() >= {curve.first, curve.second} else _around(cameras, motions, curve, offsets)
+        for curve in _best(curves, len(cameras))
+    ]
     offsets = solve_offsets(curves, len(cameras))
     on_share(0.8)
     splits = [shift_curve(curves, offsets, group) for group in splits_of(curves, len(cameras))]
@@ -108,9 +117,7 @@ def synchronize(
     fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, has_drift=span_s[1] - span_s[0] >= _MIN_DRIFT_S)
     clocks = tuple(_clock(number, camera, fine, times[camera.name]) for number, camera in enumerate(cameras))
     late_s = _late_s(times, clocks)
-    clocks = tuple(
-        replace(clock, shift_s=clock.shift_s - late_s, start_s=float(starts_s[clock.camera])) for clock in clocks
-    )
+    clocks = starting_as_declared(times, clocks, starts_s)
     refusals, warnings = find_doubts(cameras, times, motions, splits, clocks, offsets)
     on_share(1.0)
     evidence = tuple(_evidence(number, curves, offsets, late_s) for number in range(len(cameras)))
@@ -123,8 +130,22 @@ def corrected_times(times: Mapping[str, FrameTimes], synchronization: Synchroniz
     return {name: FrameTimes(read_only(clocks[name].session_s(of.time_s))) for name, of in times.items()}
 
 
-def _lags_of(motions: Sequence[Motion], pair: tuple[int, int]) -> Int[np.ndarray, " lags"]:
-    """Lags to compare: small ones, and those near which the speeds of people are alike."""
+def starting_as_declared(
+    times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock], starts_s: Mapping[str, float]
+) -> tuple[CameraClock, ...]:
+    """Clocks moved together so that the session begins when it was declared to begin."""
+    late_s = _late_s(times, clocks)
+    return tuple(
+        replace(clock, shift_s=clock.shift_s - late_s, start_s=float(starts_s[clock.camera])) for clock in clocks
+    )
+
+
+def _lags_of(
+    motions: Sequence[Motion], pair: tuple[int, int], known_s: Mapping[int, float]
+) -> Int[np.ndarray, " lags"]:
+    """Lags to compare: those near known ones, or small ones and those near which the speeds of people are alike."""
+    if known_s.keys() >= set(pair):
+        return np.array(_window(round((known_s[pair[1]] - known_s[pair[0]]) / STEP_S), _PROPOSED_REACH))
     lags = set(_window(0, _DECLARED_REACH))
     for lag in likely_lags(motions, pair):
         lags.update(_window(lag, _PROPOSED_REACH))

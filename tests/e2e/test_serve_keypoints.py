@@ -19,6 +19,7 @@ from api.cli.commands.reconstruct import write_results
 from api.contract.openapi import COMMITTED
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.config import Export, Method, Preset, ReconstructionConfig, Smoothing
+from pipeline.data import FrameTimes
 from pipeline.evaluation.camera_errors import disturb_calibration
 from pipeline.simulation.files import simulation_files
 from pipeline.simulation.scenes import find_scene, record
@@ -105,6 +106,36 @@ def test_some_frames_and_some_people_at_another_rate(
     assert len(skeletons["tracks"]) == 2
     assert json.loads((tmp_path / "metrics.json").read_bytes())["frame_rate_hz"] == rate_hz
     assert skeletons["start_time_s"] == pytest.approx(session.timebase.time_s(20))
+
+
+@pytest.mark.slow
+def test_a_session_with_measured_clocks_has_the_same_files(served: Served, tmp_path: Path) -> None:
+    """Cameras that started apart are synchronised by the manifest's choice; a job may state another."""
+    simulation = record(replace(find_scene("room"), duration_s=6.0), seed=4, num_views=3)
+    late = simulation.cameras[1].name
+    taken = simulation.times[late].time_s
+    wrong = replace(simulation, times={**simulation.times, late: FrameTimes(taken + 0.48)})
+    capture, results = tmp_path / "capture", tmp_path / "results"
+    write_simulation(wrong, capture)
+    session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
+    write_results(reconstruct(session, ReconstructionConfig(sync="auto")), results)
+    manifest = ("manifest", (None, json.dumps({"sync": "auto"})))
+    answer = served.client.post("/v1/jobs", files=[*files(capture), manifest])
+    assert answer.status_code == 202, answer.text
+    job = served.wait_for_end(answer.json()["id"])
+    assert job["state"] == "succeeded", job
+    assert job["stages"][0]["name"] == "synchronize"
+    assert served.downloads(job["id"]) == digests(results)
+    offsets_s = json.loads((results / "metrics.json").read_bytes())["sync"]["offsets_s"]
+    first, second, third = (offsets_s[camera.name] for camera in simulation.cameras)
+    assert second - first == pytest.approx(-0.48, abs=0.01)
+    assert third - first == pytest.approx(0.0, abs=0.01)
+    declared = served.client.post(job["links"]["session"] + "/jobs", json={"sync": "declared"})
+    job = served.wait_for_end(declared.json()["id"])
+    assert job["state"] == "succeeded", job
+    assert job["spec"]["sync"] == "declared"
+    (found,) = [one for one in job["result_warnings"] if one["code"] == "clocks_disagree"]
+    assert found["camera"] == late
 
 
 @pytest.mark.slow

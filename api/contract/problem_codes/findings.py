@@ -38,6 +38,12 @@ FILES = CodeGroup(
             "Export the video again at a constant frame rate.",
         ),
         ProblemCode(
+            "keypoints_form",
+            _FINDING,
+            "Keypoint files of another program than OpenPose were recognised by their content.",
+            "Check that they are of this program.",
+        ),
+        ProblemCode(
             "frame_rate_assumed",
             _FINDING,
             "Keypoints came without a frame rate.",
@@ -120,6 +126,12 @@ PEOPLE = CodeGroup(
             _PEOPLE,
             "The detector found nobody in a camera, and people in others.",
             "See that the camera looks at the people.",
+        ),
+        ProblemCode(
+            "clocks_disagree",
+            _PEOPLE,
+            "The declared times of a camera are wrong by more than half a frame.",
+            "Synchronise by the people with `sync: auto`, or correct the offset.",
         ),
         ProblemCode(
             "same_video", _PEOPLE, "Two cameras have the same video or keypoints.", "Give each camera its own video."

@@ -248,7 +248,7 @@ KEYPOINTS = CodeGroup(
             "keypoints_archive",
             _FILES,
             "The archive is damaged or not allowed.",
-            "Send a zip of JSON files for each camera.",
+            "Send a zip of JSON or CSV files for each camera.",
         ),
         ProblemCode("keypoints_missing", _FILES, "There is no such folder.", "Check the path."),
         ProblemCode("too_few_folders", _FILES, "There are fewer than two folders.", "Give a folder for each camera."),
@@ -266,14 +266,14 @@ KEYPOINTS = CodeGroup(
         ProblemCode(
             "keypoints_none",
             _FILES,
-            "The folder has no keypoint file.",
-            "Name the files `..._000000000123_keypoints.json`.",
+            "The folder has no keypoint file, or several files of all frames.",
+            "Name the files `..._000000000123_keypoints.json`, or provide one file of all frames.",
         ),
         ProblemCode("duplicate_keypoints", _FILES, "Two files have the same frame number.", "Remove one of them."),
         ProblemCode(
             "keypoints_unreadable",
             _FILES,
-            "A file is not a keypoint file of OpenPose.",
+            "A file is not a keypoint file of a known format, or a frame or field of it can't be used.",
             "Write the file again, or remove it: a missing file is a dropped frame.",
         ),
         ProblemCode(

@@ -102,6 +102,12 @@ JOBS = CodeGroup(
             "Declare the offsets, or film other motion; see [synchronization](synchronization.md#refusals).",
         ),
         ProblemCode(
+            "sync_contradiction",
+            _SYNC,
+            "The sound of a camera and the motion of people tell different offsets.",
+            "Declare the offsets, or send videos without sound; see [synchronization](synchronization.md#refusals).",
+        ),
+        ProblemCode(
             "sync_little_overlap",
             _SYNC,
             "A camera recorded for too short a time together with the others.",
@@ -230,6 +236,12 @@ WARNINGS = CodeGroup(
             _WARNING,
             "A camera was moved during the take.",
             "Reconstruct the frames before and after the time in the message on their own (`frame_range`).",
+        ),
+        ProblemCode(
+            "sync_by_sound",
+            _WARNING,
+            "The offsets of the cameras are those of their sound alone.",
+            "Look at the motion; declare the offset, or film people who move where all cameras see them.",
         ),
         ProblemCode(
             "sync_uncertain",

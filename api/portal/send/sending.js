@@ -275,7 +275,7 @@ class Sending extends EventTarget {
     this.problem = null;
     this.#go("starting");
     try {
-      this.#sent(await call(this.session.links.jobs, { method: "POST", body: this.draft.spec }));
+      this.#sent(await call(this.session.links.jobs, { method: "POST", body: { sync: "declared", ...this.draft.spec } }));
     } catch (problem) {
       this.problem = problem;
       this.#go("checked");

@@ -114,7 +114,7 @@ export function captureCard(view, session) {
   });
   const toggleForm = () => {
     if (view.opened.has(session.id)) view.opened.delete(session.id);
-    else view.opened.set(session.id, specOf(jobs[0], view.options));
+    else view.opened.set(session.id, specOf(jobs[0], view.options, session));
     view.draw();
     view.place.querySelector(`#again-${session.id} input, #again-${session.id} select`)?.focus();
   };

@@ -6,10 +6,11 @@ import { feed } from "../shared/feed.js";
 import { html } from "../shared/lit.js";
 import { choicesForm } from "../send/choices.js";
 
-// Choices of a job that differ from the defaults; none without a job.
-export function specOf(job, options) {
+// Choices of a job that differ from the defaults; without a job those of its session.
+export function specOf(job, options, session) {
   const differs = ({ name, default: usual }) => JSON.stringify(job.spec[name] ?? null) !== JSON.stringify(usual ?? null);
-  return job ? Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, job.spec[name]])) : {};
+  return job ? Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, job.spec[name]]))
+    : session.sync === "auto" ? { sync: "auto" } : {};
 }
 
 export function runAgainForm(view, session) {
@@ -26,7 +27,7 @@ export function runAgainForm(view, session) {
   const submit = (event) => {
     event.preventDefault();
     return view.act(session.id, async () => {
-      const job = await call(session.links.jobs, { method: "POST", body: spec });
+      const job = await call(session.links.jobs, { method: "POST", body: { sync: "declared", ...spec } });
       feed.put(job);
       close();
       announce(`Another job of ${session.name} waits.`);

@@ -26,7 +26,7 @@ from api.requests.form import CALIBRATION_ID
 from api.requests.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.requests.intake import MANIFEST, SPEC, CheckedSession, check, received, stored
 from api.requests.proxies import queue_proxies
-from api.requests.spec_checks import callback_errors, network_errors, spec_errors
+from api.requests.spec_checks import callback_errors, for_session, network_errors, spec_errors
 from api.schemas.captures import UploadedCapture
 from api.schemas.jobs import AttemptList, AttemptOut, JobOut, JobPage
 from worker.jobs.files.removals import remove_files
@@ -72,6 +72,7 @@ def create_job(
         if session.purpose == "calibration":
             message = "The session was sent for a calibration, and its cameras are not calibrated."
             raise ApiError("conflict", message, hint="Send its videos as a session with the calibration's id.")
+        spec = for_session(spec, session.preflight.sync)
         errors = [*spec_errors(spec, session.preflight), *callback_errors(spec, services, idempotent.records)]
         if has_videos(session):
             errors += network_errors(spec, services, ())

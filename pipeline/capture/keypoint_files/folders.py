@@ -1,20 +1,21 @@
 """Folders of keypoint files, one of each camera: a file of each frame, or one file of all frames."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.capture.keypoint_files import coco_wholebody, mediapipe, openpose
-from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People
+from pipeline.capture.keypoint_files.forms import Form, form_of
+from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.parsing import UnreadableError, read_json
 from pipeline.errors import Problem
 from pipeline.findings import Finding
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
+_NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
 _MAX_FRAME_BYTES = 4 * 2**20
 MAX_FILE_BYTES = 64 * 2**20
 """Limit on a file of all frames."""
@@ -52,72 +53,154 @@ def camera_folders(folder: Path, findings: list[Finding], problems: list[Problem
     return folders
 
 
-def read_folder(
-    folder: Path, camera: str, max_joints: int, findings: list[Finding], problems: list[Problem]
-) -> tuple[dict[int, People], int]:
-    """Read people by frame number, in ascending order, and count their joints; stop above ``max_joints``.
+@dataclass(frozen=True, slots=True, eq=False)
+class Contents:
+    """People of a folder.
 
-    A folder has files of single frames, named by their numbers, or one JSON file of all frames.
+    Parameters
+    ----------
+    frames
+        People by frame number, in ascending order.
+    num_joints
+        Number of their joints, detected or not.
+    forms
+        Names of the forms of the files.
     """
-    numbered: dict[int, Path] = {}
-    others: list[Path] = []
-    folder_problems: list[Problem] = []
-    for path in sorted(folder.iterdir()):
-        match = _FILE_NAME.fullmatch(path.name)
-        if match is None or not path.is_file():
-            others.append(path)
-        elif (number := int(match[1])) in numbered:
-            folder_problems.append(
-                Problem("duplicate_keypoints", f"{numbered[number].name} has the same frame number.", file=path.name)
-            )
-        else:
-            numbered[number] = path
-    captures = [path for path in others if path.suffix.lower() == ".json" and path.is_file()]
-    is_capture = not numbered and len(captures) == 1
-    if is_capture:
-        others.remove(captures[0])
-    if others:
-        some = ", ".join(path.name for path in others[:3]) + (", ..." if len(others) > 3 else "")
-        message = f"{len(others)} other files in {folder.name} are ignored: {some}."
-        findings.append(Finding("file_ignored", message, severity="info", evidence={"num_files": len(others)}))
-    if not numbered and not is_capture:
-        hint = "Name the files like frame_000000000123_keypoints.json, or provide one JSON file of all frames."
-        folder_problems.append(
-            Problem("keypoints_none", "The folder has no keypoint file.", file=folder.name, hint=hint)
-        )
-    read = _read_capture(captures[0], camera) if is_capture else _read_frames(numbered, camera)
+
+    frames: dict[int, People]
+    num_joints: int
+    forms: frozenset[str]
+
+
+def read_folder(
+    folder: Path,
+    camera: str,
+    size_px: tuple[int, int] | None,
+    max_joints: int,
+    findings: list[Finding],
+    problems: list[Problem],
+) -> Contents:
+    """Read the people of a camera; stop above ``max_joints``.
+
+    A folder has files of single frames, named by their numbers, or one JSON or CSV file of all frames.
+
+    Parameters
+    ----------
+    size_px
+        Width and height of the camera's images; ``None`` if unknown.
+    """
+    found = _Problems(folder)
+    files = _choose(folder, found)
+    if files.others:
+        some = ", ".join(path.name for path in files.others[:3]) + (", ..." if len(files.others) > 3 else "")
+        message = f"{len(files.others)} other files in {folder.name} are ignored: {some}."
+        findings.append(Finding("file_ignored", message, severity="info", evidence={"num_files": len(files.others)}))
+    forms: set[str] = set()
+    form_in = partial(_form_in, forms, size_px)
     frames: dict[int, People] = {}
     num_joints = 0
-    for number, people in read:
+    for number, people in (
+        _read_frames(files.numbered, camera, form_in)
+        if files.capture is None
+        else _read_capture(files.capture, camera, form_in)
+    ):
         if isinstance(people, Problem):
-            folder_problems.append(people)
+            found.add(people)
         else:
             frames[number] = people
             num_joints += people.shape[0] * people.shape[1]
         if num_joints > max_joints:
             break
-    problems += folder_problems[:_MAX_PROBLEMS_A_CAMERA]
-    if len(folder_problems) > _MAX_PROBLEMS_A_CAMERA:
-        more = len(folder_problems) - _MAX_PROBLEMS_A_CAMERA
-        message = f"{more} more frames have problems." if is_capture else f"{more} more files have problems."
-        problems.append(Problem("keypoints_unreadable", message, file=folder.name))
-    return frames, num_joints
+    problems += found.listed("files" if files.capture is None else "frames")
+    return Contents(frames, num_joints, frozenset(forms))
 
 
-def _read_frames(numbered: Mapping[int, Path], camera: str) -> Iterator[tuple[int, People | Problem]]:
+class _Problems:
+    """Problems of a folder: the first ones, and how many more there are."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._first: list[Problem] = []
+        self._num_more = 0
+
+    def add(self, problem: Problem) -> None:
+        if len(self._first) < _MAX_PROBLEMS_A_CAMERA:
+            self._first.append(problem)
+        else:
+            self._num_more += 1
+
+    def listed(self, things: str) -> list[Problem]:
+        if not self._num_more:
+            return self._first
+        message = f"{self._num_more} more {things} have problems."
+        return [*self._first, Problem("keypoints_unreadable", message, file=self._folder.name)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Files:
+    """Files of a folder: of single frames by their numbers, or one of all frames; and others."""
+
+    numbered: Mapping[int, Path]
+    capture: Path | None
+    others: Sequence[Path]
+
+
+def _choose(folder: Path, problems: _Problems) -> _Files:
+    """Choose the files to read; report if there are none, or frames of one number."""
+    paths = sorted(folder.iterdir())
+    files = [path for path in paths if path.is_file()]
+    named = [path for path in files if _FILE_NAME.fullmatch(path.name)]
+    captures = [path for path in files if path.suffix.lower() in {".json", ".csv"}]
+    if not named and len(captures) == 1:
+        return _Files({}, captures[0], [path for path in paths if path != captures[0]])
+    # Other programs name files of frames by the number alone.
+    name = _FILE_NAME if named else _NUMBERED
+    numbered: dict[int, Path] = {}
+    others: list[Path] = []
+    for path in paths:
+        match = name.fullmatch(path.name)
+        if match is None or not path.is_file():
+            others.append(path)
+        elif (number := int(match[1])) in numbered:
+            message = f"{numbered[number].name} has the same frame number."
+            problems.add(Problem("duplicate_keypoints", message, file=path.name))
+        else:
+            numbered[number] = path
+    if not numbered:
+        message = "The folder has no keypoint file."
+        hint = "Name the files like frame_000000000123_keypoints.json, or provide one JSON or CSV file of all frames."
+        if captures:
+            some = ", ".join(path.name for path in captures[:3])
+            message, hint = f"The folder has several files without numbers: {some}.", f"Keep one of them. {hint}"
+        problems.add(Problem("keypoints_none", message, file=folder.name, hint=hint))
+    return _Files(numbered, None, others)
+
+
+def _form_in(forms: set[str], size_px: tuple[int, int] | None, content: Any) -> Form:
+    """Form of a file's content, which is added to ``forms``."""
+    form = form_of(content, size_px)
+    if content:  # an empty list may be of any program
+        forms.add(form.name)
+    return form
+
+
+_FormOf = Callable[[Any], Form]
+
+
+def _read_frames(numbered: Mapping[int, Path], camera: str, form_in: _FormOf) -> Iterator[tuple[int, People | Problem]]:
     """Read a file a frame, in order of the numbers."""
     for number, path in sorted(numbered.items()):
-        yield number, _attempt(partial(_read_file, path), path, camera, number, _FRAME_HINT)
+        yield number, _attempt(partial(_read_file, path, form_in), path, camera, number, _FRAME_HINT)
 
 
-def _read_file(path: Path) -> People:
+def _read_file(path: Path, form_in: _FormOf) -> People:
     content = _read(path, _MAX_FRAME_BYTES)
-    return _format_of(content).read_frame(content)
+    return form_in(content).read_frame(content)
 
 
-def _read_capture(path: Path, camera: str) -> Iterator[tuple[int, People | Problem]]:
+def _read_capture(path: Path, camera: str, form_in: _FormOf) -> Iterator[tuple[int, People | Problem]]:
     """Read a file of all frames, in order of the numbers."""
-    split = _attempt(partial(_split, path), path, camera, None, _FILE_HINT)
+    split = _attempt(partial(_split, path, form_in), path, camera, None, _FILE_HINT)
     if isinstance(split, Problem):
         yield 0, split
         return
@@ -129,27 +212,23 @@ def _read_capture(path: Path, camera: str) -> Iterator[tuple[int, People | Probl
         yield number, people
 
 
-def _split(path: Path) -> tuple[Callable[[Any], People], Mapping[int, Any]]:
+def _split(path: Path, form_in: _FormOf) -> tuple[Callable[[Any], People], Mapping[int, Any]]:
     content = _read(path, MAX_FILE_BYTES)
-    file_format = _format_of(content)
-    if file_format is openpose:
-        raise KeypointsError("OpenPose's files have a single frame and its number in their names.")
-    return file_format.read_frame, file_format.frames_of(content)
+    form = form_in(content)
+    if form.frames_of is None:
+        message = f"The file is read as {form.name}'s of a single frame, which has its number in its name."
+        raise KeypointsError(message)
+    frames = form.frames_of(content)
+    check_frames(len(frames))
+    return form.read_frame, frames
 
 
 def _read(path: Path, max_bytes: int) -> Any:
+    """Parsed JSON, or the bytes of a CSV file."""
     if path.stat().st_size > max_bytes:
         raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
-    return read_json(path.read_bytes())
-
-
-def _format_of(content: Any) -> Any:
-    """Module that reads the format of a file's content; that of OpenPose for unknown content."""
-    if isinstance(content, list) or (isinstance(content, dict) and "annotations" in content):
-        return coco_wholebody
-    if isinstance(content, dict) and ("poses" in content or "frames" in content):
-        return mediapipe
-    return openpose
+    content = path.read_bytes()
+    return content if path.suffix.lower() == ".csv" else read_json(content)
 
 
 def _attempt(read: Callable[[], _Value], path: Path, camera: str, number: int | None, hint: str) -> _Value | Problem:

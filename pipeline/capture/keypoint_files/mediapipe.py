@@ -1,8 +1,12 @@
 """Reader of MediaPipe's landmarks as JSON: 33 points of each pose, and 21 points of each hand.
 
-MediaPipe itself writes no files; docs/formats.md describes these. An object a frame has ``poses``; an object of all
-frames has ``frames``, and each of them ``frame``, its number. ``image_size`` (width, height) says that positions are
-shares of the image, as MediaPipe gives them; without it they are pixels.
+MediaPipe writes no files; programs write its results. A frame is a result of the tasks or of the older solutions, in
+Python or JavaScript: an object with ``pose_landmarks``, ``poseLandmarks`` or ``landmarks``, the points of each person
+or of one; and for the holistic ones of the hands. A list holds all frames, each with its number ``frame``, or in order
+from 0. Positions are shares of the image, whose size is ``image_size`` (width, height), or else the camera's.
+
+A form of our own (docs/formats.md) has ``poses`` in an object a frame, or ``frames`` in an object of all frames. There
+positions without ``image_size`` are pixels. Landmarks: https://ai.google.dev/edge/mediapipe/solutions/vision
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,6 +18,7 @@ from pipeline.capture.keypoint_files.people import (
     NUM_HAND_POINTS,
     KeypointsError,
     People,
+    check_frames,
     check_number,
     frame_number,
     hands_of,
@@ -24,10 +29,12 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.parsing import read_numbers
 from pipeline.capture.quantities import SIDE_PX
-from pipeline.joints import BODY_FEET
+from pipeline.joints import BODY_FEET, SIDES
 from pipeline.layouts import LAYOUTS
 
 _POSE, _SIZE = "pose_landmarks", "image_size"
+RESULTS = (_POSE, "poseLandmarks", "landmarks")
+"""Names of the points of the poses in a result."""
 _LAYOUT = LAYOUTS["mediapipe-33"]
 _NUM_POSE = len(_LAYOUT.points)
 _BODY_FEET = [_LAYOUT.points.index(name) for name in BODY_FEET.names]
@@ -43,18 +50,27 @@ def frames_of(content: Any) -> Mapping[int, Any]:
     TypeError, KeyError
         If the content is not in the format.
     """
+    listed = content["frames"] if isinstance(content, dict) else content
+    check_frames(len(listed))
+    size = {_SIZE: content[_SIZE]} if isinstance(content, dict) and _SIZE in content else {}
     frames: dict[int, Any] = {}
-    size = {_SIZE: content[_SIZE]} if _SIZE in content else {}
-    for one in content["frames"]:
-        number = frame_number(one["frame"], "frame")
+    for place, one in enumerate(listed):
+        is_own = isinstance(content, dict) and one.keys().isdisjoint(RESULTS)
+        result = {RESULTS[0]: None} if one is None else one
+        number = frame_number(one["frame"] if is_own else result.get("frame", place), "frame")
         if number in frames:
             raise KeypointsError(f"Frame {number} is listed twice.", "frame")
-        frames[number] = {**size, **one}
+        frames[number] = {**size, **result}
     return frames
 
 
-def read_frame(content: Any) -> People:
+def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
     """Read the people of a frame with at least one detected joint.
+
+    Parameters
+    ----------
+    size_px
+        Width and height of the camera's images, for results that don't state the size; ``None`` if unknown.
 
     Raises
     ------
@@ -63,18 +79,53 @@ def read_frame(content: Any) -> People:
     UnreadableError, TypeError, KeyError
         If the content is not in the format.
     """
-    poses = content["poses"]
+    scale_px = _size_px(content)
+    poses = content.get("poses")
+    if poses is None:
+        poses = _poses_of(content)
+        scale_px = np.array(size_px) if scale_px is None and size_px is not None else scale_px
+        if scale_px is None:
+            message = f"Landmarks are shares of an image whose size is unknown; add {_SIZE}, its width and height."
+            raise KeypointsError(message, _SIZE)
     check_number(poses)
     if not poses:
         return nobody()
-    size_px = _size_px(content)
     body = points_of([_flat(pose[_POSE], _POSE) for pose in poses], _NUM_POSE, _POSE)[:, _BODY_FEET]
     hands = hands_of(lambda side: [_flat(pose.get(_hand(side)), _hand(side)) for pose in poses], _hand)
     people = joined(body, hands)
-    if size_px is not None:
+    if scale_px is not None:
         # Shares reach from edge to edge of the image, and pixel 0 has its centre half a pixel from the edge.
-        people[..., :2] = people[..., :2] * size_px - 0.5
+        people[..., :2] = people[..., :2] * scale_px - 0.5
     return with_detected_joints(people)
+
+
+def _poses_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Points of each person in a result: the pose, and hands if there are as many as poses."""
+    field = next((name for name in RESULTS if name in result), None)
+    if field is None:
+        raise TypeError
+    poses = _people_of(result[field])
+    check_number(poses)
+    people = [{_POSE: one} for one in poses]
+    for side in SIDES:
+        name = _hand(side) if _hand(side) in result else f"{side}HandLandmarks"
+        hands = _people_of(result.get(name))
+        if hands and len(hands) != len(poses):
+            raise KeypointsError(f"There are {len(hands)} {side} hands of {len(poses)} poses.", name)
+        for person, hand in zip(people, hands, strict=False):
+            person[_hand(side)] = hand
+    return people
+
+
+def _people_of(landmarks: Any) -> list[Any]:
+    """Landmarks of each person: of several, of one, or as the older solutions in Python give those of one."""
+    if isinstance(landmarks, dict):
+        landmarks = landmarks["landmark"]
+    if not landmarks:
+        return []
+    if not isinstance(landmarks, list):
+        raise TypeError
+    return landmarks if isinstance(landmarks[0], list) else [landmarks]
 
 
 def _size_px(content: Any) -> np.ndarray | None:

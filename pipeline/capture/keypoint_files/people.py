@@ -1,5 +1,6 @@
 """People of a frame in keypoint files: their arrays, limits and errors."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -8,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.capture.parsing import UnreadableError, read_numbers
 from pipeline.capture.quantities import KEYPOINT_PX
+from pipeline.config import MAX_OUTPUT_FRAMES
 from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, JointSet, finger_joints, hand_bones
 
 MAX_PEOPLE = 128
@@ -18,6 +20,8 @@ _MAX_LISTED_PEOPLE = 1000
 _MIN_SCORE = 1e-9
 
 _END_OF_NUMBERS = 10**15
+_LAST_NUMBER = re.compile(r"(?<![0-9])([0-9]{1,15})[^0-9]*$")
+_MAX_NAME = 255
 
 NUM_HAND_POINTS = 21
 """Points of a hand in all formats, the wrist first, which is the body's."""
@@ -77,6 +81,27 @@ def frame_number(value: Any, field: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _END_OF_NUMBERS:
         raise KeypointsError("The number of a frame must be a whole number of at most 15 digits.", field)
     return value
+
+
+def check_frames(count: int) -> None:
+    """Raise ``KeypointsError`` if a file has more frames than any session may have."""
+    if count > MAX_OUTPUT_FRAMES:
+        raise KeypointsError(f"The file has {count:,} frames; at most {MAX_OUTPUT_FRAMES:,} are allowed.")
+
+
+def number_in_name(name: Any) -> int | None:
+    """Last number in the name of a picture, without its ending and folders; ``None`` if it has none.
+
+    Examples
+    --------
+    >>> number_in_name("labeled-data/cam2/img0012.png"), number_in_name("7.jpg"), number_in_name("cover.jpg")
+    (12, 7, None)
+    """
+    if not isinstance(name, str):
+        return None
+    stem = re.split(r"[/\\]", name)[-1].rpartition(".")[0] or name
+    found = _LAST_NUMBER.search(stem[-_MAX_NAME:])
+    return None if found is None else int(found[1])
 
 
 def is_detected(people: People) -> Bool[np.ndarray, "_ _"]:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,11 +16,12 @@ from pipeline.detect.decoders.grouping import group
 from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import BodyDetector, load_detector, load_own
 from pipeline.detect.profiles.instants import detect_at
-from pipeline.findings import Finding, SessionCheck
+from pipeline.findings import Finding, SessionCheck, has_error
 from pipeline.joints import JointSet
 from pipeline.preflight.people import check_people
 from pipeline.preflight.sightings import choose_instants, frames_at, sightings_of
 from pipeline.stages.association import DetectionsByCamera, Session
+from pipeline.stages.cameras.declared_clocks import check_clocks
 from pipeline.stages.plan import FrameCut
 
 
@@ -27,6 +29,8 @@ def check_at_instants(
     session: Session, config: ReconstructionConfig, on_frame: Callable[[], None] = lambda: None
 ) -> SessionCheck:
     """Check a session by the people at a few instants, in which they are detected first.
+
+    Of sessions of keypoints, whose people need no detection, the declared times are checked too.
 
     Parameters
     ----------
@@ -44,7 +48,9 @@ def check_at_instants(
     """
     frames, num_instants = _frames(session, session.stretches)
     if isinstance(session, KeypointSession):
-        return _checked(session, session.detections, frames, num_instants, session.joints)
+        check = _checked(session, session.detections, frames, num_instants, session.joints)
+        cut = FrameCut(range(session.timebase.num_frames), session.stretches, session.timebase.num_frames)
+        return with_clocks(check, session, session.joints, cut, lambda number, part: session.detections)
     body = networks_of(config).body
     detector: BodyDetector = load_own(body) if entry_of(body).own is not None else load_detector(body)
     return _checked(session, detect_at(session, frames, detector, on_frame), frames, num_instants, detector.joints)
@@ -78,6 +84,19 @@ def check_session(
     names = [camera.name for camera in session.cameras]
     detections = concatenate([one for part in ranges for one in part.values()], names, len(joints.names))
     return _checked(session, detections, frames, num_instants, joints)
+
+
+def with_clocks(
+    check: SessionCheck,
+    session: Session,
+    joints: JointSet,
+    cut: FrameCut,
+    detected: Callable[[int, range], DetectionsByCamera],
+) -> SessionCheck:
+    """Add the findings about declared times to a check, unless it found errors: those would tell other times."""
+    if has_error(check.findings):
+        return check
+    return replace(check, findings=(*check.findings, *check_clocks(session, joints, cut, detected)))
 
 
 def check_bodies(

@@ -1,7 +1,11 @@
 """Synchronisation of a session: clocks measured from its people, and the session on these clocks."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float32
 
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Detections, Synchronization, Timebase
@@ -9,24 +13,57 @@ from pipeline.errors import InputError
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.stages.association import Session
-from pipeline.synchronization.synchronize import corrected_times, synchronize
+from pipeline.synchronization.motions import excerpt
+from pipeline.synchronization.sound.combined import synchronize_with_sound
+from pipeline.synchronization.sound.offsets import SoundOffsets, sound_offsets
+from pipeline.synchronization.synchronize import corrected_times
+from pipeline.video.sound.listen_process import listen_in_child
 from pipeline.video.timeline import session_timebase
+
+# Largest difference of the rates of a video's own times and of the session's, as a share.
+_SAME_RATE = 1e-3
 
 
 def measure_clocks(
-    session: Session, detections: Mapping[str, Detections], joints: JointSet, on_share: OnShare = ignore
+    session: Session,
+    detections: Mapping[str, Detections],
+    joints: JointSet,
+    sound: SoundOffsets = SoundOffsets(),  # noqa: B008 - frozen
+    on_share: OnShare = ignore,
 ) -> Synchronization:
-    """Measure the clocks of a session's cameras.
+    """Measure the clocks of a session's cameras, from motion with the help of sound.
 
     Raises
     ------
     InputError
         If the clocks are not certain: a motion from wrong times would look plausible.
     """
-    found = synchronize(session.cameras, session.times, detections, joints, session.starts_s, on_share).synchronization
+    bodies = excerpt(session.times, detections)
+    found = synchronize_with_sound(
+        session.cameras, session.times, bodies, joints, session.starts_s, sound, on_share
+    ).synchronization
     if found.refusals:
         raise InputError(found.refusals)
     return found
+
+
+def listen(session: CaptureSession, reading: Callable[[str], AbstractContextManager[None]]) -> SoundOffsets:
+    """Offsets from the sound of a session's videos.
+
+    Parameters
+    ----------
+    reading
+        Function that gives the block in which the video of a camera can be read, by the camera's name.
+    """
+    sounds: dict[str, Float32[np.ndarray, " ms"] | str] = {}
+    for camera, video in zip(session.cameras, session.videos, strict=True):
+        declared_s = session.times[camera.name].time_s[[0, -1]]
+        if abs((declared_s[1] - declared_s[0]) / max(float(video.time_s[-1]), 1e-9) - 1.0) > _SAME_RATE:
+            sounds[camera.name] = "The frame rate was stated: the sound has other times."
+            continue
+        with reading(camera.name):
+            sounds[camera.name] = listen_in_child(video)
+    return sound_offsets(session.cameras, sounds)
 
 
 def on_measured_clocks(session: Session, synchronization: Synchronization) -> Session:

@@ -10,6 +10,8 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis.errors import FlakyStrategyDefinition, Unsatisfiable
+from hypothesis.internal.conjecture import providers
+from hypothesis.internal.constants_ast import Constants
 from hypothesis.stateful import run_state_machine_as_test
 from schemathesis import GenerationMode
 from schemathesis.core.result import Ok
@@ -28,6 +30,8 @@ schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
 schema = schemathesis.openapi.from_path(COMMITTED)
 # All calls have a valid key; Schemathesis checks calls without one in addition.
 schema.config.generation.update(with_security_parameters=False)
+# A body that is wrong and too large is refused for its size.
+schema.config.checks.negative_data_rejection.expected_statuses.append("413")
 SETTINGS = settings(
     max_examples=75,
     deadline=None,
@@ -35,6 +39,12 @@ SETTINGS = settings(
     phases=[Phase.explicit, Phase.generate],
     suppress_health_check=list(HealthCheck),
 )
+
+
+@pytest.fixture(autouse=True)
+def no_constants_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep literals of our modules out of the requests, which any change of the code would change."""
+    monkeypatch.setattr(providers, "_get_local_constants", Constants)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +89,8 @@ def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
     names_others = names_others or (case.method in {"PATCH", "POST"} and case.path.endswith(("/links", "/people")))
     if names_others or {"idempotency-key", "if-match"} & {name.lower() for name in case.headers}:
         return [positive_data_acceptance]
-    # A schema can't express limits by the session's frames, the public addresses of webhooks, or installed networks.
+    # A schema can't express limits by the session's frames, the public addresses of webhooks, installed networks, or
+    # Unicode's control characters.
     asks_more = isinstance(case.body, dict) and (
         str(case.body.get("detector")).startswith("own-")
         or case.body.get("smoothing") == "butterworth"
@@ -97,6 +108,9 @@ def test_contract_is_kept(service: Live, known: dict[str, str]) -> None:
         nonlocal cases
         cases += 1
         excluded = inapplicable_checks(case)
+        if not case.headers.get("content-length", "0").isdecimal():
+            # Not a request by HTTP: the server refuses it before the service sees it.
+            del case.headers["content-length"]
         if cases % 2 and case.method != "DELETE":
             ids = {name: known[name] for name in case.path_parameters if name in known}
             case.path_parameters.update(ids)

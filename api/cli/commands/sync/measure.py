@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -15,12 +16,16 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.progress import Progress
+from pipeline.stages.cameras.synchronization import listen
 from pipeline.stages.inputs import detection_joints
 from pipeline.stages.local import detect_people
 from pipeline.stages.plan import SYNCHRONIZE
-from pipeline.synchronization.document import sync_document
+from pipeline.synchronization.document import sound_document, sync_document
+from pipeline.synchronization.motions import excerpt
 from pipeline.synchronization.report import error_pictures
-from pipeline.synchronization.synchronize import Synchronized, synchronize
+from pipeline.synchronization.sound.combined import synchronize_with_sound
+from pipeline.synchronization.sound.offsets import SoundOffsets
+from pipeline.synchronization.synchronize import Synchronized
 
 _PERCENT = 100
 
@@ -67,15 +72,19 @@ def command(
             detections, joints = detect_people(session, config, bars.update), detection_joints(config)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
-        found = synchronize(
+        sound = SoundOffsets()
+        if isinstance(session, CaptureSession):
+            sound = listen(session, lambda camera: nullcontext())
+        found = synchronize_with_sound(
             session.cameras,
             session.times,
-            detections,
+            excerpt(session.times, detections),
             joints,
             session.starts_s,
+            sound,
             lambda share: bars.update(Progress(SYNCHRONIZE, round(_PERCENT * share), _PERCENT)),
         )
-        document = sync_document(found.synchronization)
+        document = sync_document(found.synchronization) | {"sound": sound_document(sound)}
         if report is not None:
             _write_report(report, document, found)
     if as_json:

@@ -98,6 +98,25 @@ def test_session_and_job_in_one_call(live: Live) -> None:
     assert session["name"] == "Take 3"
 
 
+def test_jobs_have_the_synchronisation_of_their_session_unless_they_state_one(live: Live) -> None:
+    manifest = ("manifest", (None, json.dumps({"sync": "auto"}).encode()))
+    session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
+    assert session["sync"] == "auto"
+    assert live.client.get(session["links"]["self"]).json()["sync"] == "auto"
+    jobs = session["links"]["jobs"]
+    for spec, sync in (({}, "auto"), ({"method": "clustering"}, "auto"), ({"sync": "declared"}, "declared")):
+        job = live.client.post(jobs, json=spec).json()
+        assert job["spec"]["sync"] == sync
+        assert ("synchronize" in [stage["name"] for stage in job["stages"]]) == (sync == "auto")
+    at_once = live.client.post("/v1/jobs", files=[*form(), manifest]).json()
+    assert at_once["spec"]["sync"] == "auto"
+    other = live.client.post("/v1/jobs", files=[*form(), manifest, ("spec", (None, b'{"sync": "declared"}'))]).json()
+    assert other["spec"]["sync"] == "declared"
+    usual = live.client.get(f"/v1/sessions/{live.session_id()}").json()
+    assert usual["sync"] == "declared"
+    assert live.client.post(usual["links"]["jobs"]).json()["spec"]["sync"] == "declared"
+
+
 def test_one_call_names_all_problems_of_spec_manifest_and_files(live: Live) -> None:
     parts = [
         ("videos", ("cam_0.mp4", b"WRONG")),

@@ -35,8 +35,8 @@ def read(folder: Path, **contents: Any) -> tuple[dict[int, People], list[Problem
         (folder / f"{name}.json").write_text(content if isinstance(content, str) else json.dumps(content))
     problems: list[Problem] = []
     findings: list[Finding] = []
-    frames, _ = read_folder(folder, "left", 10**9, findings, problems)
-    return frames, problems, findings
+    read_contents = read_folder(folder, "left", None, 10**9, findings, problems)
+    return read_contents.frames, problems, findings
 
 
 def positions(people: People, joints: JointSet) -> dict[str, tuple[float, ...]]:
@@ -215,9 +215,9 @@ def test_a_wrong_frame_is_named_with_its_field(tmp_path: Path, content: Any, fie
 @pytest.mark.parametrize(
     ("content", "field", "words"),
     [
-        ({"people": []}, None, "single frame"),
+        ({"people": []}, None, "OpenPose's of a single frame"),
         ([{"keypoints": points(17)}], "image_id", "at most 15 digits"),
-        ([{"keypoints": points(17), "image_id": "12"}], "image_id", "at most 15 digits"),
+        ([{"keypoints": points(17), "image_id": "twelve"}], "image_id", "no number"),
         ([{"keypoints": points(17), "frame": 10**15}], "frame", "at most 15 digits"),
         ([{"keypoints": points(17), "frame": -1}], "frame", "at most 15 digits"),
         ([{"keypoints": points(17), "frame": True}], "frame", "at most 15 digits"),

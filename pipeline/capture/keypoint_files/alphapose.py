@@ -1,0 +1,75 @@
+"""Reader of AlphaPose's JSON: a list of the people of all images, or an object of all images.
+
+A person of the list has ``image_id``, the name of the image, whose number is that of the frame, and ``keypoints`` with
+x, y and score of 17 (COCO), 26 or 136 (Halpe) or 133 (COCO-WholeBody) points. With ``--format cmu`` or ``open``
+images have ``bodies`` or ``people`` of 18 joints. Format: https://github.com/MVIG-SJTU/AlphaPose (docs/output.md)
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pipeline.capture.keypoint_files import openpose
+from pipeline.capture.keypoint_files.people import (
+    KeypointsError,
+    People,
+    check_number,
+    frame_number,
+    nobody,
+    number_in_name,
+    points_of,
+    with_detected_joints,
+)
+from pipeline.capture.keypoint_files.points import arranged, layout_of
+
+_POINTS = "keypoints"
+
+
+def frames_of(content: Any) -> Mapping[int, Any]:
+    """Split all images by the numbers in their names.
+
+    Raises
+    ------
+    KeypointsError
+        If an image has no number, or the number of another one.
+    TypeError, KeyError
+        If the content is not in the format.
+    """
+    frames: dict[int, Any] = {}
+    names: dict[int, str] = {}
+    for name, one in content.items() if isinstance(content, dict) else ((one["image_id"], one) for one in content):
+        number = _number_of(name)
+        if names.setdefault(number, name) != name:
+            raise KeypointsError(f"{names[number]} and {name} have the same frame number.", "image_id")
+        if isinstance(content, dict):
+            frames[number] = one
+        else:
+            frames.setdefault(number, []).append(one)
+    return frames
+
+
+def read_frame(content: Any) -> People:
+    """Read the people of an image with at least one detected joint.
+
+    Raises
+    ------
+    KeypointsError, CrowdError
+        If the frame can't be used.
+    UnreadableError, TypeError, KeyError
+        If the content is not in the format.
+    """
+    if isinstance(content, dict):
+        bodies = {"people": [{"pose_keypoints_2d": one["joints"]} for one in content.get("bodies", ())]}
+        return openpose.read_frame(content if "people" in content else bodies)
+    check_number(content)
+    if not content:
+        return nobody()
+    people = [one[_POINTS] for one in content]
+    layout = layout_of(len(people[0]) // 3, _POINTS)
+    return with_detected_joints(arranged(points_of(people, len(layout.points), _POINTS), layout))
+
+
+def _number_of(name: Any) -> int:
+    number = number_in_name(name)
+    if isinstance(name, str) and number is None:
+        raise KeypointsError(f"The name of the image {name[:40]!r} has no number.", "image_id")
+    return frame_number(name if number is None else number, "image_id")

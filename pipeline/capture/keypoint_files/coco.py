@@ -1,0 +1,128 @@
+"""Reader of COCO's JSON: a list of people, results or annotations, of one frame or of all frames.
+
+A person has ``keypoints`` with x, y and score (or visibility) of each point: COCO's 17, COCO-WholeBody's 133, or points
+that the ``categories`` of annotations name. With 17 points, ``foot_kpts`` (6), ``lefthand_kpts`` and
+``righthand_kpts`` (21 each) may stand beside them; faces are not read. ``frame``, or else ``image_id``, is the number
+of the frame; if all ``images`` have files with numbers in their names, these are the numbers. Formats:
+https://cocodataset.org/#format-data, https://github.com/jin-s13/COCO-WholeBody (data_format.md)
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.capture.keypoint_files.names import joint_of
+from pipeline.capture.keypoint_files.people import (
+    KeypointsError,
+    People,
+    check_number,
+    frame_number,
+    hands_of,
+    joined,
+    nobody,
+    number_in_name,
+    points_of,
+    with_detected_joints,
+)
+from pipeline.capture.keypoint_files.points import arranged, layout_of_names
+from pipeline.joints import BODY_FEET, COCO_17
+from pipeline.layouts import LAYOUTS, Layout
+
+_BODY, _FEET = "keypoints", "foot_kpts"
+_NUM_BODY, _NUM_FEET = len(COCO_17.names), 6
+_WHOLE = LAYOUTS["coco-wholebody-133"]
+_BODY_FEET = [_WHOLE.points.index(name) for name in BODY_FEET.names]
+
+
+def frames_of(content: Any) -> Mapping[int, Any]:
+    """Split the people of all frames by the number of the frame; ``images`` names frames that may show nobody.
+
+    Raises
+    ------
+    KeypointsError
+        If a person has no number of a frame.
+    TypeError, KeyError
+        If the content is not in the format.
+    """
+    frames: dict[int, list[Any]] = {}
+    numbers: Mapping[Any, int] = {}
+    if isinstance(content, dict):
+        numbers = _numbers_of(content.get("images", ()))
+        frames = {number: [] for number in numbers.values()}
+    listed, layout = _people_of(content)
+    for person in listed:
+        field = "frame" if "frame" in person else "image_id"
+        value = person.get(field)
+        if field == "image_id" and isinstance(value, int):
+            value = numbers.get(value, value)
+        frames.setdefault(frame_number(value, field), []).append(person)
+    return {number: _Frame(people, layout) for number, people in frames.items()}
+
+
+def read_frame(content: Any) -> People:
+    """Read the people of a frame with at least one detected joint.
+
+    Raises
+    ------
+    KeypointsError, CrowdError
+        If the frame can't be used.
+    UnreadableError, TypeError, KeyError
+        If the content is not in the format.
+    """
+    listed, layout = content if isinstance(content, _Frame) else _people_of(content)
+    check_number(listed)
+    if not listed:
+        return nobody()
+    bodies = [person[_BODY] for person in listed]
+    if layout is not None:
+        return with_detected_joints(arranged(points_of(bodies, len(layout.points), _BODY), layout))
+    if all(len(body) == 3 * len(_WHOLE.points) for body in bodies):
+        return with_detected_joints(arranged(points_of(bodies, len(_WHOLE.points), _BODY), _WHOLE))
+    if any(len(body) != 3 * _NUM_BODY for body in bodies):
+        message = (
+            f"The keypoints of people must have {3 * _NUM_BODY} or {3 * len(_WHOLE.points)} numbers, as many for "
+            "everybody; of other points, the categories must have names."
+        )
+        raise KeypointsError(message, _BODY)
+    body = points_of(bodies, _NUM_BODY, _BODY)
+    feet = points_of([person.get(_FEET) for person in listed], _NUM_FEET, _FEET)
+    hands = hands_of(lambda side: [person.get(_hand(side)) for person in listed], _hand)
+    return with_detected_joints(joined(np.concatenate([body, feet], axis=1)[:, _BODY_FEET], hands))
+
+
+class _Frame(NamedTuple):
+    """People of a frame, and the layout of their points if the file names them."""
+
+    people: Sequence[Any]
+    layout: Layout | None
+
+
+def _people_of(content: Any) -> _Frame:
+    """People of a file: all of a list; of annotations those whose category has points."""
+    listed = content["annotations"] if isinstance(content, dict) else content
+    if not isinstance(listed, list) or not all(isinstance(person, dict) for person in listed):
+        raise TypeError
+    categories = content.get("categories", ()) if isinstance(content, dict) else ()
+    names = {one["id"]: tuple(map(str, one[_BODY])) for one in categories if one.get(_BODY)}
+    if not names:
+        return _Frame(listed, None)
+    people = [one for one in listed if one.get("category_id") in names]
+    used = {names[one["category_id"]] for one in people}
+    if len(used) > 1:
+        raise KeypointsError("People of several categories have points of different names.", "category_id")
+    found = next(iter(used), COCO_17.names)
+    is_coco = len(found) in (_NUM_BODY, len(_WHOLE.points)) and tuple(map(joint_of, found[:_NUM_BODY])) == COCO_17.names
+    return _Frame(people, None if is_coco else layout_of_names(found, "categories"))
+
+
+def _numbers_of(images: Sequence[Mapping[str, Any]]) -> Mapping[Any, int]:
+    """Frame number by the id of its image: of the names of files if all have one of their own, else the ids."""
+    ids = [frame_number(image["id"], "id") for image in images]
+    named = [number_in_name(image.get("file_name")) for image in images]
+    is_named = None not in named and len(set(named)) == len(set(ids))
+    return {one: number if is_named and number is not None else one for one, number in zip(ids, named, strict=True)}
+
+
+def _hand(side: str) -> str:
+    return f"{side}hand_kpts"

@@ -1,0 +1,168 @@
+"""Reader of DeepLabCut's CSV: a row a frame, below three or four rows of headers.
+
+The rows of headers begin with ``scorer``, ``individuals`` (files of several people only), ``bodyparts`` and ``coords``
+(x, y, and ``likelihood`` in analysed videos). A row begins with the number of the frame, or with the path of a picture
+whose name has that number. Parts that stand once in a scene, under the individual ``single``, are not read. Format:
+https://deeplabcut.github.io/DeepLabCut (standard user guide, outputs of ``analyze_videos``)
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from pipeline.capture.keypoint_files.names import joint_of, named_layout
+from pipeline.capture.keypoint_files.people import (
+    KeypointsError,
+    People,
+    check_frames,
+    check_number,
+    frame_number,
+    number_in_name,
+    with_detected_joints,
+)
+from pipeline.capture.keypoint_files.points import arranged
+from pipeline.capture.parsing import UnreadableError
+from pipeline.layouts import Layout
+
+_MAX_LINE = 4 * 2**20
+_HEADERS = ("scorer", "individuals", "bodyparts", "coords")
+_COORDS = ("x", "y", "likelihood")
+_SCENE = "single"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Columns of a file.
+
+    Parameters
+    ----------
+    names
+        Name of each column as messages show it; empty for those before the points.
+    number
+        Column of each number: individuals, points of the layout, and x, y and likelihood; -1 without one.
+    layout
+        Layout of the points.
+    num_leading
+        Columns before the points.
+    """
+
+    names: Sequence[str]
+    number: Int[np.ndarray, "people points 3"]
+    layout: Layout
+    num_leading: int
+
+
+def is_table(content: bytes) -> bool:
+    """Whether a CSV file begins as one of DeepLabCut."""
+    return content.removeprefix(b"\xef\xbb\xbf").lstrip(b'"')[:6].lower() == b"scorer"
+
+
+def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
+    """Split the rows by the number of their frame.
+
+    Raises
+    ------
+    KeypointsError
+        If the headers can't be used, or if a row has no number, or that of another one.
+    UnreadableError
+        If the content is no text.
+    """
+    try:
+        lines = content.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise UnreadableError from error
+    check_frames(len(lines))
+    if any(len(line) > _MAX_LINE for line in lines):
+        raise KeypointsError(f"A row is longer than {_MAX_LINE // 2**20} MiB.")
+    headers: dict[str, list[str]] = {}
+    while lines and "coords" not in headers:
+        name, *cells = _cells(lines.pop(0)) or [""]
+        if name.lower() not in _HEADERS:
+            raise KeypointsError("The headers must be scorer, individuals (if there are several), bodyparts, coords.")
+        headers[name.lower()] = ["", *cells]
+    columns = _columns(headers)
+    frames: dict[int, tuple[Columns, str]] = {}
+    for line in lines:
+        if not line.strip(","):
+            continue
+        number = _frame_of(line, columns.num_leading)
+        if number in frames:
+            raise KeypointsError(f"Frame {number} is listed twice.", "frame")
+        frames[number] = columns, line
+    return frames
+
+
+def read_frame(content: tuple[Columns, str]) -> People:
+    """Read the people of a row with at least one detected joint.
+
+    Raises
+    ------
+    KeypointsError, CrowdError
+        If the row can't be used.
+    """
+    columns, line = content
+    cells = _cells(line)
+    if len(cells) != len(columns.names):
+        raise KeypointsError(f"The row has {len(cells)} cells; the headers have {len(columns.names)}.")
+    # One more value for numbers without a column: NaN for a position, 1 for a likelihood.
+    values = np.full(len(cells) + 1, np.nan)
+    for k in range(columns.num_leading, len(cells)):
+        try:
+            values[k] = float(cells[k]) if cells[k].strip() else np.nan
+        except ValueError:
+            message = f"{cells[k][:40]!r} is not a number."
+            raise KeypointsError(message, columns.names[k]) from None
+    points = values[columns.number]
+    points[columns.number[..., 2] < 0, 2] = 1.0
+    return with_detected_joints(arranged(points, columns.layout))
+
+
+def _columns(headers: Mapping[str, Sequence[str]]) -> Columns:
+    if not {"bodyparts", "coords"} <= headers.keys():
+        raise KeypointsError("The rows of headers bodyparts and coords are missing.")
+    if len({len(cells) for cells in headers.values()}) > 1:
+        raise KeypointsError("The rows of headers have different numbers of cells.")
+    coords = [one.strip().lower() for one in headers["coords"]]
+    parts = headers["bodyparts"]
+    owners = headers.get("individuals", [""] * len(coords))
+    points = [k for k, one in enumerate(coords) if one in _COORDS]
+    people = list(dict.fromkeys(owners[k] for k in points))
+    if len(people) > 1 and _SCENE in people:
+        people.remove(_SCENE)
+    check_number(people)
+    of_people = set(people)
+    # Only points that are joints: a scene of strangers may have any number of others.
+    names = [one for one in dict.fromkeys(parts[k] for k in points if owners[k] in of_people) if joint_of(one)]
+    layout = named_layout(names, "bodyparts")
+    number = np.full((len(people), len(names), len(_COORDS)), -1)
+    place_of_person = {name: k for k, name in enumerate(people)}
+    place_of_part = {name: k for k, name in enumerate(names)}
+    shown = [""] * len(coords)
+    for k in points:
+        shown[k] = " ".join(part for part in (owners[k], parts[k], coords[k]) if part)
+        if owners[k] not in place_of_person or parts[k] not in place_of_part:
+            continue
+        place = place_of_person[owners[k]], place_of_part[parts[k]], _COORDS.index(coords[k])
+        if number[place] >= 0:
+            raise KeypointsError("Two columns have the same headers.", shown[k])
+        number[place] = k
+    return Columns(shown, number, layout, points[0])
+
+
+def _frame_of(line: str, num_leading: int) -> int:
+    """Number of a row's frame: the first cell, or the number in the name of the picture in the leading cells."""
+    first = line.split(",", 1)[0].strip('"')
+    if num_leading == 1 and first.isascii() and first.isdecimal() and len(first) <= 300:
+        return frame_number(int(first), "frame")
+    number = number_in_name(_cells(line)[:num_leading][-1])
+    return frame_number(first if number is None else number, "frame")
+
+
+def _cells(line: str) -> list[str]:
+    try:
+        return next(csv.reader([line], strict=True), [])
+    except csv.Error as error:
+        raise KeypointsError("A row can't be read as CSV.") from error

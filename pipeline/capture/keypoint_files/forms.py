@@ -1,0 +1,82 @@
+"""Forms of keypoint files: the reader of a file, found by its content."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+from pipeline.capture.keypoint_files import alphapose, coco, deeplabcut, mediapipe, mmpose, openpose
+from pipeline.capture.keypoint_files.people import KeypointsError, People
+
+
+class Form(NamedTuple):
+    """Form of a file.
+
+    Parameters
+    ----------
+    name
+        Program or format, as users know it.
+    read_frame
+        Reads the people of a frame from the content of its file, or from an entry of ``frames_of``.
+    frames_of
+        Splits the content of a file of all frames by their numbers; ``None`` if the content is of a single frame.
+    """
+
+    name: str
+    read_frame: Callable[[Any], People]
+    frames_of: Callable[[Any], Mapping[int, Any]] | None
+
+
+OPENPOSE = "OpenPose"
+
+
+def form_of(content: Any, size_px: tuple[int, int] | None) -> Form:
+    """Find the form of a file's content: parsed JSON, or the bytes of a CSV file.
+
+    Parameters
+    ----------
+    size_px
+        Width and height of the camera's images; ``None`` if unknown.
+
+    Raises
+    ------
+    KeypointsError
+        If a CSV file is of no known form. Unknown JSON is taken as OpenPose's.
+    """
+    if isinstance(content, bytes):
+        if not deeplabcut.is_table(content):
+            raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
+        return Form("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
+    if isinstance(content, list):
+        return _form_of_list(content, size_px)
+    if isinstance(content, dict):
+        return _form_of_object(content, size_px)
+    return Form(OPENPOSE, openpose.read_frame, None)
+
+
+def _form_of_list(content: list[Any], size_px: tuple[int, int] | None) -> Form:
+    first = next((one for one in content if isinstance(one, dict)), {})
+    if "instances" in first:
+        return Form("MMPose", mmpose.read_frame, mmpose.frames_of)
+    if "keypoint_scores" in first:
+        return Form("MMPose", mmpose.read_frame, None)
+    if not first.keys().isdisjoint(mediapipe.RESULTS):
+        return Form("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.frames_of)
+    if isinstance(first.get("image_id"), str):
+        return Form("AlphaPose", alphapose.read_frame, alphapose.frames_of)
+    return Form("COCO", coco.read_frame, coco.frames_of)
+
+
+def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None) -> Form:
+    if "annotations" in content:
+        return Form("COCO", coco.read_frame, coco.frames_of)
+    if "instance_info" in content:
+        return Form("MMPose", mmpose.read_frame, mmpose.frames_of)
+    if not content.keys().isdisjoint(("poses", "frames", *mediapipe.RESULTS)):
+        frames_of = mediapipe.frames_of if "frames" in content else None
+        return Form("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), frames_of)
+    if "bodies" in content:
+        return Form("AlphaPose", alphapose.read_frame, None)
+    first = next(iter(content.values()), None)
+    if "people" not in content and isinstance(first, dict) and ("people" in first or "bodies" in first):
+        return Form("AlphaPose", alphapose.read_frame, alphapose.frames_of)
+    return Form(OPENPOSE, openpose.read_frame, None)

@@ -1,0 +1,104 @@
+"""Reader of MMPose's JSON, of RTMPose and its other models: ``instances`` of a frame.
+
+The inferencer writes a list of frames with ``frame_id`` and ``instances`` of a video, or the instances of an image; the
+demos write an object with ``instance_info``, that list, and ``meta_info``, which names the points. An instance has
+``keypoints``, x and y of each point, and ``keypoint_scores``. Format: ``split_instances`` of mmpose.structures, and
+https://mmpose.readthedocs.io/en/latest/user_guides/inference.html
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.capture.keypoint_files.people import (
+    KeypointsError,
+    People,
+    check_frames,
+    check_number,
+    frame_number,
+    nobody,
+    with_detected_joints,
+)
+from pipeline.capture.keypoint_files.points import arranged, layout_of, layout_of_names
+from pipeline.capture.parsing import read_numbers
+from pipeline.layouts import Layout
+
+_POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
+
+
+def frames_of(content: Any) -> Mapping[int, Any]:
+    """Split all frames by their numbers.
+
+    Raises
+    ------
+    KeypointsError
+        If a frame has no number, or the number of another one.
+    TypeError, KeyError
+        If the content is not in the format.
+    """
+    layout = None
+    if isinstance(content, dict):
+        names = _names_of(content.get("meta_info"))
+        layout = None if names is None else layout_of_names(names, _NAMES)
+        content = content["instance_info"]
+    check_frames(len(content))
+    frames: dict[int, Any] = {}
+    for one in content:
+        number = frame_number(one["frame_id"], "frame_id")
+        if number in frames:
+            raise KeypointsError(f"Frame {number} is listed twice.", "frame_id")
+        frames[number] = _Frame(one["instances"], layout)
+    return frames
+
+
+def read_frame(content: Any) -> People:
+    """Read the people of a frame with at least one detected joint.
+
+    Raises
+    ------
+    KeypointsError, CrowdError
+        If the frame can't be used.
+    UnreadableError, TypeError, KeyError
+        If the content is not in the format.
+    """
+    instances, layout = content if isinstance(content, _Frame) else _Frame(content, None)
+    if not isinstance(instances, list):
+        raise TypeError
+    check_number(instances)
+    if not instances:
+        return nobody()
+    num_points = len(instances[0][_POINTS])
+    for one in instances:
+        if len(one[_POINTS]) != num_points:
+            raise KeypointsError("People have different numbers of points.", _POINTS)
+        if len(one[_SCORES]) != num_points:
+            message = f"A person has {num_points} points and {len(one[_SCORES])} scores."
+            raise KeypointsError(message, _SCORES)
+    layout = layout_of(num_points, _POINTS) if layout is None else layout
+    if len(layout.points) != num_points:
+        raise KeypointsError(f"A person has {num_points} points; the file names {len(layout.points)}.", _POINTS)
+    points_px = read_numbers([one[_POINTS] for one in instances])
+    if points_px.shape != (len(instances), num_points, 2):
+        raise KeypointsError("A point must have x and y.", _POINTS)
+    scores = read_numbers([one[_SCORES] for one in instances])
+    if scores.shape != (len(instances), num_points):
+        raise KeypointsError("A score must be a number.", _SCORES)
+    return with_detected_joints(arranged(np.concatenate([points_px, scores[..., None]], axis=-1), layout))
+
+
+class _Frame(NamedTuple):
+    """Instances of a frame, and the layout of their points if the file names them."""
+
+    instances: Any
+    layout: Layout | None
+
+
+def _names_of(meta: Any) -> Sequence[str] | None:
+    """Names of the points in their order; ``None`` if the file does not name them."""
+    if not isinstance(meta, dict) or not isinstance(meta.get(_NAMES), dict):
+        return None
+    names = meta[_NAMES]
+    if any(str(k) not in names for k in range(len(names))):
+        raise KeypointsError("The points' names must be numbered from 0.", _NAMES)
+    return [str(names[str(k)]) for k in range(len(names))]

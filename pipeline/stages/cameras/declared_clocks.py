@@ -1,0 +1,79 @@
+"""Check of declared times: cameras whose clocks disagree, measured from people in motion in a minute of the take."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.data import Detections
+from pipeline.detect.chunk import bodies_in, concatenate
+from pipeline.findings import Finding
+from pipeline.joints import JointSet
+from pipeline.stages.association import DetectionsByCamera, Session
+from pipeline.stages.plan import FrameCut
+from pipeline.synchronization.remaining import RemainingOffset, remaining_offsets
+from pipeline.video.timeline import frames_in
+
+# Parts of a long take, and the duration of each: enough to measure offsets and the drift from one end to the other.
+_NUM_PARTS, _PART_S = 3, 20.0
+
+
+def check_clocks(
+    session: Session, joints: JointSet, cut: FrameCut, detected: Callable[[int, range], DetectionsByCamera]
+) -> Iterator[Finding]:
+    """Find cameras whose declared times are wrong by more than half a frame, wherever the session's frames are cut.
+
+    Parameters
+    ----------
+    session
+        The whole session, on its declared clocks.
+    joints
+        Joints of the detections.
+    cut
+        Cut of its wanted frames into ranges.
+    detected
+        Function that gives the bodies of a range by its number and its frames.
+    """
+    names = [camera.name for camera in session.cameras]
+    spans = _spans(cut.parts, session.timebase.frame_rate_hz)
+    if isinstance(session, KeypointSession):
+        ranges: list[DetectionsByCamera] = [session.detections]
+    else:
+        touched = [any(part.start < span.stop and span.start < part.stop for span in spans) for part in cut]
+        ranges = [detected(number, part) for number, part in enumerate(cut) if touched[number]]
+    half_s = 0.5 / session.timebase.frame_rate_hz
+    ends_s = [(session.timebase.time_s(span[0]) - half_s, session.timebase.time_s(span[-1]) + half_s) for span in spans]
+    chunks = [
+        bodies_in(one, frames_in(session.times[name], *ends))
+        for ends in ends_s
+        for part in ranges
+        for name, one in part.items()
+        if isinstance(one, Detections)
+    ]
+    detections = concatenate(chunks, names, len(joints.names))
+    for offset in remaining_offsets(session.cameras, session.times, detections, joints):
+        if offset.is_wrong:
+            yield _finding(offset)
+
+
+def _finding(offset: RemainingOffset) -> Finding:
+    message = (
+        f"The camera's frames were taken {1000 * abs(offset.late_s):.0f} ms "
+        f"{'later' if offset.late_s > 0 else 'earlier'} than declared, {abs(offset.frames):.1f} frames "
+        f"(+-{1000 * offset.sigma_s:.1f} ms), compared with the other cameras."
+    )
+    hint = f"Synchronise by the people (sync: auto), or add {offset.late_s:+.3f} s to the offset of this camera."
+    evidence = {"late_s": offset.late_s, "sigma_s": offset.sigma_s, "late_frames": offset.frames}
+    return Finding("clocks_disagree", message, offset.camera, "warning", hint, evidence)
+
+
+def _spans(parts: Sequence[range], frame_rate_hz: float) -> list[range]:
+    """Frames to look at: all of a short take, else the middles of equal parts of it, without pauses."""
+    frames = np.concatenate([np.arange(part.start, part.stop) for part in parts]) if parts else np.empty(0, np.int64)
+    length = round(_PART_S * frame_rate_hz)
+    if len(frames) <= _NUM_PARTS * length:
+        return list(parts)
+    middles = [len(frames) * (2 * k + 1) // (2 * _NUM_PARTS) for k in range(_NUM_PARTS)]
+    chosen = [frames[middle - length // 2 : middle - length // 2 + length] for middle in middles]
+    pieces = [piece for one in chosen for piece in np.split(one, np.flatnonzero(np.diff(one) != 1) + 1)]
+    return [range(int(piece[0]), int(piece[-1]) + 1) for piece in pieces]

@@ -1,0 +1,1 @@
+"""Offsets of cameras from the onsets of their sound, alone and together with motion."""

@@ -1,0 +1,1 @@
+"""Sound of videos: its loudness, read in child processes with limits."""

@@ -1,0 +1,182 @@
+"""Keypoint files as other programs write them, from simulated detections of COCO's 17 joints."""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.data import Camera, Detections
+from pipeline.joints import COCO_17, COCO_18
+from pipeline.layouts import LAYOUTS
+from pipeline.simulation.files import simulation_files
+from pipeline.simulation.scenes import Simulation
+
+Files = dict[str, bytes]
+Frames = Mapping[int, list[np.ndarray]]
+"""Joints of each person of each frame: x, y and score, 0 where they are undetected."""
+
+
+def frames_of(detections: Detections, num_frames: int) -> Frames:
+    points = np.concatenate([detections.keypoints_px, detections.score[..., None]], axis=-1)
+    points = np.where(np.isfinite(points).all(-1, keepdims=True), points, 0.0)
+    return {frame: list(points[detections.frame == frame]) for frame in range(num_frames)}
+
+
+def _flat(person: np.ndarray) -> list[float]:
+    return [float(value) for value in person.ravel()]
+
+
+def _people(frames: Frames) -> Iterator[tuple[int, np.ndarray]]:
+    for number, people in frames.items():
+        for person in people:
+            yield number, person
+
+
+def alphapose(frames: Frames, camera: Camera) -> Files:
+    listed = [
+        {"image_id": f"{number}.jpg", "category_id": 1, "keypoints": _flat(person), "score": 2.9, "box": [1.0] * 4}
+        for number, person in _people(frames)
+    ]
+    return {"alphapose-results.json": json.dumps(listed).encode()}
+
+
+def alphapose_like_openpose(frames: Frames, camera: Camera) -> Files:
+    """With ``--format open``: 18 joints, among them the neck."""
+
+    def body(person: np.ndarray) -> list[float]:
+        neck = person[COCO_17.indices(("left_shoulder", "right_shoulder"))].mean(0)
+        by_name = dict(zip(COCO_17.names, person, strict=True)) | {"neck": neck}
+        return _flat(np.array([by_name[name] for name in COCO_18.names]))
+
+    images = {
+        f"{number}.jpg": {"version": "AlphaPose v0.3", "people": [{"pose_keypoints_2d": body(one)} for one in people]}
+        for number, people in frames.items()
+    }
+    return {"alphapose-results.json": json.dumps(images).encode()}
+
+
+def _instances(people: list[np.ndarray]) -> list[dict[str, Any]]:
+    return [
+        {
+            "keypoints": person[:, :2].tolist(),
+            "keypoint_scores": person[:, 2].tolist(),
+            "bbox": [[1.0, 2.0, 3.0, 4.0]],
+            "bbox_score": 0.9,
+        }
+        for person in people
+    ]
+
+
+def mmpose_inferencer(frames: Frames, camera: Camera) -> Files:
+    listed = [{"frame_id": number, "instances": _instances(people)} for number, people in frames.items()]
+    return {f"{camera.name}.json": json.dumps(listed).encode()}
+
+
+def mmpose_images(frames: Frames, camera: Camera) -> Files:
+    """Of the inferencer on a folder of images: a file an image."""
+    return {f"{number:06d}.json": json.dumps(_instances(people)).encode() for number, people in frames.items()}
+
+
+def mmpose_demo(frames: Frames, camera: Camera) -> Files:
+    listed = [{"frame_id": number, "instances": _instances(people)} for number, people in frames.items()]
+    names = {str(k): name for k, name in enumerate(COCO_17.names)}
+    meta = {"dataset_name": "coco", "num_keypoints": 17, "keypoint_id2name": names}
+    return {f"results_{camera.name}.json": json.dumps({"meta_info": meta, "instance_info": listed}).encode()}
+
+
+def coco_results(frames: Frames, camera: Camera) -> Files:
+    listed = [
+        {"image_id": number, "category_id": 1, "keypoints": _flat(person), "score": 0.9}
+        for number, person in _people(frames)
+    ]
+    return {"person_keypoints_results.json": json.dumps(listed).encode()}
+
+
+def coco_annotations(frames: Frames, camera: Camera) -> Files:
+    """Images have ids of the whole data set; the names of their files have the numbers of the frames."""
+    first = 7000
+    document = {
+        "images": [
+            {"id": first + number, "file_name": f"{camera.name}/frame_{number:06d}.png", "width": 1920, "height": 1080}
+            for number in frames
+        ],
+        "categories": [{"id": 3, "name": "person", "keypoints": list(COCO_17.names), "skeleton": []}],
+        "annotations": [
+            {"id": k, "image_id": first + number, "category_id": 3, "num_keypoints": 17, "keypoints": _flat(person)}
+            for k, (number, person) in enumerate(_people(frames))
+        ],
+    }
+    return {"instances_default.json": json.dumps(document).encode()}
+
+
+def deeplabcut(frames: Frames, camera: Camera) -> Files:
+    """Of several people: four rows of headers."""
+    num_people = max(map(len, frames.values()))
+    people = [f"individual{k + 1}" for k in range(num_people)]
+    columns = [(one, part, coord) for one in people for part in COCO_17.names for coord in ("x", "y", "likelihood")]
+    content = io.StringIO()
+    rows = csv.writer(content)
+    rows.writerow(["scorer", *["DLC_resnet50_people"] * len(columns)])
+    for row, name in enumerate(("individuals", "bodyparts", "coords")):
+        rows.writerow([name, *(column[row] for column in columns)])
+    for number, seen in frames.items():
+        cells = [value for person in seen for value in _flat(person)]
+        rows.writerow([number, *cells, *[""] * (len(columns) - len(cells))])
+    name = f"{camera.name}DLC_resnet50_peopleshuffle1_100000_el.csv"
+    return {name: content.getvalue().encode()}
+
+
+def mediapipe_results(frames: Frames, camera: Camera) -> Files:
+    """Results of the task in Python: shares of the image."""
+    points = LAYOUTS["mediapipe-33"].points
+
+    def landmarks(person: np.ndarray) -> list[dict[str, float]]:
+        by_name = dict(zip(COCO_17.names, person, strict=True))
+        found = [by_name.get(str(name), np.zeros(3)) for name in points]
+        shares = [((x + 0.5) / camera.size_px[0], (y + 0.5) / camera.size_px[1], score) for x, y, score in found]
+        return [{"x": x, "y": y, "z": 0.0, "visibility": score, "presence": score} for x, y, score in shares]
+
+    listed = [
+        {"pose_landmarks": [landmarks(person) for person in people], "pose_world_landmarks": []}
+        for people in frames.values()
+    ]
+    return {"landmarks.json": json.dumps(listed).encode()}
+
+
+PROGRAMS: Mapping[str, Callable[[Frames, Camera], Files]] = {
+    "AlphaPose": alphapose,
+    "AlphaPose, open": alphapose_like_openpose,
+    "MMPose": mmpose_inferencer,
+    "MMPose, images": mmpose_images,
+    "MMPose, demo": mmpose_demo,
+    "COCO": coco_results,
+    "COCO, annotations": coco_annotations,
+    "DeepLabCut": deeplabcut,
+    "MediaPipe": mediapipe_results,
+}
+"""Writers by the name of the program, and what is special."""
+
+
+def keypoint_files(simulation: Simulation, program: str) -> dict[str, Files]:
+    """Files of each camera."""
+    return {
+        camera.name: PROGRAMS[program](
+            frames_of(simulation.detections[camera.name], len(simulation.times[camera.name].time_s)), camera
+        )
+        for camera in simulation.cameras
+    }
+
+
+def write_session(simulation: Simulation, program: str, folder: Path) -> None:
+    """Write the calibration, the timestamps, and the keypoint files of a program."""
+    files = {name: content for name, content in simulation_files(simulation) if not name.startswith("keypoints/")}
+    for camera, of_camera in keypoint_files(simulation, program).items():
+        files |= {f"keypoints/{camera}/{name}": content for name, content in of_camera.items()}
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)

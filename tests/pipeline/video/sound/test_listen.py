@@ -1,0 +1,118 @@
+"""Sound of real files: onsets at their times after the first frame, odd files, and hostile ones."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from pipeline.synchronization.sound.onsets import find_lag, onset_strength
+from pipeline.video.info import VideoInfo
+from pipeline.video.probe_process import probe_in_children
+from pipeline.video.sound.listen_process import listen_in_child
+from tests.pipeline.media import picture, write_video
+from tests.pipeline.video.children import in_children
+
+RATE_HZ = 48_000
+CLICKS_S = (0.31, 0.94, 1.22, 1.71, 2.05, 2.86, 3.3, 3.57)
+
+
+def clicks(duration_s: float, times_s: tuple[float, ...], seed: int = 0) -> np.ndarray:
+    """Claps in a little noise: samples of one channel."""
+    rng = np.random.default_rng(seed)
+    samples = 0.002 * rng.standard_normal(round(duration_s * RATE_HZ))
+    for time_s in times_s:
+        start = round(time_s * RATE_HZ)
+        if 0 <= start < len(samples) - 2400:
+            samples[start : start + 2400] += 0.5 * rng.standard_normal(2400) * np.exp(-np.arange(2400) / 400)
+    return np.clip(samples, -1.0, 1.0)
+
+
+def filmed(
+    path: Path, samples: np.ndarray, codec: str = "aac", sound_first_s: float = 0.0, seconds: float = 4.0
+) -> Path:
+    """Video with sound; ``sound_first_s`` is the time of its first sample after the first frame."""
+    with av.open(str(path), "w") as container:
+        video = container.add_stream("libx264", rate=25)
+        audio = container.add_stream(codec, rate=RATE_HZ, layout="mono")
+        assert isinstance(video, av.VideoStream)
+        assert isinstance(audio, av.AudioStream)
+        video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
+        for number in range(round(25 * seconds)):
+            container.mux(video.encode(av.VideoFrame.from_ndarray(picture(number, (64, 48)), format="rgb24")))
+        container.mux(video.encode())
+        for start in range(0, len(samples), 1024):
+            block = (samples[start : start + 1024] * 32767).astype(np.int16)[None]
+            frame = av.AudioFrame.from_ndarray(block, format="s16", layout="mono")
+            frame.sample_rate = RATE_HZ
+            frame.pts, frame.time_base = start + round(sound_first_s * RATE_HZ), Fraction(1, RATE_HZ)
+            container.mux(audio.encode(frame))
+        container.mux(audio.encode())
+    return path
+
+
+def examined(path: Path) -> VideoInfo:
+    (video,) = probe_in_children([path])
+    assert isinstance(video, VideoInfo)
+    return video
+
+
+def onsets_s(path: Path) -> list[float]:
+    energy = listen_in_child(examined(path))
+    assert not isinstance(energy, str), energy
+    loud = energy > 0.05 * energy.max()
+    return [round(k / 1000, 3) for k in np.flatnonzero(loud) if not loud[max(0, k - 100) : k].any()]
+
+
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "aac"), ("a.mkv", "pcm_s16le"), ("a.mov", "pcm_s16le")])
+def test_claps_are_at_their_times(tmp_path: Path, name: str, codec: str) -> None:
+    found = onsets_s(filmed(tmp_path / name, clicks(4.0, CLICKS_S), codec))
+    assert found == pytest.approx(CLICKS_S, abs=0.002)
+
+
+def test_sound_that_begins_after_the_first_frame(tmp_path: Path) -> None:
+    found = onsets_s(filmed(tmp_path / "a.mkv", clicks(4.0, CLICKS_S), "pcm_s16le", sound_first_s=0.25))
+    assert found == pytest.approx([one + 0.25 for one in CLICKS_S], abs=0.002)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.137, 0.6])
+def test_lag_of_two_files(tmp_path: Path, late_s: float) -> None:
+    first = filmed(tmp_path / "a.mp4", clicks(4.0, CLICKS_S, 1))
+    second = filmed(tmp_path / "b.mp4", clicks(4.0, tuple(one - late_s for one in CLICKS_S), 2))
+    strengths = [onset_strength(np.asarray(listen_in_child(examined(path)))) for path in (first, second)]
+    assert strengths[0] is not None
+    assert strengths[1] is not None
+    found = find_lag(strengths[0], strengths[1])
+    assert found is not None
+    assert found.lag_s == pytest.approx(late_s, abs=0.002)
+
+
+def test_a_video_without_sound_says_so(tmp_path: Path) -> None:
+    assert listen_in_child(examined(write_video(tmp_path / "a.mp4"))) == "The video has no sound."
+
+
+def damage(content: bytearray) -> None:
+    rng = np.random.default_rng(3)
+    for place in rng.integers(2000, len(content) - 2000, 400):
+        content[place] ^= 0xFF
+
+
+@pytest.mark.parametrize("change", [damage, lambda content: content.__delitem__(slice(len(content) // 2, None))])
+def test_damaged_files_end_in_sound_or_a_reason(tmp_path: Path, change: Callable[[bytearray], object]) -> None:
+    video = examined(filmed(tmp_path / "a.mkv", clicks(4.0, CLICKS_S), "pcm_s16le"))
+    content = bytearray(video.path.read_bytes())
+    change(content)
+    video.path.write_bytes(content)
+    found = listen_in_child(video)
+    assert isinstance(found, str) or (np.isfinite(found).all() and len(found) < 3_600_000)
+
+
+def test_a_file_that_kills_its_decoder_has_no_sound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    video = examined(filmed(tmp_path / "a.mp4", clicks(4.0, CLICKS_S)))
+    faults = tmp_path / "faults"
+    faults.mkdir()
+    text = "import os, sys\nif any('listen' in one for one in sys.orig_argv): print('ready', flush=True); os.abort()\n"
+    in_children(faults, monkeypatch, text)
+    assert "within the limits" in str(listen_in_child(video))
