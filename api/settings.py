@@ -168,10 +168,10 @@ class Settings(StorageSettings):
         description="Program that checks a session's files (the preflight), run in a child process.",
     )
     preflight_timeout_s: float = Field(
-        default=15.0,
+        default=20.0,
         gt=0,
-        description="Time limit of a preflight, in addition to 0.2 s a file, 4 s a video, 60 s a GiB of videos and "
-        "1800 s a GiB of keypoints.",
+        description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
+        "keypoints. After 60 % of it no further picture is looked at.",
     )
     preflight_wait_s: float = Field(
         default=10.0,

@@ -36,10 +36,10 @@ _MAX_THUMBNAIL_BYTES = 2**18
 _NICE = 5
 # Several times the time of a check on two cores, measured with good files that have few bytes a frame.
 _S_PER_FILE = 0.2
-# Time for a few pictures of each video.
-_S_PER_VIDEO = 4.0
 _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
+# Share of the time after which no further picture is looked at: a session is not refused for its pictures.
+_PICTURES_SHARE = 0.6
 # Time of sending the files over a connection of some 140 Mbit/s.
 _S_PER_SENT_BYTE = 60 / 2**30
 
@@ -49,7 +49,7 @@ def allowance_s(form: Form) -> float:
     views = (*form.videos, *form.keypoints)
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
     of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
-    return len(views) * _S_PER_FILE + len(form.videos) * _S_PER_VIDEO + of_videos + of_keypoints
+    return len(views) * _S_PER_FILE + of_videos + of_keypoints
 
 
 def further_wait_s(form: Form) -> float:
@@ -131,7 +131,10 @@ class PreflightProgram:
         OSError
             If the disk is full.
         """
-        written = ["--record", str(record), *(["--thumbnails", str(thumbnails)] if thumbnails else [])]
+        written = ["--record", str(record)]
+        if thumbnails is not None:
+            pictures_s = _PICTURES_SHARE * (self.timeout_s + allowance_s)
+            written += ["--thumbnails", str(thumbnails), f"--pictures-s={pictures_s}"]
         session = _parsed(self._answer([*arguments, *written], record.parent, allowance_s))
         if session is None or not record.is_file() or not _has_thumbnails(session, thumbnails):
             raise _failed()

@@ -3,6 +3,8 @@
 Decoders run in child processes with limits (``pipeline.video``); only arrays of pixels come back.
 """
 
+import math
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -29,7 +31,7 @@ THUMBNAIL_SIDE_PX = 320
 # Pixels that are decoded at most for the pictures of a video with few keyframes: 600 frames of 1920 x 1080.
 _MAX_DECODED_PX = 600 * 1920 * 1080
 # Limit on the computing time of a decoder of a small file, and on the wait for one picture.
-_MAX_S = 12.0
+_MAX_S = 20.0
 _DECODERS_AT_ONCE = 2
 _JPEG_QUALITY = 80
 
@@ -66,53 +68,72 @@ class PicturesCheck:
 
 @dataclass(frozen=True, slots=True)
 class _Looked:
-    """Pictures of a camera; a finding if its video could not be decoded."""
+    """Pictures of a camera; findings if its video could not be decoded; whether the time was over before its end."""
 
     pictures: CameraPictures
     frames: tuple[int, ...]
     thumbnails: tuple[Thumbnail, ...]
     problems: tuple[Finding, ...]
+    is_left_out: bool
 
 
-def look_at_pictures(session: CaptureSession) -> PicturesCheck:
+def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> PicturesCheck:
     """Check a few pictures of each camera of a session.
 
     A video that can't be decoded within the limits gives a finding.
+
+    Parameters
+    ----------
+    budget_s
+        Time after which no further picture is looked at: then a finding says how many cameras were left out.
 
     Raises
     ------
     ChildError
         If a decoder fails for a reason other than its file.
     """
-    pairs = list(zip([camera.name for camera in session.cameras], session.videos, strict=True))
+    deadline_s = time.monotonic() + budget_s
+    names = [camera.name for camera in session.cameras]
+
+    def look(camera: str, video: VideoInfo) -> _Looked:
+        return _look(session, camera, video, deadline_s)
+
     with ThreadPoolExecutor(_DECODERS_AT_ONCE) as pool:
         try:
-            looked = list(pool.map(lambda pair: _look(session, *pair), pairs))
+            looked = list(pool.map(look, names, session.videos))
             seen = [one.pictures for one in looked]
-            copies = list(pool.map(lambda pair: _compare(session, looked, *pair), similar_views(seen)))
+            alike = similar_views(seen) if time.monotonic() < deadline_s else []
+            copies = list(pool.map(lambda pair: _compare(session, looked, *pair), alike))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     findings = [finding for one in looked for finding in one.problems]
     findings += [*check_pictures(seen), *(copy for copy in copies if copy is not None)]
+    if num_left := sum(one.is_left_out for one in looked):
+        message = f"Not all pictures of {num_left} of {len(looked)} cameras could be looked at in {budget_s:.0f} s."
+        hint = "Look at the videos, or send the session again when the service is less busy."
+        findings.append(Finding("pictures_left_out", message, None, "info", hint, {"num_cameras": num_left}))
     return PicturesCheck(tuple(findings), tuple(one.thumbnails for one in looked))
 
 
-def _look(session: CaptureSession, camera: str, video: VideoInfo) -> _Looked:
+def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: float) -> _Looked:
     time_s = session.times[camera].time_s
     frames: list[int] = []
     figures: list[PictureFigures] = []
     thumbnails: list[Thumbnail] = []
     problems: list[Finding] = []
+    is_left_out = time.monotonic() >= deadline_s
     try:
-        for number, image_rgb in _decoded(video, frames_to_look_at(video)):
+        for number, image_rgb in () if is_left_out else _decoded(video, frames_to_look_at(video)):
+            if is_left_out := time.monotonic() >= deadline_s:
+                break
             frames.append(number)
             figures.append(figures_of(image_rgb))
             thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
     except InputError as error:
         problems += [from_problem(replace(problem, camera=camera)) for problem in error.problems]
     pictures = CameraPictures(camera, time_s[frames], tuple(figures))
-    return _Looked(pictures, tuple(frames), tuple(thumbnails), tuple(problems))
+    return _Looked(pictures, tuple(frames), tuple(thumbnails), tuple(problems), is_left_out)
 
 
 def _compare(session: CaptureSession, looked: Sequence[_Looked], first: int, later: int) -> Finding | None:

@@ -5,7 +5,7 @@
 the session's report, or ``{"problems": [...]}`` with exit code 2. So a caller can check a session without loading the
 numeric libraries, and without opening untrusted files itself. ``--record FILE`` stores the opened session, so that the
 files need not be examined again. ``--thumbnails FOLDER`` also checks the cameras against each other and a few pictures
-of each video, whose small copies are stored in the folder as ``thumbnail_name`` says.
+of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as ``thumbnail_name`` says.
 
 Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
 without ``--calibration`` are those of a calibration that is to be made.
@@ -18,6 +18,7 @@ import json
 import math
 import sys
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -47,6 +48,9 @@ from pipeline.findings import Finding
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.properties.regularity import OF_TIMES
+
+# Time at which the program began.
+_STARTED_S = time.monotonic()
 
 EXIT_BAD_INPUT = 2
 EXIT_DISK_FULL = 4
@@ -125,7 +129,7 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
     files = [video.path.name for video in session.videos]
     preflight, record = report(session, files, units, recordings, clock), encode_session(session)
     if arguments.thumbnails:
-        looked = look_at_pictures(session)
+        looked = look_at_pictures(session, max(0.0, arguments.pictures_s - (time.monotonic() - _STARTED_S)))
         stored = [_write_thumbnails(arguments.thumbnails, *one) for one in enumerate(looked.thumbnails)]
         preflight = replace(preflight, cameras=tuple(map(_with_thumbnails, preflight.cameras, stored)))
         preflight = _with_findings(preflight, [*check_cameras(session.cameras), *looked.findings])
@@ -223,6 +227,12 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--photographs", action="store_true", help="The videos are archives of photographs.")
     parser.add_argument("--board", help="Board that the videos show; its specification is checked.")
     parser.add_argument("--record", type=Path)
+    parser.add_argument(
+        "--pictures-s",
+        type=float,
+        default=math.inf,
+        help="Time since the start of the program after which no picture is looked at.",
+    )
     parser.add_argument("--thumbnails", type=Path, help="Check cameras and pictures too; folder for small copies.")
     arguments = parser.parse_args(words)
     if arguments.calibration is None and not arguments.videos:

@@ -106,6 +106,12 @@ FILES = CodeGroup(
             "The picture of a camera stays the same while another camera sees motion.",
             "Look at the video; export it again, or leave the camera out.",
         ),
+        ProblemCode(
+            "pictures_left_out",
+            _FINDING,
+            "The service had no time to look at all pictures.",
+            "Look at the videos, or send the session again when the service is less busy.",
+        ),
         ProblemCode("session_warning", _FINDING, "A warning of a version that had sentences only.", "Read `message`."),
     ),
 )

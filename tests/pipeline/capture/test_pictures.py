@@ -100,6 +100,15 @@ def test_thumbnails_are_small(tmp_path: Path) -> None:
         assert len(one.content) < 2**17
 
 
+def test_without_time_pictures_are_left_out(tmp_path: Path, walks: dict[str, list[np.ndarray]]) -> None:
+    paths = session_of(tmp_path / "videos", walks)
+    session = open_session(paths, calibration(tmp_path / "c.json", NAMES, SIZE_PX))
+    looked = look_at_pictures(session, 0.0)
+    (finding,) = looked.findings
+    assert (finding.code, finding.severity, finding.evidence) == ("pictures_left_out", "info", {"num_cameras": 2})
+    assert looked.thumbnails == ((), ())
+
+
 def test_a_video_that_breaks_in_the_middle_is_a_finding(
     tmp_path: Path, walks: dict[str, list[np.ndarray]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
