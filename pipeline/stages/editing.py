@@ -8,7 +8,6 @@ import numpy as np
 from pipeline.config import ReconstructionConfig
 from pipeline.data import (
     Animation,
-    Camera,
     Doubt,
     FootContact,
     Observations,
@@ -22,16 +21,8 @@ from pipeline.data import (
     read_only,
 )
 from pipeline.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
-from pipeline.joints import JointOffsets, JointSet
-from pipeline.progress import OnShare
-from pipeline.skeleton.animate import animate
 from pipeline.stages.stored import StoredSequence
 from pipeline.video.timeline import cut_timebase
-
-
-def spans(tracks: Sequence[Track3D]) -> tuple[PersonSpan, ...]:
-    """Frames of each person, of tracks one each a person."""
-    return tuple(PersonSpan(track.track_id, track.start_frame, track.num_frames) for track in tracks)
 
 
 def edited_take(found: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
@@ -39,21 +30,20 @@ def edited_take(found: Sequence[PersonSpan], config: ReconstructionConfig, timeb
     return apply_edits(found, config.edits, timebase.num_frames)
 
 
-def put_together(people: People, take: EditedTake) -> People:
-    """Tracks and observations of the edited people, from those of the people who were found.
+def changed_people(people: People, found: Sequence[PersonSpan], take: EditedTake) -> People:
+    """Tracks and observations of the people whom the edits changed, from those of the people who were found.
 
-    Frames between two pieces are absent. People without a single known joint are left out. Doubts remain of people who
-    did not change: others were decided by hand.
+    Frames between two pieces are absent. People without a single known joint are left out.
+
+    Parameters
+    ----------
+    people, found
+        People who were found, and their frames in the same order.
     """
-    found = spans(people.tracks)
     number_of = {span.id: number for number, span in enumerate(found)}
-    tracks, observations, doubts = [], [], []
+    tracks, observations = [], []
     for person in take.people:
-        if (source := unchanged_from(person, found)) is not None:
-            number = number_of[source]
-            tracks.append(replace(people.tracks[number], track_id=person.id))
-            observations.append(replace(people.observations[number], track_id=person.id))
-            doubts.append(_doubts(people, take, number) if people.doubts else [])
+        if unchanged_from(person, found) is not None:
             continue
         parts = [people.tracks[number_of[piece.person]] for piece in person.pieces]
         track = _track(person, parts)
@@ -64,8 +54,7 @@ def put_together(people: People, take: EditedTake) -> People:
         seen = _observations(person, parts, [people.observations[number_of[piece.person]] for piece in person.pieces])
         tracks.append(part_of_track(track, kept))
         observations.append(part_of_observations(seen, kept))
-        doubts.append([])
-    return People(tracks, observations, people.num_approximate_frames, doubts if people.doubts else ())
+    return People(tracks, observations)
 
 
 def unchanged_from(person: EditedPerson, found: Sequence[PersonSpan]) -> int | None:
@@ -78,56 +67,57 @@ def unchanged_from(person: EditedPerson, found: Sequence[PersonSpan]) -> int | N
     return None
 
 
-def animate_again(
+def put_together(
+    people: People,
     fitted: Animation,
     found: Sequence[PersonSpan],
-    edited: People,
+    changed: People,
+    refitted: Animation,
     take: EditedTake,
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    joints: JointSet,
-    config: ReconstructionConfig,
-    on_share: OnShare,
-    offsets: JointOffsets,
-) -> Animation:
-    """Animation of the edited people: the fit of those who did not change, a new one of the others.
+) -> tuple[People, Animation]:
+    """People of an edited take and their animation: the changed ones, and the others as they were found.
 
-    The floor is that of the people who were found: it does not depend on who is who.
+    The floor is that of the people who were found: it does not depend on who is who. Doubts remain of people who did
+    not change: others were decided by hand.
 
     Parameters
     ----------
-    fitted, found
-        Animation and frames of the people who were found.
-    edited, take
-        The edited people, as ``put_together`` made them.
+    people, fitted, found
+        People who were found, their animation and their frames, in the same order.
+    changed, refitted
+        People of ``changed_people``, and their animation.
     """
-    numbers = {span.id: number for number, span in enumerate(found)}
-    edits = {person.id: person for person in take.people}
-    kept = {track.track_id: unchanged_from(edits[track.track_id], found) for track in edited.tracks}
-    new = [number for number, track in enumerate(edited.tracks) if kept[track.track_id] is None]
-    made = animate(
-        [edited.tracks[number] for number in new],
-        [edited.observations[number] for number in new],
-        cameras,
-        timebase,
-        joints,
-        config,
-        on_share,
-        offsets,
-        floor=fitted.floor,
-    )
-    by_number = dict(zip(new, zip(made.tracks, made.motions, strict=True), strict=True))
-    tracks, motions = [], []
-    for number, located in enumerate(edited.tracks):
-        person, source = edits[located.track_id], kept[located.track_id]
-        if source is None:
-            track, motion = by_number[number]
-        else:
-            track, motion = fitted.tracks[numbers[source]], fitted.motions[numbers[source]]
+    number_of = {span.id: number for number, span in enumerate(found)}
+    changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}
+    sources: list[tuple[int, People, int]] = []
+    tracks, motions, doubts = [], [], []
+    for person in take.people:
+        source = unchanged_from(person, found)
+        if source is None and person.id not in changed_number_of:
+            continue
+        number = changed_number_of[person.id] if source is None else number_of[source]
+        sources.append((person.id, changed if source is None else people, number))
+        animation = refitted if source is None else fitted
+        tracks.append(replace(animation.tracks[number], track_id=person.id))
         name = person.name or f"person-{person.id}"
-        tracks.append(replace(track, track_id=person.id))
-        motions.append(replace(motion, track_id=person.id, name=name))
-    return Animation(tuple(tracks), tuple(motions), fitted.floor)
+        motions.append(replace(animation.motions[number], track_id=person.id, name=name))
+        doubts.append(_doubts(people, take, number) if people.doubts and source is not None else [])
+
+    def track(k: int) -> Track3D:
+        number, kept, row = sources[k]
+        return replace(kept.tracks[row], track_id=number)
+
+    def observations(k: int) -> Observations:
+        number, kept, row = sources[k]
+        return replace(kept.observations[row], track_id=number)
+
+    edited = People(
+        StoredSequence(len(sources), track),
+        StoredSequence(len(sources), observations),
+        people.num_approximate_frames,
+        doubts if people.doubts else (),
+    )
+    return edited, Animation(tuple(tracks), tuple(motions), fitted.floor)
 
 
 def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:

@@ -37,6 +37,7 @@ from pipeline.data import (
     read_only,
 )
 from pipeline.detect.profiles.sizes import CameraSizes
+from pipeline.edits import PersonSpan
 from pipeline.errors import Problem
 from pipeline.geometry.rigid import Rigid3
 from pipeline.runtime.npz import decode_arrays, encode_arrays, open_archive, save_arrays
@@ -265,6 +266,13 @@ def open_people(path: Path) -> People:
     return People(tracks, seen, num_approximate_frames, doubts, leftovers)
 
 
+def stored_spans(path: Path) -> tuple[PersonSpan, ...]:
+    """Frames of the people that ``write_people`` wrote, in their order; the rest of their tracks is not read."""
+    with open_archive(path) as archive:
+        people = zip(archive["track_id"].tolist(), archive["start_frame"].tolist(), strict=True)
+        return tuple(PersonSpan(number, start, len(archive[f"source_{k}"])) for k, (number, start) in enumerate(people))
+
+
 def encode_animation(animation: Animation) -> bytes:
     """Write everybody's final positions and skeletons, and the floor."""
     motions, floor = animation.motions, animation.floor
@@ -302,6 +310,12 @@ def decode_animation(content: bytes) -> Animation:
         for k, track in enumerate(tracks)
     )
     return Animation(tracks, motions, Floor(*arrays["floor"].tolist()) if len(arrays["floor"]) else None)
+
+
+def decode_floor(content: bytes) -> Floor | None:
+    """Read the floor alone of what ``encode_animation`` wrote."""
+    with open_archive(content) as archive:
+        return Floor(*archive["floor"].tolist()) if len(archive["floor"]) else None
 
 
 def _track_arrays(tracks: Sequence[Track3D]) -> dict[str, np.ndarray]:

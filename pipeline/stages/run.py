@@ -49,7 +49,7 @@ from pipeline.stages.association import (
 from pipeline.stages.cameras.checking import check_bodies, check_session, decode_check, encode_check, with_clocks
 from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
 from pipeline.stages.cameras.synchronization import listen, measure_clocks, on_measured_clocks
-from pipeline.stages.editing import animate_again, cut, edited_take, put_together, spans
+from pipeline.stages.editing import changed_people, cut, edited_take, put_together
 from pipeline.stages.inputs import (
     Context,
     all_bodies,
@@ -68,6 +68,7 @@ from pipeline.stages.outputs_npz import (
     decode_animation,
     decode_damaged_videos,
     decode_detections,
+    decode_floor,
     decode_lengths,
     decode_poses,
     decode_sizes,
@@ -81,6 +82,7 @@ from pipeline.stages.outputs_npz import (
     encode_refinement,
     encode_sizes,
     open_people,
+    stored_spans,
     write_people,
 )
 from pipeline.stages.plan import (
@@ -390,13 +392,13 @@ def fit_skeletons(task: Task, context: Context) -> Output:
 
 
 def edit_people(task: Task, context: Context) -> Output:
-    """Put the people together as the edits say, from those who were found."""
+    """Put the people whom the edits change together, from those who were found."""
     archive = _archive_of_people(context, IDENTIFY)
-    people, damaged = open_people(archive), decode_damaged_videos(archive)
+    found = stored_spans(archive)
     session, _ = wanted_inputs(context, context.outline())
-    take = edited_take(spans(people.tracks), context.config, session.timebase)
+    take = edited_take(found, context.config, session.timebase)
     edited = context.scratch / _EDITED
-    write_people(edited, put_together(people, take), damaged)
+    write_people(edited, changed_people(open_people(archive), found, take))
     _on_share(task, context)(1.0)
     return Output(edited.read_bytes())
 
@@ -404,19 +406,17 @@ def edit_people(task: Task, context: Context) -> Output:
 def refit_skeletons(task: Task, context: Context) -> Output:
     """Animate the people whom edits changed; the others keep their animation."""
     session, joints = wanted_inputs(context, context.outline())
-    found = spans_found(context)
-    edited = open_people(_archive_of_people(context, EDIT, _EDITED))
-    animation = animate_again(
-        decode_animation(*context.outputs(FIT)),
-        found,
-        edited,
-        edited_take(found, context.config, session.timebase),
+    changed = open_people(_archive_of_people(context, EDIT, _EDITED))
+    animation = animate(
+        changed.tracks,
+        changed.observations,
         session.cameras,
         session.timebase,
         joints,
         context.config,
         _on_share(task, context),
         used_offsets(session, context.config),
+        decode_floor(*context.outputs(FIT)),
     )
     return Output(encode_animation(animation))
 
@@ -442,11 +442,16 @@ def assemble(context: Context) -> Reconstruction:
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
     session, joints = wanted_inputs(context, context.outline())
-    is_edited = bool(context.config.edits)
-    archive = _archive_of_people(context, EDIT if is_edited else IDENTIFY)
-    animation = decode_animation(*context.outputs(REFIT if is_edited else FIT))
+    archive = _archive_of_people(context, IDENTIFY)
+    people, animation = open_people(archive), decode_animation(*context.outputs(FIT))
+    take = None
+    if context.config.edits:
+        found = stored_spans(archive)
+        take = edited_take(found, context.config, session.timebase)
+        changed = open_people(_archive_of_people(context, EDIT, _EDITED))
+        refitted = decode_animation(*context.outputs(REFIT))
+        people, animation = put_together(people, animation, found, changed, refitted, take)
     refined = refined_cameras(context, session.cameras)
-    people = open_people(archive)
     reconstruction = Reconstruction(
         cameras=session.cameras,
         joints=joints,
@@ -463,8 +468,7 @@ def assemble(context: Context) -> Reconstruction:
         synchronization=measured_clocks(context),
         check=decode_check(*context.outputs(CHECK)),
     )
-    frames = kept_frames(context)
-    return reconstruction if frames is None else cut(reconstruction, frames)
+    return reconstruction if take is None or take.frames is None else cut(reconstruction, take.frames)
 
 
 def kept_frames(context: Context) -> range | None:
@@ -475,7 +479,7 @@ def kept_frames(context: Context) -> range | None:
 
 def spans_found(context: Context) -> tuple[PersonSpan, ...]:
     """Frames of the people who were found, before any edit."""
-    return spans(open_people(_archive_of_people(context, IDENTIFY, _FOUND)).tracks)
+    return stored_spans(_archive_of_people(context, IDENTIFY, _FOUND))
 
 
 def _sizes(context: Context, camera: str) -> CameraSizes | None:
