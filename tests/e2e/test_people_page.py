@@ -224,6 +224,20 @@ def test_two_people_who_edit_at_once(page: Page, portal: Portal) -> None:
     expect(panel(page).get_by_text("No edits.")).to_be_visible()
 
 
+def test_another_job_is_compared_on_the_same_clock(page: Page, portal: Portal) -> None:
+    session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
+    answer = portal.client.post(f"{session}/jobs", json={"smoothing": "none"}).raise_for_status().json()
+    wait_for(lambda: portal.client.get(f"/v1/jobs/{answer['id']}").json()["state"] == "succeeded", timeout_s=240)
+    page.reload()
+    look_at(page, portal)
+    page.get_by_label("Compare with").select_option(answer["id"])
+    expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2, timeout=60_000)
+    choose(page, "person-1", 60)
+    for slider in page.get_by_label("Play head").all():
+        expect(slider).to_have_value("60")
+    assert axe_findings(page) == []
+
+
 def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Portal) -> None:
     sharing = page.get_by_role("region", name="Public link")
     sharing.get_by_label("Ends after").select_option("1 day")

@@ -23,7 +23,7 @@ export async function mount(element, source) {
 export async function mountPair(element, sources, titles) {
   const descriptions = await describe(element, sources);
   const player = playerOf(descriptions);
-  const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h3", {}, title), el("div")));
+  const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h2", {}, title), el("div")));
   element.replaceChildren(el("div", { class: "look-pair" }, places));
   const viewers = places.map((place, number) => new Viewer(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0 }));
   player.mustWait = (now) => viewers.some((viewer) => viewer.isLate(now));

@@ -48,7 +48,7 @@ function goTo(player, frame, text, about) {
 }
 
 function table(caption, heads, rows) {
-  return el("div", { class: "look-scroll", tabindex: 0, role: "region", "aria-label": caption },
+  return el("div", { class: "look-scroll", tabindex: 0, role: "group", "aria-label": caption },
     el("table", {}, el("caption", {}, caption),
       el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", {}, rows)));
 }
