@@ -14,7 +14,7 @@ from pipeline.errors import ChildError, InputError, ModelError
 from pipeline.errors import Problem as InputProblem
 from pipeline.findings import Finding
 from pipeline.stages.output import Output
-from pipeline.stages.plan import ASSOCIATE, DETECT, EXPORT, FIT, IDENTIFY, LOOK
+from pipeline.stages.plan import ASSOCIATE, CHECK, DETECT, EXPORT, FIT, IDENTIFY, LOOK
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES, RESULT, Bench, associate, detect, export, fit
 from worker.chunk import Work
 from worker.jobs.files.artifacts import stage_key
@@ -74,11 +74,11 @@ def run_side_by_side(bench: Bench, num_workers: int) -> None:
 
 def test_a_job_runs_to_its_results(bench: Bench) -> None:
     job = bench.create_job()
-    assert bench.runner().work(60.0) == 1 + 4 + 4
+    assert bench.runner().work(60.0) == 1 + 4 + 5
     job = bench.store.jobs.get(job.id)
     assert (job.state, job.progress, job.problem) == (JobState.SUCCEEDED, 1.0, None)
     assert [(stage.name, stage.state) for stage in job.stages] == [
-        (name, ChunkState.DONE) for name in (LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT, EXPORT)
+        (name, ChunkState.DONE) for name in (LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT, EXPORT)
     ]
     assert not any(stage.reused for stage in job.stages)
     (result,) = bench.store.results.of_job(job.id)
@@ -121,7 +121,7 @@ def test_workers_side_by_side_leave_the_same(bench: Bench) -> None:
 def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    for name in (LOOK, DETECT, ASSOCIATE, IDENTIFY, FIT):
+    for name in (LOOK, DETECT, CHECK, ASSOCIATE, IDENTIFY, FIT):
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
@@ -130,6 +130,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: Bench) -> None
     assert {stage.name: stage.reused for stage in job.stages} == {
         LOOK: True,
         DETECT: True,
+        CHECK: True,
         ASSOCIATE: True,
         IDENTIFY: True,
         FIT: True,
@@ -283,7 +284,7 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: Bench) -> 
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT
     reused = {stage.name: stage.reused for stage in bench.store.jobs.get(again.id).stages}
-    assert reused == {LOOK: True, DETECT: True, ASSOCIATE: True, IDENTIFY: True, FIT: False, EXPORT: False}
+    assert reused == {LOOK: True, DETECT: True, CHECK: True, ASSOCIATE: True, IDENTIFY: True, FIT: False, EXPORT: False}
 
 
 def test_bad_input_fails_at_once_with_its_words(bench: Bench) -> None:
