@@ -171,7 +171,7 @@ class Settings(StorageSettings):
         default=20.0,
         gt=0,
         description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos and 1800 s a GiB of "
-        "keypoints. After 60 % of it no further picture is looked at.",
+        "keypoints. After half of it no further picture is looked at.",
     )
     preflight_wait_s: float = Field(
         default=10.0,

@@ -24,6 +24,7 @@ SLOW = (
     "hostile/",
     "api/contract/test_schemathesis.py",
     "e2e/test_backup.py",
+    "e2e/test_check_of_sessions.py",
     "e2e/test_clocks.py",
     "e2e/test_damaged.py",
     "e2e/test_damaged_files.py",

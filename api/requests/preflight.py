@@ -39,7 +39,7 @@ _S_PER_FILE = 0.2
 _S_PER_VIDEO_BYTE = 60 / 2**30
 _S_PER_KEYPOINTS_BYTE = 1800 / 2**30
 # Share of the time after which no further picture is looked at: a session is not refused for its pictures.
-_PICTURES_SHARE = 0.6
+_PICTURES_SHARE = 0.5
 # Time of sending the files over a connection of some 140 Mbit/s.
 _S_PER_SENT_BYTE = 60 / 2**30
 

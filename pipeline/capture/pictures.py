@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from pipeline.capture.session import CaptureSession
-from pipeline.errors import InputError
+from pipeline.errors import ChildError, InputError
 from pipeline.findings import Finding, from_problem
 from pipeline.preflight.pictures.check import CameraPictures, check_pictures
 from pipeline.preflight.pictures.copies import MIN_INSTANTS, same_video, similar_views
@@ -32,6 +32,7 @@ THUMBNAIL_SIDE_PX = 320
 _MAX_DECODED_PX = 600 * 1920 * 1080
 # Limit on the computing time of a decoder of a small file, and on the wait for one picture.
 _MAX_S = 20.0
+_MIN_S = 0.1
 _DECODERS_AT_ONCE = 2
 _JPEG_QUALITY = 80
 
@@ -103,7 +104,7 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
             looked = list(pool.map(look, names, session.videos))
             seen = [one.pictures for one in looked]
             alike = similar_views(seen) if time.monotonic() < deadline_s else []
-            copies = list(pool.map(lambda pair: _compare(session, looked, *pair), alike))
+            copies = list(pool.map(lambda pair: _compare(session, looked, pair[0], pair[1], deadline_s), alike))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -124,19 +125,26 @@ def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: fl
     problems: list[Finding] = []
     is_left_out = time.monotonic() >= deadline_s
     try:
-        for number, image_rgb in () if is_left_out else _decoded(video, frames_to_look_at(video)):
+        for number, image_rgb in () if is_left_out else _decoded(video, frames_to_look_at(video), deadline_s):
             if is_left_out := time.monotonic() >= deadline_s:
                 break
             frames.append(number)
             figures.append(figures_of(image_rgb))
             thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
-    except InputError as error:
-        problems += [from_problem(replace(problem, camera=camera)) for problem in error.problems]
+    except (InputError, ChildError) as error:
+        # The decoder was stopped, or had no time to start.
+        is_left_out = time.monotonic() >= deadline_s
+        if isinstance(error, ChildError) and not is_left_out:
+            raise
+        listed = () if is_left_out or isinstance(error, ChildError) else error.problems
+        problems += [from_problem(replace(problem, camera=camera)) for problem in listed]
     pictures = CameraPictures(camera, time_s[frames], tuple(figures))
     return _Looked(pictures, tuple(frames), tuple(thumbnails), tuple(problems), is_left_out)
 
 
-def _compare(session: CaptureSession, looked: Sequence[_Looked], first: int, later: int) -> Finding | None:
+def _compare(
+    session: CaptureSession, looked: Sequence[_Looked], first: int, later: int, deadline_s: float
+) -> Finding | None:
     """Compare two cameras with similar views at the same times since the starts of their files."""
     one, other = session.videos[first], session.videos[later]
     of_first = looked[first]
@@ -149,8 +157,12 @@ def _compare(session: CaptureSession, looked: Sequence[_Looked], first: int, lat
     try:
         for number in chosen:
             frame = int(np.argmin(np.abs(other.time_s - one.time_s[of_first.frames[number]])))
-            figures += [figures_of(image_rgb) for _, image_rgb in _decoded(other, [frame])]
+            figures += [figures_of(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)]
     except InputError:
+        return None
+    except ChildError:
+        if time.monotonic() < deadline_s:
+            raise
         return None
     if len(figures) < MIN_INSTANTS:
         return None
@@ -177,8 +189,8 @@ def _middles(num_frames: int) -> list[int]:
     return sorted({int((part + 0.5) * num_frames / NUM_PICTURES) for part in range(NUM_PICTURES)})
 
 
-def _decoded(video: VideoInfo, frames: Sequence[int]) -> Iterator[tuple[int, np.ndarray]]:
-    limit_s = _MAX_S + reading_s(video.path)
+def _decoded(video: VideoInfo, frames: Sequence[int], deadline_s: float) -> Iterator[tuple[int, np.ndarray]]:
+    limit_s = min(_MAX_S + reading_s(video.path), max(_MIN_S, deadline_s - time.monotonic()))
     with closing(decode(video, frames[0], frames[-1] + 1, only=frames, limit_s=limit_s)) as pictures:
         yield from pictures
 

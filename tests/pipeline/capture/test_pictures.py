@@ -100,10 +100,14 @@ def test_thumbnails_are_small(tmp_path: Path) -> None:
         assert len(one.content) < 2**17
 
 
-def test_without_time_pictures_are_left_out(tmp_path: Path, walks: dict[str, list[np.ndarray]]) -> None:
+@pytest.mark.parametrize("budget_s", [0.0, 0.02])
+def test_without_time_pictures_are_left_out(
+    tmp_path: Path, walks: dict[str, list[np.ndarray]], budget_s: float
+) -> None:
+    """Before the first decoder starts, and while it starts."""
     paths = session_of(tmp_path / "videos", walks)
     session = open_session(paths, calibration(tmp_path / "c.json", NAMES, SIZE_PX))
-    looked = look_at_pictures(session, 0.0)
+    looked = look_at_pictures(session, budget_s)
     (finding,) = looked.findings
     assert (finding.code, finding.severity, finding.evidence) == ("pictures_left_out", "info", {"num_cameras": 2})
     assert looked.thumbnails == ((), ())
