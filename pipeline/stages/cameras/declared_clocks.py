@@ -1,6 +1,7 @@
 """Check of declared times: cameras whose clocks disagree, measured from people in motion in a minute of the take."""
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -12,10 +13,14 @@ from pipeline.joints import JointSet
 from pipeline.stages.association import DetectionsByCamera, Session
 from pipeline.stages.plan import FrameCut
 from pipeline.synchronization.remaining import RemainingOffset, remaining_offsets
+from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.timeline import frames_in
 
 # Parts of a long take, and the duration of each: enough to measure offsets and the drift from one end to the other.
 _NUM_PARTS, _PART_S = 3, 20.0
+# Comparisons of two bodies in a second that take some ten seconds together, and the least that tells anything: crowds
+# before many cameras are not checked.
+_MAX_COMPARISONS, _SHORTEST_S = 2400.0, 4.0
 
 
 def check_clocks(
@@ -34,13 +39,28 @@ def check_clocks(
     detected
         Function that gives the bodies of a range by its number and its frames.
     """
-    names = [camera.name for camera in session.cameras]
     spans = _spans(cut.parts, session.timebase.frame_rate_hz)
     if isinstance(session, KeypointSession):
         ranges: list[DetectionsByCamera] = [session.detections]
     else:
         touched = [any(part.start < span.stop and span.start < part.stop for span in spans) for part in cut]
         ranges = [detected(number, part) for number, part in enumerate(cut) if touched[number]]
+    detections = _bodies(session, joints, spans, ranges)
+    share = _affordable(session, detections, spans)
+    if share * sum(map(len, spans)) < _SHORTEST_S * session.timebase.frame_rate_hz and share < 1.0:
+        return
+    if share < 1.0:
+        spans = [_middle(span, share) for span in spans]
+        detections = _bodies(session, joints, spans, [detections])
+    for offset in remaining_offsets(session.cameras, session.times, detections, joints):
+        if offset.is_wrong:
+            yield _finding(offset)
+
+
+def _bodies(
+    session: Session, joints: JointSet, spans: Sequence[range], ranges: Sequence[DetectionsByCamera]
+) -> dict[str, Detections]:
+    """Bodies of each camera in spans of output frames."""
     half_s = 0.5 / session.timebase.frame_rate_hz
     ends_s = [(session.timebase.time_s(span[0]) - half_s, session.timebase.time_s(span[-1]) + half_s) for span in spans]
     chunks = [
@@ -50,10 +70,24 @@ def check_clocks(
         for name, one in part.items()
         if isinstance(one, Detections)
     ]
-    detections = concatenate(chunks, names, len(joints.names))
-    for offset in remaining_offsets(session.cameras, session.times, detections, joints):
-        if offset.is_wrong:
-            yield _finding(offset)
+    return concatenate(chunks, [camera.name for camera in session.cameras], len(joints.names))
+
+
+def _affordable(session: Session, detections: Mapping[str, Detections], spans: Sequence[range]) -> float:
+    """Share of the spans that can be looked at in some seconds: each body is compared with all of other cameras."""
+    seconds = sum(map(len, spans)) / session.timebase.frame_rate_hz
+    people = [
+        len(of.frame) / max(1.0, seconds * measured_rate_hz(session.times[name].time_s))
+        for name, of in detections.items()
+    ]
+    comparisons = seconds * sum(one * other for one, other in itertools.combinations(people, 2))
+    return min(1.0, _MAX_COMPARISONS / max(comparisons, 1e-9))
+
+
+def _middle(span: range, share: float) -> range:
+    length = max(1, round(share * len(span)))
+    start = span.start + (len(span) - length) // 2
+    return range(start, start + length)
 
 
 def _finding(offset: RemainingOffset) -> Finding:

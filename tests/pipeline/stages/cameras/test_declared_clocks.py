@@ -1,15 +1,17 @@
 """Check of declared times: cameras that are late are named, and good sessions are left alone."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pipeline.config import ReconstructionConfig
-from pipeline.data import FrameTimes
+from pipeline.data import Detections, FrameTimes
 from pipeline.findings import Finding
 from pipeline.simulation.motion.script import Gesture
-from pipeline.stages.cameras.declared_clocks import _spans, check_clocks
+from pipeline.stages.cameras import declared_clocks
+from pipeline.stages.cameras.declared_clocks import _affordable, _spans, check_clocks
 from pipeline.stages.local import reconstruct
 from pipeline.stages.plan import FrameCut
 from pipeline.synchronization.remaining import _agreed_s
@@ -77,6 +79,26 @@ def test_a_reconstruction_says_so(take: Take) -> None:
 def test_times_are_compared_with_cameras_that_agree(late_frames: list[float], agreed: float) -> None:
     late_s = np.array(late_frames) * PERIOD_S
     assert _agreed_s(late_s, np.full(len(late_s), PERIOD_S)) == pytest.approx(agreed * PERIOD_S)
+
+
+def test_crowds_are_looked_at_for_a_shorter_time_or_not_at_all(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = shifted(take, 0.8)
+    spent: list[int] = []
+
+    def counted(cameras: object, times: object, bodies: Mapping[str, Detections], joints: object) -> tuple[()]:
+        spent.append(sum(len(of.frame) for of in bodies.values()))
+        return ()
+
+    monkeypatch.setattr(declared_clocks, "remaining_offsets", counted)
+    monkeypatch.setattr(declared_clocks, "_MAX_COMPARISONS", 1.0)
+    session = session_of(late)
+    needed = 1.0 / _affordable(session, session.detections, [range(session.timebase.num_frames)])
+    for share in (1.0, 0.8, 0.5):
+        monkeypatch.setattr(declared_clocks, "_MAX_COMPARISONS", share * needed)
+        assert findings(late) == []
+    whole, part = spent  # three seconds of six are too short
+    assert whole == sum(len(of.frame) for of in late.detections.values())
+    assert part == pytest.approx(0.8 * whole, rel=0.05)
 
 
 def test_a_minute_of_a_long_take_is_looked_at() -> None:
