@@ -105,7 +105,7 @@ class About:
     group: Group = "advanced"
 
 
-Kind = Literal["one", "several", "number", "whole_number", "frame_range"]
+Kind = Literal["one", "several", "flag", "number", "whole_number", "frame_range"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class Choice:
     name
         Name of the field.
     kind
-        ``one`` of the values, ``several`` of them, a number, a whole number, or a range of frames.
+        ``one`` of the values, ``several`` of them, yes or no, a number, a whole number, or a range of frames.
     hint
         Type of the field, with the labels of its values.
     values
@@ -195,6 +195,8 @@ def _kind(hint: Any) -> Kind:
             return "one"
         case [one] if get_origin(one) is tuple:
             return "several" if get_args(one)[1] is Ellipsis else "frame_range"
+        case [one] if one is bool:
+            return "flag"
         case [one] if one is int:
             return "whole_number"
         case [one] if one is float:

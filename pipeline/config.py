@@ -222,6 +222,10 @@ class JobChoices(MotionChoices):
             group="purpose",
         ),
     ] = "default"
+    overlay: Annotated[
+        bool,
+        About("Overlay videos", "Whether each camera's video is made with the skeletons drawn over it."),
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,10 +289,15 @@ class ReconstructionConfig(JobChoices):
 
 
 def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:
-    """Warnings about the method for a session of videos or of keypoints, a sentence each."""
+    """Warnings about choices for a session of videos or of keypoints, a sentence each."""
+    found = []
     if config.method == "clustering" and not (has_videos and config.uses_fields):
-        return ("Clustering takes whole bodies for evidence: two joints are connected where one detection has both.",)
-    return ()
+        found.append(
+            "Clustering takes whole bodies for evidence: two joints are connected where one detection has both."
+        )
+    if config.overlay and not has_videos:
+        found.append("Overlay videos are drawn over videos; a session of keypoints has none, so none is made.")
+    return tuple(found)
 
 
 CHOICES = {choice.name: choice for choice in choices_of(JobChoices)}

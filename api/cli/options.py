@@ -39,6 +39,8 @@ def _option(choice: Choice) -> Any:
             names = list(choice.values)
             text = f"{text.removesuffix('.')}, such as {','.join(names[:2])}: {', '.join(names)}."
             return make(metavar="LIST", help=text)
+        case "flag":
+            return make(help=text)
         case "frame_range":
             return make(metavar="FIRST:STOP", help=_with_unset(choice, text))
     # Typer has no exclusive minimum: the pipeline refuses the limit itself.
@@ -86,7 +88,7 @@ def with_choices(command: Callable[..., None]) -> Callable[..., None]:
 
 def _parameter(choice: Choice) -> inspect.Parameter:
     """Parameter of a command for a choice: its option with type and default."""
-    kind: Any = {"number": float, "whole_number": int}.get(choice.kind, str)
+    kind: Any = {"flag": bool, "number": float, "whole_number": int}.get(choice.kind, str)
     default = choice.default
     if choice.kind == "several":
         default = ",".join(default)

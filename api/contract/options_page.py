@@ -55,6 +55,8 @@ def _kind(choice: Choice) -> str:
     names = ", ".join(f"`{name}`" for name in choice.values)
     if choice.kind in {"one", "several"}:
         return names if choice.kind == "one" else f"a list of {names}"
+    if choice.kind == "flag":
+        return "`true` or `false`; the option has no value"
     limits = [
         f"{words} {limit:g}"
         for words, limit in (("at least", about.minimum), ("more than", about.above), ("at most", about.maximum))
@@ -69,6 +71,8 @@ def _default(choice: Choice) -> str:
         return str(choice.about.unset)
     if choice.kind == "several":
         return ", ".join(f"`{name}`" for name in choice.default)
+    if choice.kind == "flag":
+        return f"`{str(choice.default).lower()}`"
     return f"`{choice.default}`" if isinstance(choice.default, str) else f"{choice.default:g}"
 
 

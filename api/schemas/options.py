@@ -56,13 +56,13 @@ class ChoiceOut(ResponseModel):
         description="Part of a form: `purpose` of the files, `people`, `quality`, or `advanced` for all else."
     )
     kind: Kind = Field(
-        description="`one` of the values, a list of `several` of them, a `number`, a `whole_number`, or a "
-        "`frame_range`: a list of two whole numbers."
+        description="`one` of the values, a list of `several` of them, a `flag`: true or false, a `number`, a "
+        "`whole_number`, or a `frame_range`: a list of two whole numbers."
     )
     values: tuple[ValueOut, ...] = Field(
         description="Named values; for numbers, the names allowed in place of a number."
     )
-    default: str | float | tuple[str, ...] | None = Field(description="Default value.")
+    default: bool | str | float | tuple[str, ...] | None = Field(description="Default value.")
     unset: str | None = Field(description="Meaning of null, if null is the default.")
     minimum: float | None = Field(description="Smallest number.")
     exclusive_minimum: float | None = Field(description="Number that the value must exceed.")

@@ -53,7 +53,7 @@ def fit_to_video(
     if found is None:
         return None
     done = "the calibration is stretched as the pixels are, which are not square"
-    return _scaled(found[0], size_px), f"{found[1]}, and {done}" if found[1] else done
+    return scaled(found[0], size_px), f"{found[1]}, and {done}" if found[1] else done
 
 
 def fit_to_picture(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> tuple[Camera, str] | None:
@@ -83,7 +83,7 @@ def fit_to_picture(camera: Camera, size_px: tuple[int, int], rotation_deg: int) 
             padding = f"{abs(size_px[1] - height)} rows at the {bottom}"
         return _cropped(camera, size_px, rotation_deg), f"{padding} are taken as the codec's padding"
     if size_px[0] * height == size_px[1] * width:
-        return _scaled(camera, size_px), f"the calibration is scaled by {size_px[0] / width:.6g}"
+        return scaled(camera, size_px), f"the calibration is scaled by {size_px[0] / width:.6g}"
     if size_px == (height, width) and rotation_deg % 180 == 90 and camera.matrix[0, 1] == 0:
         turned = camera
         for _ in range(rotation_deg // 90):
@@ -118,7 +118,7 @@ def _cropped(camera: Camera, size_px: tuple[int, int], rotation_deg: int) -> Cam
     return replace(camera, size_px=size_px, matrix=read_only(camera.matrix + shift_px))
 
 
-def _scaled(camera: Camera, size_px: tuple[int, int]) -> Camera:
+def scaled(camera: Camera, size_px: tuple[int, int]) -> Camera:
     """Camera of a scaled picture; the outer edges of the pictures, half a pixel from the centres, stay together."""
     factors = np.array(size_px) / np.array(camera.size_px)
     matrix = camera.matrix * np.array([[factors[0]], [factors[1]], [1.0]])

@@ -1,12 +1,12 @@
 """Draw skeletons over a camera's frame."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data import Camera
+from pipeline.data import Camera, Timebase, Track3D
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.geometry.camera import project
 from pipeline.joints import FINGER_JOINTS, JointSet
@@ -28,6 +28,32 @@ def _drawable(points_px: Float[np.ndarray, "joints 2"], size_px: tuple[int, int]
         int(joint): (round(points_px[joint, 0] * 2**_SHIFT), round(points_px[joint, 1] * 2**_SHIFT))
         for joint in np.flatnonzero(near)
     }
+
+
+def people_at(tracks: Sequence[Track3D], timebase: Timebase, time_s: float) -> dict[int, Float[np.ndarray, "joints 3"]]:
+    """Joint positions of everybody at a time between two output frames, by the person's number.
+
+    Positions are interpolated linearly. A joint that is known in one of the two frames alone has its position there if
+    this frame is the nearer one, else none. People are there up to half a frame before their first frame and after
+    their last one.
+
+    Returns
+    -------
+        World coordinates in metres, NaN for unknown joints.
+    """
+    place = (time_s - timebase.start_time_s) * timebase.frame_rate_hz
+    found = {}
+    for track in tracks:
+        row = place - track.start_frame
+        if not -0.5 <= row < track.num_frames - 0.5:
+            continue
+        row = min(max(row, 0.0), track.num_frames - 1.0)
+        before, share = int(row), row % 1.0
+        behind = min(before + 1, track.num_frames - 1)
+        between_m = (1 - share) * track.xyz_m[before] + share * track.xyz_m[behind]
+        nearest_m = track.xyz_m[before if share < 0.5 else behind]
+        found[track.track_id] = np.where(np.isfinite(between_m).all(-1, keepdims=True), between_m, nearest_m)
+    return found
 
 
 def draw_skeletons(

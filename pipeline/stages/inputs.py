@@ -12,8 +12,9 @@ from pipeline.config import ReconstructionConfig, detected_joints, networks_of
 from pipeline.data import Camera, DamagedVideo, Detections, Refinement, Synchronization
 from pipeline.detect.chunk import bodies_in, concatenate
 from pipeline.detect.damage import damaged_videos
+from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import joints_of
-from pipeline.joints import JointSet
+from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.stages.association import DetectionsByCamera, Session, restrict
 from pipeline.stages.cameras.synchronization import largest_shift_s, on_measured_clocks
 from pipeline.stages.outputs_npz import (
@@ -26,6 +27,9 @@ from pipeline.stages.outputs_npz import (
 from pipeline.stages.plan import DETECT, REFINE, SYNCHRONIZE, FrameCut, SessionFacts, Task
 from pipeline.tracking.observations import Bodies, gather
 from pipeline.video.timeline import frames_in
+
+PEOPLE = "people.npz"
+"""Name of an archive of people in the folder for temporary files."""
 
 
 class Context(ABC):
@@ -192,3 +196,32 @@ def _coloured(context: Context, chunks: Iterable[Detections]) -> Iterable[Detect
     if not context.config.uses_colours:
         return chunks
     return (with_colours(chunk, colours) for chunk, colours in zip(chunks, context.interim(DETECT), strict=True))
+
+
+def archive_of_people(context: Context, stage: str, name: str = PEOPLE) -> Path:
+    """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
+    archive = context.scratch / name
+    archive.write_bytes(*context.outputs(stage))
+    return archive
+
+
+def _archive_of_people(context: Context, stage: str, name: str = PEOPLE) -> Path:
+    """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
+    archive = context.scratch / name
+    archive.write_bytes(*context.outputs(stage))
+    return archive
+
+
+def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
+    """Offsets by which the fit moves joints from the detector's marks to their centres; none for other smoothing."""
+    if config.smoothing != "fit" or config.joint_centers == "off":
+        return MARKED_AT_CENTERS
+    if config.joint_centers != "auto":
+        return entry_of(config.joint_centers).offsets
+    # Nobody knows which program marked the joints of keypoint files.
+    if isinstance(session, KeypointSession):
+        return MARKED_AT_CENTERS
+    networks = networks_of(config)
+    if networks.near is not None and networks.refines_body:
+        return entry_of(networks.near).offsets
+    return entry_of(networks.body).offsets

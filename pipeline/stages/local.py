@@ -3,10 +3,11 @@
 import contextlib
 import hashlib
 import json
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -24,12 +25,14 @@ from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
 from pipeline.stages.inputs import Context, detection_joints
+from pipeline.stages.output import ResultFile
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.outputs_npz import decode_detections
 from pipeline.stages.plan import (
     DETECT,
     EXPORT,
     LOOK,
+    OVERLAY,
     STAGE_BY_NAME,
     PlannedStage,
     SessionFacts,
@@ -37,11 +40,28 @@ from pipeline.stages.plan import (
     followers,
     plan,
 )
-from pipeline.stages.run import assemble, run_task
+from pipeline.stages.results.assembly import assemble
+from pipeline.stages.run import run_task
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import folder_sha256
 
 _DEFAULTS = ReconstructionConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class FilesWanted:
+    """Place of the files that a reconstruction makes beside its result, such as overlay videos.
+
+    Parameters
+    ----------
+    folder
+        Folder of the files, made if it is missing.
+    made
+        Paths of the files, filled by the reconstruction.
+    """
+
+    folder: Path
+    made: list[Path] = field(default_factory=list)
 
 
 def reconstruct(
@@ -49,6 +69,7 @@ def reconstruct(
     config: ReconstructionConfig = _DEFAULTS,
     on_progress: OnProgress = silent,
     cache: Path | None = None,
+    files: FilesWanted | None = None,
 ) -> Reconstruction:
     """Reconstruct everybody in a capture session.
 
@@ -65,6 +86,8 @@ def reconstruct(
     cache
         Folder in which outputs of tasks are kept for later runs, see ``pipeline.stages.output_folder``; ``None``: no
         output is kept.
+    files
+        Where to make the files that ``config.overlay`` asks for; ``None``: they are not made.
 
     Raises
     ------
@@ -74,7 +97,7 @@ def reconstruct(
     ModelError
         If the detector is not installed.
     PipelineError
-        If the folder for intermediate outputs can't be written.
+        If the folder for intermediate outputs, or that for files, can't be written.
     """
     _check(session, config)
     facts = session_facts(session, () if cache is None else _inputs(session))
@@ -84,10 +107,14 @@ def reconstruct(
         tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
     ):
         codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
-        stages = [stage for stage in plan(facts, config, codes, config.chunk_frames) if stage.name != EXPORT]
-        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch))
+        left_out = {EXPORT} if files is not None else {EXPORT, OVERLAY}
+        stages = [one for one in plan(facts, config, codes, config.chunk_frames) if one.name not in left_out]
+        folder = None if files is None else files.folder
+        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch), folder)
         for stage in stages:
-            _run_stage(job, stage, on_progress)
+            made = _run_stage(job, stage, on_progress)
+            if files is not None:
+                files.made.extend(made)
         reconstruction = assemble(_TaskContext(job))
         return replace(
             reconstruction,
@@ -199,6 +226,8 @@ class _Job:
         Folder for interim outputs, under the keys of the tasks' outputs. It is removed at the end of the run.
     scratch
         Folder for temporary files of the process that runs a task.
+    folder
+        Folder for the result files of the tasks; ``None``: no stage leaves any.
     """
 
     session: Session
@@ -208,6 +237,7 @@ class _Job:
     outputs: OutputFolder
     interim: OutputFolder
     scratch: Path
+    folder: Path | None = None
 
     def tasks_of(self, stage: str) -> Iterable[Task]:
         """Tasks of a stage; none if it is not planned."""
@@ -289,17 +319,21 @@ class _Counter:
         self._on_progress(Progress(self._stage, min(self._done, self._total), self._total, self._reused))
 
 
-def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> None:
+def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> list[Path]:
+    """Run the tasks of a stage that have no outputs yet, and list the result files that they made."""
     counter = _Counter(stage, on_progress)
     needs_interim = _needs_interim(job, stage)
     missing = []
     for task in stage.tasks:
-        if needs_interim or job.outputs.read(task.key) is None:
+        if needs_interim or not STAGE_BY_NAME[stage.name].is_reusable or job.outputs.read(task.key) is None:
             missing.append(task)
         else:
             counter.finish(task, is_reused=True)
     for task in _finished(job, missing, counter.on_unit):
         counter.finish(task, is_reused=False)
+    if job.folder is None or STAGE_BY_NAME[stage.name].is_reusable:
+        return []
+    return [job.folder / name for task in stage.tasks for name in json.loads(_read(job.outputs, task))["files"]]
 
 
 def _needs_interim(job: _Job, stage: PlannedStage) -> bool:
@@ -321,8 +355,25 @@ def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> T
     output = run_task(task, _TaskContext(job, task, on_unit))
     if output.interim is not None:
         job.interim.write(task.key, output.interim)
+    if job.folder is not None:
+        for file in output.files:
+            _keep(file, job.folder)
     job.outputs.write(task.key, output.content)
     return task
+
+
+def _keep(file: ResultFile, folder: Path) -> None:
+    """Move a result file to its folder, under its name when it is whole."""
+    part = folder / f".{file.name}.part"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            shutil.move(file.path, part)
+            part.replace(folder / file.name)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise PipelineError(f"The results can't be written to {folder}: {error.strerror}.") from error
 
 
 def _finished_in_processes(job: _Job, tasks: Sequence[Task]) -> Iterator[Task]:

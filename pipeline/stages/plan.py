@@ -24,6 +24,7 @@ from pipeline.video.playback.choices import ProxyChoices
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
+OVERLAY = "draw_overlay"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 CHECK = "check_session"
 
@@ -186,6 +187,10 @@ def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and bool(config.edits)
 
 
+def _is_overlaid(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None and config.overlay and facts.has_videos
+
+
 def _is_synchronizing(_: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and config.sync == "auto"
 
@@ -328,6 +333,17 @@ STAGES = (
         choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="refit_skeletons",
         is_planned=_is_edited,
+    ),
+    Stage(
+        OVERLAY,
+        "Draw overlay videos",
+        cut="cameras",
+        follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
+        choices=("overlay", "frame_range"),
+        function="draw_overlay",
+        is_planned=_is_overlaid,
+        unit="frames",
+        is_reusable=False,
     ),
     Stage(
         EXPORT,
@@ -493,7 +509,8 @@ def _tasks(
     stage: Stage, stage_key: str, facts: SessionFacts, cut: FrameCut, cameras: tuple[str, ...]
 ) -> Iterable[Task]:
     if stage.cut == "cameras":
-        return _WholeCameraTasks(stage.name, stage_key, facts, cameras, cut.chunk_frames)
+        frames = cut.frames if "frame_range" in stage.choices else range(facts.num_frames)
+        return _WholeCameraTasks(stage.name, stage_key, facts, cameras, cut.chunk_frames, frames)
     if stage.cut == "camera ranges":
         return _CameraTasks(stage.name, stage_key, cut, facts.frame_rate_hz, facts.camera_rates_hz)
     if stage.cut == "ranges":
@@ -506,16 +523,17 @@ def _tasks(
 
 @dataclass(frozen=True, slots=True)
 class _WholeCameraTasks:
-    """Tasks of a stage on each camera's whole video, whichever frames of it are wanted."""
+    """Tasks of a stage on each camera's video: the wanted frames if the stage depends on them, else the whole video."""
 
     stage: str
     stage_key: str
     facts: SessionFacts
     cameras: tuple[str, ...]
     chunk_frames: int
+    frames: range
 
     def __iter__(self) -> Iterator[Task]:
-        frames = range(self.facts.num_frames)
+        frames = self.frames
         for index, camera in enumerate(self.cameras):
             rate_hz = self.facts.camera_rates_hz[camera]
             num_frames = max(1, round(len(frames) * rate_hz / self.facts.frame_rate_hz))

@@ -4,7 +4,8 @@
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -19,26 +20,23 @@ from pipeline.calibration.report import MadeCalibration, report_document
 from pipeline.calibration.write import encodings
 from pipeline.calibration_choices import CalibrationChoices
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import FILE_FORMATS, ReconstructionConfig, detected_joints, networks_of
-from pipeline.data import Animation, PictureChanges, Reconstruction
+from pipeline.config import FILE_FORMATS, detected_joints, networks_of
+from pipeline.data import Animation, PictureChanges
 from pipeline.detect.chunk import detect_chunk, detect_fields_chunk, measure_colours
 from pipeline.detect.damage import DamagedFrames, damaged_videos
-from pipeline.detect.entries import entry_of
 from pipeline.detect.profiles.detection import load_detector, open_detection
 from pipeline.detect.profiles.look import look_at_people
 from pipeline.detect.profiles.sizes import RULES, CameraSizes
-from pipeline.edits import PersonSpan
 from pipeline.errors import InputError, PipelineError, Problem, listed
 from pipeline.export.results import METRICS, write_results
 from pipeline.findings import Finding
 from pipeline.hands.attach import has_hands, without_fingers
-from pipeline.joints import MARKED_AT_CENTERS, JointOffsets, without_hands
+from pipeline.joints import without_hands
 from pipeline.progress import OnShare, in_units
 from pipeline.quality.report import all_checks
 from pipeline.skeleton.animate import animate
 from pipeline.stages.association import (
     DetectionsByCamera,
-    Session,
     attach,
     link,
     locate_people,
@@ -46,13 +44,15 @@ from pipeline.stages.association import (
     tell_apart,
     track,
 )
-from pipeline.stages.cameras.checking import check_bodies, check_session, decode_check, encode_check, with_clocks
+from pipeline.stages.cameras.checking import check_bodies, check_session, encode_check, with_clocks
 from pipeline.stages.cameras.refinement import refine_from_bodies, refine_from_fields
 from pipeline.stages.cameras.synchronization import listen, measure_clocks, on_measured_clocks
-from pipeline.stages.editing import changed_people, cut, edited_take, put_together
+from pipeline.stages.editing import changed_people, edited_take
 from pipeline.stages.inputs import (
+    PEOPLE,
     Context,
     all_bodies,
+    archive_of_people,
     detected_in,
     detection_joints,
     from_first,
@@ -60,12 +60,11 @@ from pipeline.stages.inputs import (
     measured_clocks,
     measured_frames,
     on_clocks,
-    refined_cameras,
+    used_offsets,
     wanted_inputs,
 )
 from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.outputs_npz import (
-    decode_animation,
     decode_damaged_videos,
     decode_detections,
     decode_floor,
@@ -87,7 +86,6 @@ from pipeline.stages.outputs_npz import (
 )
 from pipeline.stages.plan import (
     ASSOCIATE,
-    CHECK,
     DETECT,
     EDIT,
     FIND_BOARD,
@@ -97,18 +95,18 @@ from pipeline.stages.plan import (
     LOOK,
     LOOKED_AT_FRAMES,
     POSES,
-    REFIT,
     STAGE_BY_NAME,
     FrameCut,
     Task,
 )
+from pipeline.stages.results.assembly import EDITED, assemble, kept_frames, spans_found
+from pipeline.stages.results.overlay import overlay_file
 from pipeline.stages.viewer import viewer_files
 from pipeline.synchronization.sound.offsets import SoundOffsets
 from pipeline.video.playback.choices import PROXY_KIND, proxy_name
 from pipeline.video.playback.proxy_process import make_proxy_in_child
 from pipeline.video.timeline import span_s
 
-_PEOPLE, _EDITED, _FOUND = "people.npz", "edited.npz", "found.npz"
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"} | {
     f".{name}": file_format.media_type for name, file_format in FILE_FORMATS.items()
 }
@@ -134,21 +132,6 @@ def run_task(task: Task, context: Context) -> Output:
         If a result file is not whole when it is read back.
     """
     return _FUNCTIONS[STAGE_BY_NAME[task.stage].function](task, context)
-
-
-def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
-    """Offsets by which the fit moves joints from the detector's marks to their centres; none for other smoothing."""
-    if config.smoothing != "fit" or config.joint_centers == "off":
-        return MARKED_AT_CENTERS
-    if config.joint_centers != "auto":
-        return entry_of(config.joint_centers).offsets
-    # Nobody knows which program marked the joints of keypoint files.
-    if isinstance(session, KeypointSession):
-        return MARKED_AT_CENTERS
-    networks = networks_of(config)
-    if networks.near is not None and networks.refines_body:
-        return entry_of(networks.near).offsets
-    return entry_of(networks.body).offsets
 
 
 def look(task: Task, context: Context) -> Output:
@@ -365,7 +348,7 @@ def associate_people(task: Task, context: Context) -> Output:
         bodies = without_fingers(bodies, joints)
         people = track(session, bodies, context.config, on_share)
         del bodies
-    archive = context.scratch / _PEOPLE
+    archive = context.scratch / PEOPLE
     write_people(archive, people, damaged)
     del people
     return Output(archive.read_bytes())
@@ -374,7 +357,7 @@ def associate_people(task: Task, context: Context) -> Output:
 def identify_people(task: Task, context: Context) -> Output:
     """Find out who is who, from the tracks of the whole session, and attach people's hands."""
     session, joints = wanted_inputs(context, context.outline())
-    archive = _archive_of_people(context, ASSOCIATE)
+    archive = archive_of_people(context, ASSOCIATE)
     colour = gathered_bodies(context)[0].colour if context.config.uses_colours and context.facts.has_videos else None
     people = tell_apart(session, open_people(archive), without_hands(joints), context.config, colour)
     del colour
@@ -393,11 +376,11 @@ def fit_skeletons(task: Task, context: Context) -> Output:
 
 def edit_people(task: Task, context: Context) -> Output:
     """Put the people whom the edits change together, from those who were found."""
-    archive = _archive_of_people(context, IDENTIFY)
+    archive = archive_of_people(context, IDENTIFY)
     found = stored_spans(archive)
     session, _ = wanted_inputs(context, context.outline())
     take = edited_take(found, context.config, session.timebase)
-    edited = context.scratch / _EDITED
+    edited = context.scratch / EDITED
     write_people(edited, changed_people(open_people(archive), found, take))
     _on_share(task, context)(1.0)
     return Output(edited.read_bytes())
@@ -406,7 +389,7 @@ def edit_people(task: Task, context: Context) -> Output:
 def refit_skeletons(task: Task, context: Context) -> Output:
     """Animate the people whom edits changed; the others keep their animation."""
     session, joints = wanted_inputs(context, context.outline())
-    changed = open_people(_archive_of_people(context, EDIT, _EDITED))
+    changed = open_people(archive_of_people(context, EDIT, EDITED))
     animation = animate(
         changed.tracks,
         changed.observations,
@@ -421,6 +404,15 @@ def refit_skeletons(task: Task, context: Context) -> Output:
     return Output(encode_animation(animation))
 
 
+def draw_overlay(task: Task, context: Context) -> Output:
+    """Make a camera's video with the skeletons drawn over it."""
+    if task.camera is None:
+        raise PipelineError("Overlays are of one camera each.")
+    with context.video(task.camera):
+        file = overlay_file(context, assemble(context), task.camera)
+    return _made([] if file is None else [file])
+
+
 def export(task: Task, context: Context) -> Output:
     """Write the result files, and an index of them."""
     reconstruction = assemble(context)
@@ -432,54 +424,12 @@ def export(task: Task, context: Context) -> Output:
     frames = kept_frames(context)
     first_frame = 0 if frames is None else frames.start
     files += viewer_files(reconstruction, context.outline(), report, context.scratch, first_frame)
-    index = json.dumps({"files": [file.name for file in files]}).encode()
-    return Output(index, tuple(files), tuple(all_checks(report)), people=spans_found(context))
+    return replace(_made(files), warnings=tuple(all_checks(report)), people=spans_found(context))
 
 
-def assemble(context: Context) -> Reconstruction:
-    """Assemble the reconstruction from the outputs of association and fit, edited if it was.
-
-    Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
-    """
-    session, joints = wanted_inputs(context, context.outline())
-    archive = _archive_of_people(context, IDENTIFY)
-    people, animation = open_people(archive), decode_animation(*context.outputs(FIT))
-    take = None
-    if context.config.edits:
-        found = stored_spans(archive)
-        take = edited_take(found, context.config, session.timebase)
-        changed = open_people(_archive_of_people(context, EDIT, _EDITED))
-        refitted = decode_animation(*context.outputs(REFIT))
-        people, animation = put_together(people, animation, found, changed, refitted, take)
-    refined = refined_cameras(context, session.cameras)
-    reconstruction = Reconstruction(
-        cameras=session.cameras,
-        joints=joints,
-        timebase=session.timebase,
-        located=people.tracks,
-        observations=people.observations,
-        animation=animation,
-        warnings=session.warnings,
-        num_approximate_frames=people.num_approximate_frames,
-        damaged=decode_damaged_videos(archive),
-        doubts=people.doubts,
-        offsets=used_offsets(session, context.config),
-        refinement=None if refined is None else refined[1],
-        synchronization=measured_clocks(context),
-        check=decode_check(*context.outputs(CHECK)),
-    )
-    return reconstruction if take is None or take.frames is None else cut(reconstruction, take.frames)
-
-
-def kept_frames(context: Context) -> range | None:
-    """Frames that edits keep, in the numbering of the reconstruction; ``None``: all."""
-    timebase = on_clocks(context, context.outline())[0].timebase
-    return edited_take(spans_found(context), context.config, timebase).frames if context.config.edits else None
-
-
-def spans_found(context: Context) -> tuple[PersonSpan, ...]:
-    """Frames of the people who were found, before any edit."""
-    return stored_spans(_archive_of_people(context, IDENTIFY, _FOUND))
+def _made(files: Sequence[ResultFile]) -> Output:
+    """Result files, and an index of them."""
+    return Output(json.dumps({"files": [file.name for file in files]}).encode(), tuple(files))
 
 
 def _sizes(context: Context, camera: str) -> CameraSizes | None:
@@ -496,7 +446,7 @@ def _on_share(task: Task, context: Context) -> OnShare:
 
 def _animation(task: Task, context: Context) -> Animation:
     session, joints = wanted_inputs(context, context.outline())
-    people = open_people(_archive_of_people(context, IDENTIFY))
+    people = open_people(archive_of_people(context, IDENTIFY))
     # Windows of all observations are asked for again and again, a track but once.
     in_memory = tuple(people.observations)
     on_share = _on_share(task, context)
@@ -504,13 +454,6 @@ def _animation(task: Task, context: Context) -> Animation:
     return animate(
         people.tracks, in_memory, session.cameras, session.timebase, joints, context.config, on_share, offsets
     )
-
-
-def _archive_of_people(context: Context, stage: str, name: str = _PEOPLE) -> Path:
-    """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
-    archive = context.scratch / name
-    archive.write_bytes(*context.outputs(stage))
-    return archive
 
 
 def _result_file(path: Path) -> ResultFile:
@@ -538,6 +481,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         fit_skeletons,
         edit_people,
         refit_skeletons,
+        draw_overlay,
         export,
     )
 }

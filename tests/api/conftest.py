@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -130,11 +130,14 @@ class Live:
         warnings: Sequence[Finding] = (),
         motion: Mapping[str, bytes] = MappingProxyType({}),
         people: Sequence[PersonSpan] | None = None,
+        overlays: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
-        """Finish a job as a worker would; ``motion`` are the files for viewers by name."""
+        """Finish a job as a worker would; ``motion`` and ``overlays`` are files for viewers and videos by name."""
         revision = self.services.store.jobs.get(job_id).revision
         result = self._put(job_id, "person-1.bvh", "bvh", content, revision)
         files = [result, *(self._put(job_id, name, "viewer", one, revision) for name, one in motion.items())]
+        videos = [self._put(job_id, name, "overlay", one, revision) for name, one in overlays.items()]
+        files += [replace(video, media_type="video/mp4") for video in videos]
         while claim := self.services.store.leases.claim("test", 30.0):
             assert claim.job_id == job_id
             results, said, found = (files, warnings, people) if claim.stage == "export" else ([], (), None)

@@ -25,6 +25,7 @@ from pipeline.stages.plan import (
     LOOK,
     LOOKED_AT_FRAMES,
     MAX_TASKS,
+    OVERLAY,
     POSES,
     PROXY,
     REFINE,
@@ -343,3 +344,16 @@ def test_proxies_are_made_of_some_cameras_and_of_nothing_else() -> None:
         (1, "2", 50),
     ]
     assert PROXY not in [planned.name for planned in plan_job(session, JobSpec())]
+
+
+def test_overlays_are_drawn_of_each_camera_if_asked_for() -> None:
+    session = make_session(100, (50.0, 25.0))
+    overlaid = JobSpec(overlay=True, frame_range=(40, 80))
+    names = [stage.name for stage in plan_job(session, overlaid)]
+    assert names == [*VIDEO_STAGES[:-1], OVERLAY, EXPORT]
+    (stage,) = (one for one in plan_job(session, overlaid) if one.name == OVERLAY)
+    chunks = [(one.payload["camera"], one.payload["start_frame"], one.unit_count) for one in stage.chunks]
+    assert chunks == [("0", 40, 40), ("1", 40, 20)]
+    with_overlay, without = keys(session, overlaid), keys(session, JobSpec(frame_range=(40, 80)))
+    assert {name: with_overlay[name] for name in without} == without
+    assert OVERLAY not in keys(session)

@@ -43,7 +43,9 @@ def _field_type(hint: Any, about: About) -> Any:
     noted = [get_args(member)[1] for member in members(hint) if get_origin(member) is Annotated]
     types += [Annotated[str, Field(pattern=names.pattern)] for names in noted if isinstance(names, OtherNames)]
     for member in others:
-        if member is float:
+        if member is bool:
+            types.append(Annotated[bool, Field(strict=True)])
+        elif member is float:
             types.append(Annotated[float, Field(strict=True, allow_inf_nan=False, **limits)])
         elif member is int:
             types.append(Annotated[int, Field(**limits), BeforeValidator(_number)])

@@ -15,14 +15,14 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import Recording, open_session
-from pipeline.config import Export, Preset, ReconstructionConfig
+from pipeline.config import Export, Preset, ReconstructionConfig, method_warnings
 from pipeline.data import Reconstruction
 from pipeline.errors import InputError, PipelineError, Problem
 from pipeline.export import results
 from pipeline.export.results import DEFAULT_EXPORTS, check_exports
 from pipeline.quality.report import all_checks
 from pipeline.stages.association import Session, restrict
-from pipeline.stages.local import reconstruct
+from pipeline.stages.local import FilesWanted, reconstruct
 from pipeline.stages.output_folder import default_cache, is_usable
 from pipeline.stages.plan import STAGE_BY_NAME
 from pipeline.video.images.files import SEQUENCE
@@ -245,7 +245,8 @@ def command(
         check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)
-        reconstruction = reconstruct(session, config, bars.update, None if no_cache else cache or _users_cache())
+        kept = None if no_cache else cache or _users_cache()
+        reconstruction = reconstruct(session, config, bars.update, kept, FilesWanted(out, paths))
         paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:
@@ -266,6 +267,8 @@ def command(
         )
         return
     print_summary(metrics)
+    for warning in method_warnings(config, keypoints is None):
+        warn(warning)
     if bars.reused:
         parts = (f"{STAGE_BY_NAME[name].label} ({units})" for name, units in bars.reused.items())
         typer.echo(f"Reused from an earlier run: {', '.join(parts)}; --no-cache computes all anew.")

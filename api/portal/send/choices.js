@@ -104,6 +104,12 @@ const FIELDS = {
       })}</label>`,
     ]);
   },
+  flag({ id, choice, spec, set }) {
+    const change = (event) => set(event.target.checked === choice.default ? undefined : event.target.checked);
+    return html`<div class="field"><span>${choice.label}</span>
+      <label class="check"><input type="checkbox" name="${id}-${choice.name}" .checked=${live(valueOf(choice, spec))} @change=${change}>
+        <span class="quiet">${prose(choice.description)}</span></label></div>`;
+  },
   number({ id, choice, spec, set, isWhole = false }) {
     const named = choice.values.find(({ name }) => name === choice.default);
     return html`<label class="field"><span>${choice.label}</span>${numberField({

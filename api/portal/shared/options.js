@@ -23,7 +23,10 @@ function wordsOf(choice, value) {
 // Choices of a spec that differ from the defaults, as words; an empty list if none does.
 export function describeSpec(spec, { choices }) {
   const differs = (choice) => JSON.stringify(spec[choice.name] ?? null) !== JSON.stringify(choice.default ?? null);
+  const describe = (choice) => (choice.kind === "flag"
+    ? { label: spec[choice.name] ? "With" : "Without", value: choice.label }
+    : { label: choice.label, value: wordsOf(choice, spec[choice.name]) });
   return choices
     .filter((choice) => choice.name in spec && differs(choice))
-    .map((choice) => ({ label: choice.label, value: wordsOf(choice, spec[choice.name]) }));
+    .map(describe);
 }

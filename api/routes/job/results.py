@@ -4,7 +4,7 @@ from collections.abc import Generator, Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
-from zipstream import ZIP_DEFLATED, ZipStream
+from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from api.auth import ALL_RESULTS, FileViewDep, JobViewDep
 from api.contract.description import answer, problems
@@ -62,15 +62,18 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     },
 )
 def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) -> Response:
-    """Download all result files of a job as one archive, with a folder for each person."""
+    """Download all result files of a job as one archive, with a folder for each person, and one for overlay videos."""
     results = records.results.of_job(job_id)
     _require_whole(services, results)
     job = records.jobs.get(job_id)
     # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
-        name = archived_name(job.session_name, result.name, result.person, job.revision)
-        archive.add(_content(services, result), name)
+        is_video = result.media_type.startswith("video/")
+        folder = result.kind if is_video else result.person
+        name = archived_name(job.session_name, result.name, folder, job.revision)
+        # Videos are compressed already.
+        archive.add(_content(services, result), name, compress_type=ZIP_STORED if is_video else ZIP_DEFLATED)
     headers = {"Cache-Control": "private, no-cache", **disposition_of(f"{stem_of(job.session_name, job.revision)}.zip")}
     return Stream(iter(archive), headers=headers, media_type="application/zip")
 

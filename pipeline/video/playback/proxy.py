@@ -13,27 +13,22 @@ from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 
-import av
-from av.container import OutputContainer
 from av.filter import Graph
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.video.children import start_child
 from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
+from pipeline.video.playback.h264 import TICKS_A_SECOND, add_stream, open_video
 
 EXIT_UNREADABLE = 3
 EXIT_OUT_OF_MEMORY = 4
 
-TICKS_A_SECOND = 90_000
-"""Time base of proxies: multiples of common frame durations."""
-
 FRAME = b"."
 """What is written for an encoded frame."""
 
-# H.264 in MP4 with its index in front. Without B-frames, times begin at 0.
-_CONTAINER_OPTIONS = {"movflags": "+faststart"}
-_CODEC_OPTIONS = {"preset": "veryfast", "crf": "26", "tune": "fastdecode", "profile": "main", "bf": "0"}
+# Constant rate factor of x264.
+_CRF = 26
 _TURNS = {90: "transpose=cclock", 180: "hflip,vflip", 270: "transpose=clock"}
 
 
@@ -73,7 +68,7 @@ class ProxyRequest(NamedTuple):
 def write_proxy(request: ProxyRequest) -> int:
     """Write a proxy; returns the number of its frames. Frames that can't be decoded are missing."""
     num_frames, last_tick = 0, -1
-    with av.open(f"file:{request.target}", "w", format="mp4", options=_CONTAINER_OPTIONS) as container:
+    with open_video(Path(request.target)) as container:
         stream: VideoStream | None = None
         converter: _Converter | None = None
         for frame in decode_from(Path(request.path), [], request.pts[0]):
@@ -84,7 +79,8 @@ def write_proxy(request: ProxyRequest) -> int:
             if not converter.fits(frame):
                 continue
             picture = converter.convert(frame)
-            stream = stream or _add_stream(container, picture, request)
+            size_px = picture.width, picture.height
+            stream = stream or add_stream(container, size_px, request.ticks, request.keyframe_frames, _CRF)
             picture.pts, picture.time_base = tick, Fraction(1, TICKS_A_SECOND)
             container.mux(stream.encode(picture))
             num_frames, last_tick = num_frames + 1, tick
@@ -99,18 +95,6 @@ def _tick(request: ProxyRequest, pts: int) -> int | None:
     """Time of the frame with a timestamp; ``None`` for a picture that is not part of the display."""
     number = bisect_left(request.pts, pts)
     return request.ticks[number] if number < len(request.pts) and request.pts[number] == pts else None
-
-
-def _add_stream(container: OutputContainer, picture: VideoFrame, request: ProxyRequest) -> VideoStream:
-    span = max(1, request.ticks[-1] - request.ticks[0])
-    rate_hz = Fraction(max(1, len(request.ticks) - 1) * TICKS_A_SECOND, span).limit_denominator(1001)
-    distance = request.keyframe_frames
-    x264 = f"keyint={distance}:min-keyint={distance}:scenecut=0"
-    stream = container.add_stream("libx264", rate=rate_hz, options=_CODEC_OPTIONS | {"x264-params": x264})
-    stream.width, stream.height, stream.pix_fmt = picture.width, picture.height, "yuv420p"
-    stream.codec_context.time_base = Fraction(1, TICKS_A_SECOND)
-    stream.codec_context.thread_count = 1
-    return stream
 
 
 class _Converter:

@@ -16,13 +16,12 @@ from pipeline.errors import InputError, Problem
 from pipeline.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
-from pipeline.video.playback.proxy import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, TICKS_A_SECOND, ProxyRequest
+from pipeline.video.playback.h264 import KEYFRAME_S, TICKS_A_SECOND, even_size_px
+from pipeline.video.playback.proxy import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, ProxyRequest
 
 LONG_SIDE_PX = 960
 """Longest side of a proxy's pictures; smaller videos keep their size."""
 
-# A player that seeks decodes from a keyframe: half a second of frames at most.
-_KEYFRAME_S = 0.5
 # Longest wait for a frame, and limits on computing time and size, as a base and for each frame.
 _TIMEOUT_S = 45.0
 _MAX_CPU_S, _MAX_CPU_S_A_FRAME = 110, 1
@@ -36,9 +35,7 @@ def proxy_size_px(size_px: tuple[int, int]) -> tuple[int, int]:
     >>> proxy_size_px((1920, 1080))
     (960, 540)
     """
-    scale = min(1.0, LONG_SIDE_PX / max(size_px))
-    width, height = (max(2, 2 * round(scale * side / 2)) for side in size_px)
-    return width, height
+    return even_size_px(size_px, LONG_SIDE_PX)
 
 
 def make_proxy_in_child(
@@ -72,7 +69,7 @@ def make_proxy_in_child(
         rotation_deg=video.rotation_deg,
         pts=video.pts.tolist(),
         ticks=ticks.tolist(),
-        keyframe_frames=max(1, round(_KEYFRAME_S * video.frame_rate_hz)),
+        keyframe_frames=max(1, round(KEYFRAME_S * video.frame_rate_hz)),
         max_cpu_s=_MAX_CPU_S + _MAX_CPU_S_A_FRAME * video.num_frames,
         max_bytes=_MAX_BYTES + _MAX_BYTES_A_FRAME * video.num_frames,
     )

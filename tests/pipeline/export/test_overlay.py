@@ -3,13 +3,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pipeline.data import Camera
+from pipeline.data import Camera, Timebase
 from pipeline.export.colors import color_rgb
-from pipeline.export.overlay import draw_skeletons, encode_png
+from pipeline.export.overlay import draw_skeletons, encode_png, people_at
 from pipeline.geometry.camera import project
 from pipeline.geometry.rigid import Rigid3
 from pipeline.joints import COCO_17, JointSet
-from tests.pipeline.skeleton.synthetic_tracks import walker, without
+from tests.pipeline.skeleton.synthetic_tracks import track_of, walker, without
 
 GREY = np.full((480, 640, 3), 90, dtype=np.uint8)
 # Looks along the world's +Y from 4 m behind the origin, 1 m up, through a lens with distortion.
@@ -82,3 +82,28 @@ def test_png_keeps_every_pixel() -> None:
     decoded = cv2.imdecode(np.frombuffer(encode_png(image), np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None
     np.testing.assert_array_equal(decoded[..., ::-1], image)
+
+
+def test_people_are_between_frames_and_near_their_ends() -> None:
+    timebase = Timebase(10.0, 25.0, 50)
+    xyz_m = np.zeros((3, 2, 3))
+    xyz_m[:, 0, 0] = [1.0, 2.0, 4.0]
+    xyz_m[:, 1, 0] = [5.0, np.nan, 7.0]
+    tracks = [track_of(xyz_m, track_id=7, start_frame=20)]
+
+    def at(frame: float) -> np.ndarray | None:
+        found = people_at(tracks, timebase, 10.0 + frame / 25.0)
+        return found[7][:, 0] if found else None
+
+    def check(frame: float, expected: list[float]) -> None:
+        np.testing.assert_allclose(np.array(at(frame), float), expected)
+
+    check(20.0, [1.0, 5.0])
+    # The second joint is unknown in frame 21: up to the middle it stays where it was.
+    check(20.25, [1.25, 5.0])
+    check(20.75, [1.75, np.nan])
+    check(21.6, [3.2, 7.0])
+    check(19.51, [1.0, 5.0])
+    check(22.49, [4.0, 7.0])
+    assert at(19.4) is None
+    assert at(22.6) is None

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.runtime.code_digest import function_digest, reachable_modules
 from pipeline.stages.code import LIBRARIES, stage_codes
-from pipeline.stages.plan import DETECT, FIT, LENGTHS, POSES, REFINE
+from pipeline.stages.plan import DETECT, EDIT, EXPORT, FIT, LENGTHS, OVERLAY, REFIT
 
 ROOT = Path(__file__).parents[3]
 # Packages that the stages import and that change no number.
@@ -89,7 +89,8 @@ def test_a_constant_of_contacts_counts_for_the_fit(sources: Path) -> None:
         line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("_") and " = " in line
     )
     edit(path, name, name.partition(" = ")[0] + " = 123.456")
-    assert changed(sources) == {FIT}
+    # Edits and result files come after the fit, and use its modules.
+    assert changed(sources) == {FIT, EDIT, REFIT, OVERLAY, EXPORT}
 
 
 def test_what_a_function_imports_inside_counts(sources: Path) -> None:
@@ -105,10 +106,11 @@ def test_a_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
 
 
 def test_the_stage_s_own_function_and_its_helpers_count(sources: Path) -> None:
-    edit(sources / "pipeline/stages/run.py", "(frames, task.frames.start), detected", "(frames, 1), detected")
+    run = sources / "pipeline/stages/run.py"
+    edit(run, "measured_frames(context, session, frames), detected", "frames, detected")
     assert changed(sources) == {LENGTHS}
-    edit(sources / "pipeline/stages/run.py", "range(frames.start - first,", "range(1 + frames.start - first,")
-    assert changed(sources) == {LENGTHS, POSES, REFINE}
+    edit(run, "slice(index, index + 1)", "slice(index, index + 2)")  # in a helper of detection
+    assert changed(sources) == {LENGTHS, DETECT}
 
 
 def write(root: Path, **modules: str) -> None:

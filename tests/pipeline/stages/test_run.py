@@ -8,8 +8,7 @@ from pipeline.config import JointCenters, ReconstructionConfig
 from pipeline.data import Timebase
 from pipeline.detect.entries import REGISTRY
 from pipeline.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointSet
-from pipeline.stages.inputs import detection_joints
-from pipeline.stages.run import used_offsets
+from pipeline.stages.inputs import detection_joints, used_offsets
 
 VIDEOS = CaptureSession((), (), {}, ())
 KEYPOINTS = KeypointSession((), {}, Timebase(0.0, 25.0, 1), {}, COCO_17, {}, ())

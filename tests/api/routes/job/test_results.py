@@ -138,6 +138,22 @@ def test_all_as_one_archive(live: Live, job_id: str) -> None:
     }
 
 
+def test_videos_are_in_a_folder_of_the_archive_as_they_are(live: Live) -> None:
+    job_id = live.job_id()
+    video = bytes(1000)
+    live.finish(job_id, overlays={"overlay-cam_0.mp4": video})
+    (listed,) = (
+        one for one in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"] if one["kind"] == "overlay"
+    )
+    assert (listed["person"], listed["format"], listed["media_type"]) == (None, None, "video/mp4")
+    sent = live.client.get(listed["link"])
+    assert (sent.content, sent.headers["content-type"]) == (video, "video/mp4")
+    with zipfile.ZipFile(io.BytesIO(live.client.get(f"/v1/jobs/{job_id}/results.zip").content)) as archive:
+        assert archive.testzip() is None
+        packed = archive.getinfo(f"overlay/{listed['download_name']}")
+    assert (packed.compress_type, packed.file_size) == (zipfile.ZIP_STORED, 1000)
+
+
 @pytest.mark.parametrize(
     ("name", "kept"),
     [("take", "take"), ('Größe "2"; 撮影 / ..\\a', "größe-2-撮影-a"), ("a" * 150, "a" * 120), ("?", "take")],
