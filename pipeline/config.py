@@ -222,6 +222,14 @@ class JobChoices(MotionChoices):
             group="purpose",
         ),
     ] = "default"
+    report: Annotated[
+        bool,
+        About(
+            "Report",
+            "Whether `report.html` is made: one file with the motion in 3D, pictures of the cameras and the quality of "
+            "each person.",
+        ),
+    ] = False
     overlay: Annotated[
         bool,
         About("Overlay videos", "Whether each camera's video is made with the skeletons drawn over it."),

@@ -17,7 +17,7 @@ from pipeline.detect.profiles.detection import open_detection
 from pipeline.errors import InputError, ModelError, Problem
 from pipeline.runtime.warm_up import warm_up as compile_kernels
 from pipeline.stages.association import Session as OpenedSession
-from pipeline.stages.inputs import Context
+from pipeline.stages.inputs import Context, Origin
 from pipeline.stages.output import Output
 from pipeline.stages.plan import SessionFacts
 from pipeline.stages.run import run_task
@@ -135,6 +135,9 @@ class _TaskContext(Context):
 
     def session(self) -> OpenedSession:
         return self.kept.whole(self.work.session, self.work.artifacts)
+
+    def origin(self) -> Origin:
+        return Origin(self.work.session.name, {file.name: file.sha256 for file in self.work.session.files})
 
     def outline(self) -> OpenedSession:
         return self.kept.outline(self.work.session, self.work.artifacts)

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.capture.keypoints import KeypointSession
@@ -32,6 +32,22 @@ PEOPLE = "people.npz"
 """Name of an archive of people in the folder for temporary files."""
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Origin of a take, for people.
+
+    Parameters
+    ----------
+    name
+        Name of the session.
+    files
+        SHA-256 of its files by name, in hexadecimal digits.
+    """
+
+    name: str
+    files: Mapping[str, str]
+
+
 class Context(ABC):
     """Access of a task to its session, to the outputs of earlier stages, and to its executor."""
 
@@ -53,6 +69,10 @@ class Context(ABC):
     @abstractmethod
     def session(self) -> Session:
         """The whole session."""
+
+    @abstractmethod
+    def origin(self) -> Origin:
+        """Name of the session, and its files."""
 
     @abstractmethod
     def outline(self) -> Session:

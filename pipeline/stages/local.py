@@ -24,7 +24,7 @@ from pipeline.runtime.packages.storage import sha256_of
 from pipeline.skeleton.smooth import check_smoothing
 from pipeline.stages.association import Session, clustering_parameters, restrict, tracking_parameters
 from pipeline.stages.code import sources_sha256, stage_codes
-from pipeline.stages.inputs import Context, detection_joints
+from pipeline.stages.inputs import Context, Origin, detection_joints
 from pipeline.stages.output import ResultFile
 from pipeline.stages.output_folder import OutputFolder, output_folder
 from pipeline.stages.outputs_npz import decode_detections
@@ -33,6 +33,7 @@ from pipeline.stages.plan import (
     EXPORT,
     LOOK,
     OVERLAY,
+    REPORT,
     STAGE_BY_NAME,
     PlannedStage,
     SessionFacts,
@@ -56,11 +57,17 @@ class FilesWanted:
     ----------
     folder
         Folder of the files, made if it is missing.
+    name
+        Name of the take in its report.
+    sources
+        Files that the report names with their digests beside the videos, such as the calibration.
     made
         Paths of the files, filled by the reconstruction.
     """
 
     folder: Path
+    name: str
+    sources: tuple[Path, ...] = ()
     made: list[Path] = field(default_factory=list)
 
 
@@ -87,7 +94,7 @@ def reconstruct(
         Folder in which outputs of tasks are kept for later runs, see ``pipeline.stages.output_folder``; ``None``: no
         output is kept.
     files
-        Where to make the files that ``config.overlay`` asks for; ``None``: they are not made.
+        Where to make the files that ``config.report`` and ``config.overlay`` ask for; ``None``: they are not made.
 
     Raises
     ------
@@ -107,10 +114,9 @@ def reconstruct(
         tempfile.TemporaryDirectory(prefix="multicap-") as scratch,
     ):
         codes = dict.fromkeys(STAGE_BY_NAME, "") if cache is None else _codes(outputs)
-        left_out = {EXPORT} if files is not None else {EXPORT, OVERLAY}
+        left_out = {EXPORT} if files is not None else {EXPORT, OVERLAY, REPORT}
         stages = [one for one in plan(facts, config, codes, config.chunk_frames) if one.name not in left_out]
-        folder = None if files is None else files.folder
-        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch), folder)
+        job = _Job(session, config, facts, stages, outputs, OutputFolder(Path(interim)), Path(scratch), files)
         for stage in stages:
             made = _run_stage(job, stage, on_progress)
             if files is not None:
@@ -193,11 +199,24 @@ def _inputs(session: Session) -> tuple[str, ...]:
     if isinstance(session, KeypointSession):
         return (hashlib.sha256(encode_keypoints(session)).hexdigest(),)
     opened = hashlib.sha256(encode_session(session)).hexdigest()
+    return (opened, *(_digest(video.path) for video in session.videos))
+
+
+def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:
+    """SHA-256 of the files of a session by name: its videos, or its keypoints as they were read, and further files."""
+    if isinstance(session, KeypointSession):
+        found = {"keypoints as they were read": hashlib.sha256(encode_keypoints(session)).hexdigest()}
+    else:
+        found = {video.path.name: _digest(video.path) for video in session.videos}
+    return found | {path.name: _digest(path) for path in sources}
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file, or of a folder of images."""
     try:
-        paths = [video.path for video in session.videos]
-        return (opened, *(folder_sha256(path) if path.is_dir() else sha256_of(path) for path in paths))
+        return folder_sha256(path) if path.is_dir() else sha256_of(path)
     except OSError as error:
-        raise PipelineError(f"The video {error.filename} can't be read: {error.strerror}.") from error
+        raise PipelineError(f"The file {error.filename} can't be read: {error.strerror}.") from error
 
 
 def _check(session: Session, config: ReconstructionConfig) -> None:
@@ -226,8 +245,8 @@ class _Job:
         Folder for interim outputs, under the keys of the tasks' outputs. It is removed at the end of the run.
     scratch
         Folder for temporary files of the process that runs a task.
-    folder
-        Folder for the result files of the tasks; ``None``: no stage leaves any.
+    files
+        Files that tasks make; ``None``: no task makes any.
     """
 
     session: Session
@@ -237,7 +256,7 @@ class _Job:
     outputs: OutputFolder
     interim: OutputFolder
     scratch: Path
-    folder: Path | None = None
+    files: FilesWanted | None = None
 
     def tasks_of(self, stage: str) -> Iterable[Task]:
         """Tasks of a stage; none if it is not planned."""
@@ -266,6 +285,12 @@ class _TaskContext(Context):
 
     def session(self) -> Session:
         return self.job.session
+
+    def origin(self) -> Origin:
+        files = self.job.files
+        if files is None:
+            raise PipelineError("No files are wanted of this reconstruction.")
+        return Origin(files.name, _digests(self.job.session, files.sources))
 
     def outline(self) -> Session:
         return self.job.session  # the caller holds the detections anyway
@@ -331,9 +356,9 @@ def _run_stage(job: _Job, stage: PlannedStage, on_progress: OnProgress) -> list[
             counter.finish(task, is_reused=True)
     for task in _finished(job, missing, counter.on_unit):
         counter.finish(task, is_reused=False)
-    if job.folder is None or STAGE_BY_NAME[stage.name].is_reusable:
+    if job.files is None or STAGE_BY_NAME[stage.name].is_reusable:
         return []
-    return [job.folder / name for task in stage.tasks for name in json.loads(_read(job.outputs, task))["files"]]
+    return [job.files.folder / name for task in stage.tasks for name in json.loads(_read(job.outputs, task))["files"]]
 
 
 def _needs_interim(job: _Job, stage: PlannedStage) -> bool:
@@ -355,9 +380,9 @@ def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> T
     output = run_task(task, _TaskContext(job, task, on_unit))
     if output.interim is not None:
         job.interim.write(task.key, output.interim)
-    if job.folder is not None:
+    if job.files is not None:
         for file in output.files:
-            _keep(file, job.folder)
+            _keep(file, job.files.folder)
     job.outputs.write(task.key, output.content)
     return task
 

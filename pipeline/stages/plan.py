@@ -24,7 +24,7 @@ from pipeline.video.playback.choices import ProxyChoices
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 IDENTIFY, FIT, EDIT, REFIT, EXPORT = "identify", "fit", "edit", "refit", "export"
-OVERLAY = "draw_overlay"
+OVERLAY, REPORT = "draw_overlay", "write_report"
 FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
 CHECK = "check_session"
 
@@ -191,6 +191,10 @@ def _is_overlaid(facts: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and config.overlay and facts.has_videos
 
 
+def _is_reported(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    return config.making is None and config.report
+
+
 def _is_synchronizing(_: SessionFacts, config: ReconstructionConfig) -> bool:
     return config.making is None and config.sync == "auto"
 
@@ -343,6 +347,16 @@ STAGES = (
         function="draw_overlay",
         is_planned=_is_overlaid,
         unit="frames",
+        is_reusable=False,
+    ),
+    Stage(
+        REPORT,
+        "Write the report",
+        cut="whole",
+        follows=(CHECK, SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT, REFIT),
+        choices=("report",),
+        function="write_report",
+        is_planned=_is_reported,
         is_reusable=False,
     ),
     Stage(

@@ -101,6 +101,7 @@ from pipeline.stages.plan import (
 )
 from pipeline.stages.results.assembly import EDITED, assemble, kept_frames, spans_found
 from pipeline.stages.results.overlay import overlay_file
+from pipeline.stages.results.report import report_file
 from pipeline.stages.viewer import viewer_files
 from pipeline.synchronization.sound.offsets import SoundOffsets
 from pipeline.video.playback.choices import PROXY_KIND, proxy_name
@@ -413,6 +414,11 @@ def draw_overlay(task: Task, context: Context) -> Output:
     return _made([] if file is None else [file])
 
 
+def write_report(task: Task, context: Context) -> Output:
+    """Write the report of the take."""
+    return _made([report_file(context, _on_share(task, context))])
+
+
 def export(task: Task, context: Context) -> Output:
     """Write the result files, and an index of them."""
     reconstruction = assemble(context)
@@ -482,6 +488,7 @@ _FUNCTIONS: Mapping[str, Callable[[Task, Context], Output]] = {
         edit_people,
         refit_skeletons,
         draw_overlay,
+        write_report,
         export,
     )
 }

@@ -29,6 +29,7 @@ from pipeline.stages.plan import (
     POSES,
     PROXY,
     REFINE,
+    REPORT,
     STAGES,
     FrameCut,
     effective_choices,
@@ -357,3 +358,4 @@ def test_overlays_are_drawn_of_each_camera_if_asked_for() -> None:
     with_overlay, without = keys(session, overlaid), keys(session, JobSpec(frame_range=(40, 80)))
     assert {name: with_overlay[name] for name in without} == without
     assert OVERLAY not in keys(session)
+    assert keys(session, JobSpec(report=True, overlay=True)).keys() - keys(session).keys() == {OVERLAY, REPORT}

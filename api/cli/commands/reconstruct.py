@@ -245,8 +245,10 @@ def command(
         check_exports(restrict(session, config.frames).timebase, choices.exports, choices.output_rate_hz)
         for warning in session.warnings:
             warn(warning)
+        sources = (calibration, *([] if timestamps is None else [timestamps]))
+        wanted = FilesWanted(out, out.resolve().name or "take", sources, paths)
         kept = None if no_cache else cache or _users_cache()
-        reconstruction = reconstruct(session, config, bars.update, kept, FilesWanted(out, paths))
+        reconstruction = reconstruct(session, config, bars.update, kept, wanted)
         paths.extend(_written(reconstruction, out, choices.exports, choices.bvh, choices.output_rate_hz))
     metrics = json.loads((out / "metrics.json").read_bytes())
     if as_json:

@@ -109,7 +109,7 @@ class Look {
 
   #files() {
     if (this.job === null || !this.results) return nothing;
-    if (this.job.state === "succeeded") return downloads(this.job, this.results);
+    if (this.job.state === "succeeded") return downloads(this.job, this.results, this.options);
     return html`<section class="panel" aria-labelledby="files-title"><h2 id="files-title">Files</h2><p class="quiet">The files are being made anew.</p></section>`;
   }
 }

@@ -1,0 +1,188 @@
+"""Motion and quality of a take for the script of the report: few bytes, thinned out if the take is long."""
+
+import base64
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.data import Camera, Reconstruction
+from pipeline.export.colors import color_rgb
+from pipeline.export.viewer.description import person_frames
+from pipeline.export.viewer.frames import ERROR_STEP_PX, UNKNOWN_ERROR, PersonFrames
+from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket
+from pipeline.joints import without_hands
+from pipeline.skeleton.model import SkeletonJoint, skeleton_of
+
+ABSENT = -32768
+"""Coordinate of a joint without a position."""
+
+MAX_MOTION_BYTES = 4 * 2**20
+"""Largest size of the motion in 3D; of a longer take each n-th frame is kept."""
+
+_LARGEST = 32767
+_STEP_M = 1e-3
+# Radius of the limb that ends at a joint, in metres, by the end of the joint's name.
+_RADII = (
+    (r"Hand(Thumb|Index|Middle|Ring|Pinky)", 0.009),
+    (r"HeadEnd$", 0.085),
+    (r"Head$", 0.05),
+    (r"(Spine|Chest)$", 0.1),
+    (r"Neck$", 0.055),
+    (r"(Hand|HandEnd)$", 0.03),
+    (r"Arm$", 0.045),
+    (r"UpLeg$", 0.07),
+    (r"Leg$", 0.065),
+    (r"(Foot|FootEnd)$", 0.04),
+)
+_USUAL_RADIUS_M = 0.04
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion and quality of a take.
+
+    Parameters
+    ----------
+    document
+        JSON document for the script of the report.
+    stride
+        Number of output frames from one frame of the motion in 3D to the next.
+    num_people
+        Number of people in each output frame.
+    error_px
+        Mean reprojection error of the worst person in each output frame; NaN where no camera sees anybody.
+    """
+
+    document: dict[str, Any]
+    stride: int
+    num_people: Int[np.ndarray, " frames"]
+    error_px: Float[np.ndarray, " frames"]
+
+
+def motion_of(take: Reconstruction, max_bytes: int = MAX_MOTION_BYTES) -> Motion:
+    """Prepare motion and quality of a take for the report."""
+    num_bones = max((len(motion.bone_length_m) for motion in take.motions), default=0)
+    skeleton = skeleton_of(num_bones) if num_bones else ()
+    num_frames = take.timebase.num_frames
+    stride = stride_for([track.num_frames for track in take.tracks], 6 * num_bones, max_bytes)
+    num_people, error_px = np.zeros(num_frames, int), np.full(num_frames, np.nan)
+    num_body_joints = len(without_hands(take.joints).names)
+    people, strips, positions_m = [], [], []
+    for number, track in enumerate(take.tracks):
+        person = person_frames(take, number)
+        rows = slice(track.start_frame, track.start_frame + track.num_frames)
+        num_people[rows] += 1
+        error_px[rows] = np.fmax(error_px[rows], _mean_error_px(person))
+        strips.append(encode_strips(person, num_frames, num_body_joints))
+        first = -(-track.start_frame // stride)
+        kept_m = person.skeleton_m[first * stride - track.start_frame :: stride]
+        positions_m.append(np.pad(kept_m, ((0, 0), (0, num_bones - kept_m.shape[1]), (0, 0)), constant_values=np.nan))
+        red, green, blue = color_rgb(track.track_id)
+        people.append(
+            {
+                "name": take.motions[number].name,
+                "color": f"#{red:02x}{green:02x}{blue:02x}",
+                "start": first,
+                "count": len(kept_m),
+                "start_frame": track.start_frame,
+                "num_frames": track.num_frames,
+            }
+        )
+    step_m, origin_m, content = encode_positions(positions_m)
+    floor = take.animation.floor
+    document = {
+        "num_frames": num_frames,
+        "frame_rate_hz": take.timebase.frame_rate_hz,
+        "start_time_s": take.timebase.start_time_s,
+        "stride": stride,
+        "step_m": step_m,
+        "origin_m": origin_m,
+        "absent": ABSENT,
+        "num_joints": num_bones,
+        "bones": _bones(skeleton),
+        "top": next((number for number, joint in enumerate(skeleton) if joint.name == "HeadEnd"), 0),
+        "people": people,
+        "positions": base64.b64encode(content).decode("ascii"),
+        "cameras": [_describe_camera(camera) for camera in take.cameras],
+        "floor": [0.0, 0.0, 0.0] if floor is None else [floor.z_m, floor.slope_x, floor.slope_y],
+        "strips": {
+            "frames_per_bucket": frames_a_bucket(num_frames),
+            "columns": COLUMNS,
+            "error_step_px": ERROR_STEP_PX,
+            "unknown_error": UNKNOWN_ERROR,
+            "people": strips,
+        },
+    }
+    return Motion(document, stride, num_people, error_px)
+
+
+def stride_for(num_frames: Sequence[int], record_bytes: int, max_bytes: int) -> int:
+    """Smallest stride with which the records of all people are at most as large as wanted, or of one frame each.
+
+    >>> stride_for([300, 300], 100, 20_000)
+    3
+    """
+    stride = 1
+    while any(num > stride for num in num_frames) and sum(-(-num // stride) for num in num_frames) > max(
+        1, max_bytes // max(1, record_bytes)
+    ):
+        stride += max(1, stride // 8)
+    return stride
+
+
+def encode_positions(
+    people_m: Sequence[Float[np.ndarray, "_ joints 3"]],
+) -> tuple[float, list[float], bytes]:
+    """Encode positions as little-endian integers of 16 bits: steps from an origin; ``ABSENT`` for NaN.
+
+    Returns
+    -------
+        Size of a step, the origin, both in metres, and the bytes of all people, one after the other.
+    """
+    known = [people[np.isfinite(people).all(-1)] for people in people_m]
+    everything_m = np.concatenate([*known, np.zeros((0, 3))])
+    if not len(everything_m):
+        return _STEP_M, [0.0, 0.0, 0.0], b"".join(np.full(one.shape, ABSENT, "<i2").tobytes() for one in people_m)
+    origin_m = np.round((everything_m.min(0) + everything_m.max(0)) / 2, 3)
+    step_m = max(_STEP_M, float(np.abs(everything_m - origin_m).max()) / _LARGEST)
+    content = b"".join(
+        np.where(np.isfinite(one).all(-1, keepdims=True), np.rint((np.nan_to_num(one) - origin_m) / step_m), ABSENT)
+        .astype("<i2")
+        .tobytes()
+        for one in people_m
+    )
+    return step_m, origin_m.tolist(), content
+
+
+def _mean_error_px(person: PersonFrames) -> Float[np.ndarray, " frames"]:
+    is_seen = np.isfinite(person.camera_error_px)
+    total_px = np.where(is_seen, person.camera_error_px, 0.0).sum(1)
+    return np.where(is_seen.any(1), total_px / np.maximum(is_seen.sum(1), 1), np.nan)
+
+
+def _bones(skeleton: Sequence[SkeletonJoint]) -> list[tuple[int, int, float]]:
+    """Bones as start, end and radius. Collar bones are left out: they start inside the chest."""
+    names = [joint.name for joint in skeleton]
+    return [
+        (names.index(joint.parent), number, _radius_m(joint.name))
+        for number, joint in enumerate(skeleton)
+        if joint.parent is not None and joint.kind != "Shoulder"
+    ]
+
+
+def _radius_m(name: str) -> float:
+    return next((radius_m for end, radius_m in _RADII if re.search(end, name)), _USUAL_RADIUS_M)
+
+
+def _describe_camera(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "size_px": list(camera.size_px),
+        "matrix": camera.matrix.tolist(),
+        "rotation": camera.cam_from_world.rotation.tolist(),
+        "translation_m": camera.cam_from_world.translation_m.tolist(),
+    }
