@@ -12,13 +12,16 @@ export function pictureOf(camera) {
   return html`<img class="thumb" src=${thumbnails[Math.floor(thumbnails.length / 2)].link} alt="" loading="lazy">`;
 }
 
-// Pictures that a finding names, with their times.
-function evidenceOf({ camera, evidence }, cameras) {
-  const { thumbnails = [] } = cameras.find(({ name }) => name === camera) ?? {};
-  const shown = (evidence?.pictures ?? []).map((number) => thumbnails[number]).filter(Boolean);
+// Pictures that a finding names, with their cameras and times; beside a copy the camera that it repeats.
+function evidenceOf({ code, camera, evidence }, cameras) {
+  const names = code === "same_video" ? [camera, evidence?.other_camera] : [camera];
+  const shown = names.flatMap((name) => {
+    const { thumbnails = [] } = cameras.find((one) => one.name === name) ?? {};
+    return (evidence?.pictures ?? []).map((number) => ({ name, ...thumbnails[number] })).filter(({ link }) => link);
+  });
   if (shown.length === 0) return nothing;
-  return html`<div class="pictures">${shown.map(({ link, time_s: time }) => html`<figure>
-    <img class="evidence" src=${link} alt="Picture of ${camera} at ${time.toFixed(1)} s" loading="lazy"><figcaption>${time.toFixed(1)} s</figcaption>
+  return html`<div class="pictures">${shown.map(({ name, link, time_s: time }) => html`<figure>
+    <img class="evidence" src=${link} alt="Picture of ${name} at ${time.toFixed(1)} s" loading="lazy"><figcaption>${name}, ${time.toFixed(1)} s</figcaption>
   </figure>`)}</div>`;
 }
 

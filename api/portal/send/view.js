@@ -117,6 +117,7 @@ export function open(place) {
     const isFine = preflight.warnings.length === 0 && !preflight.findings?.length;
     return html`<div class="checked"><h3>The check</h3>
       ${isFine ? html`<p>Nothing speaks against a reconstruction.</p>` : nothing}
+      ${preflight.findings?.length && general.length === 0 ? html`<p>See the findings beside the files.</p>` : nothing}
       ${findingList(general, preflight.cameras)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
   }
 

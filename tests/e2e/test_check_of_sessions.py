@@ -1,0 +1,154 @@
+"""Faults of a capture, through the service: found and named in the session or in its job, and shown on the page."""
+
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.write import encode
+from pipeline.data import Camera
+from pipeline.geometry.rigid import Rigid3
+from pipeline.runtime.packages.samples import Sample
+from tests.e2e.browsing import opened
+from tests.e2e.captures import video_capture
+from tests.e2e.serving import Served, serving
+
+pytestmark = pytest.mark.xdist_group("sample")
+
+# As many frames as the instants that are looked at.
+SPEC = {"profile": "fast", "frame_range": [0, 12], "exports": ["bvh"]}
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """Service that has time for all pictures, also on a busy machine."""
+    with serving(tmp_path_factory.mktemp("data"), MULTICAP_PREFLIGHT_TIMEOUT_S="120") as running:
+        yield running
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Videos by camera, and calibrated cameras."""
+
+    videos: Mapping[str, Path]
+    cameras: tuple[Camera, ...]
+
+    def send(self, served: Served) -> dict[str, Any]:
+        """Send the capture as a session; return the session."""
+        with ExitStack() as files:
+            videos = [
+                ("videos", (f"{name}.mp4", files.enter_context(path.open("rb")))) for name, path in self.videos.items()
+            ]
+            calibration = ("calibration", ("calibration.json", encode(self.cameras)))
+            answer = served.client.post("/v1/sessions", files=[*videos, calibration])
+        assert answer.status_code == 201, answer.text
+        session: dict[str, Any] = answer.json()
+        return session
+
+    def reconstruct(self, served: Served) -> dict[str, Any]:
+        """Send the capture and reconstruct it; return the finished job."""
+        job = served.client.post(self.send(served)["links"]["jobs"], json=SPEC).raise_for_status().json()
+        ended = served.wait_for_end(job["id"])
+        assert ended["state"] == "succeeded", ended["error"]
+        return ended
+
+
+@pytest.fixture
+def capture(sample: Sample) -> Capture:
+    return Capture(sample.videos, read_calibration(sample.calibration))
+
+
+def named(findings: list[dict[str, Any]], code: str) -> dict[str, dict[str, Any]]:
+    """Evidence of the findings with a code, by camera."""
+    return {one["camera"]: one["evidence"] for one in findings if one["code"] == code}
+
+
+def scaled(capture: Capture, scale: float) -> Capture:
+    """Capture whose calibration is in another unit."""
+    poses = [camera.cam_from_world for camera in capture.cameras]
+    cameras = [
+        replace(camera, cam_from_world=Rigid3(pose.rotation, scale * pose.translation_m))
+        for camera, pose in zip(capture.cameras, poses, strict=True)
+    ]
+    return replace(capture, cameras=tuple(cameras))
+
+
+def test_a_good_capture_has_no_error(served: Served, capture: Capture) -> None:
+    findings = capture.send(served)["preflight"]["findings"]
+    assert [one for one in findings if one["severity"] != "info"] == []
+
+
+def test_one_video_twice(served: Served, capture: Capture, tmp_path: Path) -> None:
+    """The second one is encoded again, smaller and at another rate."""
+    copy = tmp_path / "copy.mp4"
+    words = ["-i", str(capture.videos["cam01"]), "-r", "50", "-crf", "30", "-preset", "ultrafast", str(copy)]
+    subprocess.run(["ffmpeg", "-v", "error", *words], check=True)
+    session = replace(capture, videos={**capture.videos, "cam03": copy}).send(served)
+    assert named(session["preflight"]["findings"], "same_video")["cam03"]["other_camera"] == "cam01"
+    (thumbnails,) = [camera["thumbnails"] for camera in session["preflight"]["cameras"] if camera["name"] == "cam03"]
+    (picture,) = named(session["preflight"]["findings"], "same_video")["cam03"]["pictures"]
+    assert served.client.get(thumbnails[picture]["link"]).content.startswith(b"\xff\xd8\xff")
+
+
+def test_wrong_units(served: Served, capture: Capture) -> None:
+    findings = scaled(capture, 1000.0).send(served)["preflight"]["findings"]
+    assert "mm" in next(one["hint"] for one in findings if one["code"] == "world_unit")
+
+
+def test_exchanged_calibrations(served: Served, capture: Capture) -> None:
+    exchange = {"cam01": "cam03", "cam03": "cam01"}
+    cameras = tuple(replace(camera, name=exchange.get(camera.name, camera.name)) for camera in capture.cameras)
+    job = replace(capture, cameras=cameras).reconstruct(served)
+    found = named(job["result_warnings"], "cameras_exchanged")
+    assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
+
+
+def test_exchanged_videos(served: Served, capture: Capture) -> None:
+    exchange = {"cam02": "cam04", "cam04": "cam02"}
+    videos = {name: capture.videos[exchange.get(name, name)] for name in capture.videos}
+    job = replace(capture, videos=videos).reconstruct(served)
+    found = named(job["result_warnings"], "cameras_exchanged")
+    assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
+
+
+def test_a_rotated_camera(served: Served, capture: Capture, tmp_path: Path) -> None:
+    turned = tmp_path / "turned.mp4"
+    words = ["-i", str(capture.videos["cam02"]), "-vf", "hflip,vflip", "-preset", "ultrafast", str(turned)]
+    subprocess.run(["ffmpeg", "-v", "error", *words], check=True)
+    job = replace(capture, videos={**capture.videos, "cam02": turned}).reconstruct(served)
+    assert named(job["result_warnings"], "picture_turned")["cam02"]["turn_deg"] == 180
+
+
+def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capture: Capture) -> None:
+    job = scaled(capture, 1.6).reconstruct(served)
+    metrics = served.client.get(f"/v1/jobs/{job['id']}/results/metrics.json").raise_for_status().json()
+    checks = {one["code"] for one in metrics["world_checks"]}
+    assert "stature_out_of_range" in checks
+    assert checks <= {one["code"] for one in job["result_warnings"]}
+    with opened(f"{served.client.base_url}#/captures") as page:
+        row = page.locator(f"#job-{job['id']}")
+        row.wait_for()
+        assert "Done, with warnings" in row.inner_text()
+        for warning in job["warnings"]:
+            assert warning in row.inner_text()
+
+
+def test_a_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
+    """An empty, blurred room: the findings of the pictures have thumbnails on the page."""
+    video_capture(tmp_path, 12)
+    cameras = read_calibration(tmp_path / "calibration.json")
+    videos = {camera.name: tmp_path / "videos" / f"{camera.name}.mp4" for camera in cameras}
+    job = Capture(videos, cameras).reconstruct(served)
+    (nobody,) = [one for one in job["result_warnings"] if one["code"] == "nobody_found"]
+    assert nobody["evidence"]["reason"] in {"nobody_detected", "same_video"}
+    assert nobody["message"].startswith("Nobody was found. ")
+    with opened(f"{served.client.base_url}#/captures") as page:
+        row = page.locator(f"#job-{job['id']}")
+        row.wait_for()
+        assert "nobody was found" in row.inner_text()
+        assert nobody["message"] in row.inner_text()
