@@ -114,7 +114,7 @@ def refine_clocks(
     prior = np.concatenate([np.zeros(len(cameras)), np.full(len(cameras), _RATE_SIGMA**-2)])
     step_s = _step_s(motions, matches)
     share = min(1.0, step_s / _ERROR_LASTS_S)
-    normal = scores = np.zeros(0)
+    normal, scores = np.zeros((len(prior), len(prior))), np.zeros((0, len(prior)))
     sigma = np.nan
     num_blocks = 0
     for _ in range(_STEPS):
@@ -198,8 +198,8 @@ def _linearise(
             )
         )
     if not parts:
-        none = np.empty(0)
-        return _Rows(none, np.empty((0, 2), int), np.empty((0, 2)), np.empty((0, 2)), none, none)
+        none = np.empty(0, int)
+        return _Rows(np.empty(0), np.empty((0, 2), int), np.empty((0, 2)), np.empty((0, 2)), none, none)
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     columns[5] -= columns[5].min()
     return _Rows(*columns)

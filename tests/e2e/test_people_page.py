@@ -39,6 +39,7 @@ class Portal:
 
     def edit(self, *edits: dict[str, Any]) -> None:
         path = f"/v1/jobs/{self.job_id}/people"
+        self.wait()
         self.client.patch(path, json={"edits": edits}).raise_for_status()
         self.wait()
 

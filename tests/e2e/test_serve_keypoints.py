@@ -211,7 +211,10 @@ def test_a_generated_client_gets_from_files_to_animations(served: Served, captur
             assert b"ROOT hips\n" in answer.content
         archive = part("api.results.get_all_results").sync_detailed(job.id, client=client)
         with zipfile.ZipFile(io.BytesIO(archive.content)) as packed:
-            assert set(packed.namelist()) == {result.name for result in listed.results}
+            assert set(packed.namelist()) == {
+                f"{result.person}/{result.download_name}" if result.person else result.download_name
+                for result in listed.results
+            }
 
 
 def test_everything_that_is_wrong_with_archives_at_once(served: Served, capture: Path) -> None:
