@@ -60,6 +60,8 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
         "frame_range": None,
         "output_rate_hz": None,
         "people": "auto",
+        "report": False,
+        "overlay": False,
         "callback_url": None,
     }
 
