@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy import signal
 
 from pipeline.synchronization.motions import STEP_S, Motion
 
@@ -23,14 +24,16 @@ def likely_lags(motions: Sequence[Motion], pair: tuple[int, int]) -> list[int]:
     (first, first_start), (second, second_start) = signals
     if not len(first) or not len(second):
         return []
-    shared = np.correlate(np.ones(len(first)), np.ones(len(second)), "full")
+    number, total = np.arange(len(first) + len(second) - 1), len(first) + len(second)
+    shared = np.minimum(np.minimum(number + 1, total - 1 - number), min(len(first), len(second)))
     correlation = np.zeros(len(shared))
     for column in range(first.shape[1]):
         a, b = (one[:, column] - one[:, column].mean() for one in (first, second))
         norm = max(float(np.std(a) * np.std(b)), 1e-12)
-        correlation = correlation + np.correlate(a, b, "full") / norm
+        # By Fourier transform: a session may have a pause of hours.
+        correlation = correlation + signal.correlate(a, b, "full", "fft") / norm
     # As many standard deviations as chance would give: the sum of n products of independent numbers is about sqrt(n).
-    score = np.where(shared >= _MIN_SHARED, correlation / np.sqrt(np.maximum(shared, 1.0)), -np.inf)
+    score = np.where(shared >= _MIN_SHARED, correlation / np.sqrt(shared), -np.inf)
     lags = (np.arange(len(score)) - (len(second) - 1) + first_start - second_start) * _SAMPLE
     is_peak = np.r_[True, score[1:] >= score[:-1]] & np.r_[score[:-1] > score[1:], True] & np.isfinite(score)
     peaks = np.flatnonzero(is_peak)

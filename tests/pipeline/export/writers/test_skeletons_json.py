@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.data import Animation, Reconstruction, Source, Timebase, Track3D
+from pipeline.data import Animation, Reconstruction, SkeletonMotion, Source, Timebase, Track3D
 from pipeline.export.writers import skeletons_json
 from pipeline.joints import BODY_FEET, WHOLE_BODY, JointSet
+from pipeline.skeleton.model import SKELETON
 
 
 def encoded(of: Reconstruction) -> bytes:
@@ -31,7 +32,20 @@ def track() -> Track3D:
 
 
 def reconstruction(*tracks: Track3D) -> Reconstruction:
-    return Reconstruction((), JOINTS, Timebase(0.5, 29.97, 300), tracks, (), Animation(tracks, (), None))
+    motions = tuple(
+        SkeletonMotion(
+            one.track_id,
+            f"person-{one.track_id}",
+            one.start_frame,
+            29.97,
+            np.zeros(len(SKELETON)),
+            np.zeros((one.num_frames, 3)),
+            np.tile([0.0, 0.0, 0.0, 1.0], (one.num_frames, len(SKELETON), 1)),
+            (),
+        )
+        for one in tracks
+    )
+    return Reconstruction((), JOINTS, Timebase(0.5, 29.97, 300), tracks, (), Animation(tracks, motions, None))
 
 
 def test_everything_stands_where_the_contract_says() -> None:
