@@ -3,6 +3,7 @@
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
 import typer
@@ -62,6 +63,15 @@ SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
 FeetOption = Annotated[str, _option(CHOICES["feet"])]
 JointCentersOption = Annotated[str, _option(CHOICES["joint_centers"])]
 RefineCalibrationOption = Annotated[str, _option(CHOICES["refine_calibration"])]
+KeypointsOption = Annotated[
+    Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
+]
+TimestampsOption = Annotated[
+    Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
+]
+KeypointRateOption = Annotated[
+    float | None, typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default.")
+]
 
 
 def with_choices(command: Callable[..., None]) -> Callable[..., None]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from api.cli.console import StageBars, emit, print_table, reporting, warn
-from api.cli.options import checked, known_clock, known_units, with_choices
+from api.cli.options import KeypointsOption, TimestampsOption, checked, known_clock, known_units, with_choices
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.preflight_record import Clock
@@ -182,13 +182,8 @@ def command(
             metavar="|".join(UNITS_M), help="Unit of the calibration's lengths, if its format does not state it."
         ),
     ] = "m",
-    keypoints: Annotated[
-        Path | None,
-        typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera."),
-    ] = None,
-    timestamps: Annotated[
-        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
-    ] = None,
+    keypoints: KeypointsOption = None,
+    timestamps: TimestampsOption = None,
     frame_rate: Annotated[
         float | None,
         typer.Option(

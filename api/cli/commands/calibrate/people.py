@@ -7,7 +7,7 @@ import typer
 
 from api.cli.commands.calibrate.written import POINTS_HELP, require_ending, show_made, write_made
 from api.cli.console import StageBars, reporting, warn
-from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known
+from api.cli.options import DEFAULTS, DetectorOption, KeypointsOption, ProfileOption, TimestampsOption, known
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
@@ -36,12 +36,8 @@ def command(
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
     videos: Annotated[Path | None, typer.Option(help="Folder of synchronised videos, one for each camera.")] = None,
-    keypoints: Annotated[
-        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
-    ] = None,
-    timestamps: Annotated[
-        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
-    ] = None,
+    keypoints: KeypointsOption = None,
+    timestamps: TimestampsOption = None,
     intrinsics: Annotated[
         Path | None,
         typer.Option(

@@ -9,7 +9,15 @@ import typer
 
 from api.cli.commands.calibration.cameras import FileArgument, JsonOption, UnitsOption, camera_documents, read
 from api.cli.console import EXIT_BAD_INPUT, StageBars, emit, reporting, show_findings, warn
-from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known, known_units
+from api.cli.options import (
+    DEFAULTS,
+    DetectorOption,
+    KeypointsOption,
+    ProfileOption,
+    TimestampsOption,
+    known,
+    known_units,
+)
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import open_session
@@ -28,12 +36,8 @@ def command(
     videos: Annotated[
         Path | None, typer.Option(help="Folder with one video of each camera: people in them are checked too.")
     ] = None,
-    keypoints: Annotated[
-        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
-    ] = None,
-    timestamps: Annotated[
-        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
-    ] = None,
+    keypoints: KeypointsOption = None,
+    timestamps: TimestampsOption = None,
     units: UnitsOption = "m",
     profile: ProfileOption = DEFAULTS.profile,
     detector: DetectorOption = DEFAULTS.detector,

@@ -10,7 +10,16 @@ from rich.progress import Progress
 from api.cli.commands.calibration.cameras import JsonOption, UnitsOption
 from api.cli.commands.reconstruct import check_sources, parameters
 from api.cli.console import EXIT_BAD_INPUT, console, emit, reporting, show_findings
-from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known, known_units
+from api.cli.options import (
+    DEFAULTS,
+    DetectorOption,
+    KeypointRateOption,
+    KeypointsOption,
+    ProfileOption,
+    TimestampsOption,
+    known,
+    known_units,
+)
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.pictures import look_at_pictures
@@ -34,15 +43,9 @@ def command(
         list[str] | None,
         typer.Option(metavar="CAMERA=SECONDS", help="Time of a video's first frame on the common clock; repeatable."),
     ] = None,
-    keypoints: Annotated[
-        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
-    ] = None,
-    timestamps: Annotated[
-        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
-    ] = None,
-    frame_rate: Annotated[
-        float | None, typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default.")
-    ] = None,
+    keypoints: KeypointsOption = None,
+    timestamps: TimestampsOption = None,
+    frame_rate: KeypointRateOption = None,
     units: UnitsOption = "m",
     profile: ProfileOption = DEFAULTS.profile,
     detector: DetectorOption = DEFAULTS.detector,

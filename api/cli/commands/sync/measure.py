@@ -9,7 +9,16 @@ from typing import Annotated, Any, cast
 import typer
 
 from api.cli.console import EXIT_FAILED, StageBars, emit, print_table, reporting, warn
-from api.cli.options import DEFAULTS, DetectorOption, ProfileOption, known, known_units
+from api.cli.options import (
+    DEFAULTS,
+    DetectorOption,
+    KeypointRateOption,
+    KeypointsOption,
+    ProfileOption,
+    TimestampsOption,
+    known,
+    known_units,
+)
 from pipeline.calibration.contents import UNITS_M
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.session import CaptureSession, open_session
@@ -33,15 +42,9 @@ _PERCENT = 100
 def command(
     calibration: Annotated[Path, typer.Option(help="Calibration file of the cameras.")],
     videos: Annotated[Path | None, typer.Option(help="Folder with one video of each camera.")] = None,
-    keypoints: Annotated[
-        Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")
-    ] = None,
-    timestamps: Annotated[
-        Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
-    ] = None,
-    frame_rate: Annotated[
-        float | None, typer.Option(help="Frame rate of keypoints without timestamps, in Hz; 25 by default.")
-    ] = None,
+    keypoints: KeypointsOption = None,
+    timestamps: TimestampsOption = None,
+    frame_rate: KeypointRateOption = None,
     units: Annotated[
         str,
         typer.Option(
