@@ -65,7 +65,7 @@ def check_pictures(cameras: Sequence[CameraPictures]) -> list[Finding]:
     found: list[Finding] = []
     for camera in cameras:
         if dark := list(_check_dark(camera)):
-            # What is dark has no edges, and does not move.
+            # A dark picture has no edges, and does not move.
             found += dark
         elif camera.figures:
             found += [*_check_blurred(camera), *_check_frozen(camera, cameras)]
