@@ -62,6 +62,7 @@ DetectorOption = Annotated[str, _option(CHOICES["detector"])]
 SmoothingOption = Annotated[str, _option(CHOICES["smoothing"])]
 FeetOption = Annotated[str, _option(CHOICES["feet"])]
 JointCentersOption = Annotated[str, _option(CHOICES["joint_centers"])]
+SyncOption = Annotated[str, _option(CHOICES["sync"])]
 RefineCalibrationOption = Annotated[str, _option(CHOICES["refine_calibration"])]
 KeypointsOption = Annotated[
     Path | None, typer.Option(help="Instead of videos: folder with a folder of keypoint files for each camera.")

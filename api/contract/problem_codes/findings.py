@@ -140,6 +140,12 @@ PEOPLE = CodeGroup(
             "Synchronise by the people with `sync: auto`, or correct the offset.",
         ),
         ProblemCode(
+            "clock_measured",
+            ("finding", "info"),
+            "`multicap check --sync auto` measured the offset of a camera.",
+            "Reconstruct with `sync: auto`, or declare the offset.",
+        ),
+        ProblemCode(
             "same_video", _PEOPLE, "Two cameras have the same video or keypoints.", "Give each camera its own video."
         ),
         ProblemCode(

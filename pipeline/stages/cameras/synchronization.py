@@ -1,8 +1,9 @@
 """Synchronisation of a session: clocks measured from its people, and the session on these clocks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 from jaxtyping import Float32
@@ -10,6 +11,7 @@ from jaxtyping import Float32
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Detections, Synchronization, Timebase
 from pipeline.errors import InputError
+from pipeline.findings import Finding
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.stages.association import Session
@@ -80,6 +82,20 @@ def on_measured_clocks(session: Session, synchronization: Synchronization) -> Se
     if isinstance(session, CaptureSession):
         return replace(session, times=times, whole_timebase=timebase)
     return replace(session, times=times, timebase=timebase)
+
+
+def clock_findings(synchronization: Synchronization) -> Iterator[Finding]:
+    """Findings of a synchronisation: why the clocks are not certain, or what they are."""
+    for problem in synchronization.refusals:
+        yield Finding(problem.code, problem.message, problem.camera, "error", problem.hint)
+    for problem in synchronization.warnings:
+        yield Finding(problem.code, problem.message, problem.camera, "warning", problem.hint)
+    for clock in synchronization.clocks if synchronization.is_certain else ():
+        message = f"The camera's own time 0 is {clock.offset_s:+.4f} s of the session's time, as measured."
+        hint = "Reconstruct with sync: auto, which measures the same, or declare this offset."
+        evidence = {"offset_s": clock.offset_s, "sigma_s": clock.sigma_s, "rate": clock.rate}
+        known = {name: value for name, value in evidence.items() if isfinite(value)}
+        yield Finding("clock_measured", message, clock.camera, "info", hint, known)
 
 
 def largest_shift_s(declared: Session, measured: Session) -> float:

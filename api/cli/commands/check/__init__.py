@@ -1,21 +1,23 @@
 """`multicap check`: what is wrong or doubtful about a session, before it is reconstructed."""
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, cast
 
 import typer
-from rich.progress import Progress
 
 from api.cli.commands.calibration.cameras import JsonOption, UnitsOption
 from api.cli.commands.reconstruct import check_sources, parameters
-from api.cli.console import EXIT_BAD_INPUT, console, emit, reporting, show_findings
+from api.cli.commands.sync.clocks import all_bodies, measured_clocks
+from api.cli.console import EXIT_BAD_INPUT, StageBars, console, emit, reporting, show_findings
 from api.cli.options import (
     DEFAULTS,
     DetectorOption,
     KeypointRateOption,
     KeypointsOption,
     ProfileOption,
+    SyncOption,
     TimestampsOption,
     known,
     known_units,
@@ -28,9 +30,12 @@ from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError
 from pipeline.findings import Finding, documents, from_problem, has_error
 from pipeline.preflight.sightings import NUM_INSTANTS
+from pipeline.progress import OnProgress, Progress
 from pipeline.quality.findings import join_findings
 from pipeline.stages.association import Session
-from pipeline.stages.cameras.checking import check_at_instants
+from pipeline.stages.cameras.checking import check_at_instants, check_bodies
+from pipeline.stages.cameras.synchronization import clock_findings, on_measured_clocks
+from pipeline.stages.plan import CHECK
 
 
 def command(
@@ -49,19 +54,24 @@ def command(
     units: UnitsOption = "m",
     profile: ProfileOption = DEFAULTS.profile,
     detector: DetectorOption = DEFAULTS.detector,
+    sync: SyncOption = DEFAULTS.sync,
     thumbnails: Annotated[
         Path | None,
         typer.Option(help="Folder for small copies of the pictures that are looked at.", show_default=False),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a session before its reconstruction: files, calibration, pictures, and people at twelve instants."""
+    """Check a session before its reconstruction: files, calibration, pictures, and people at twelve instants.
+
+    With --sync auto the clocks are measured first, from people in all frames, and the people are checked on them.
+    """
     with reporting(as_json):
         offsets = parameters(offset or [], "cam_2=0.48")
         check_sources(videos, keypoints, timestamps, offsets)
         config = ReconstructionConfig(
             detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)), smoothing="none"
         )
+        is_measured = known(CHOICES["sync"], sync) == "auto"
         unit = known_units(units)
         try:
             session: Session
@@ -74,7 +84,13 @@ def command(
         except InputError as error:
             findings = [from_problem(problem) for problem in error.problems]
         else:
-            findings = _check(session, config, thumbnails, as_json)
+            of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
+            with StageBars(visible=not as_json) as bars:
+                people = (_on_measured_clocks if is_measured else _as_declared)(session, config, bars.update)
+            findings = [
+                *session.findings,
+                *_once([*of_pictures, *join_findings(check_cameras(session.cameras), people)]),
+            ]
     if as_json:
         emit({"findings": documents(findings)})
     else:
@@ -83,13 +99,21 @@ def command(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-def _check(session: Session, config: ReconstructionConfig, thumbnails: Path | None, as_json: bool) -> list[Finding]:
-    """Findings of the files, of the pictures, of the calibration, and of the people."""
-    of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
-    with Progress(console=console, disable=as_json, transient=True) as progress:
-        task = progress.add_task("Look at people", total=NUM_INSTANTS * len(session.cameras))
-        check = check_at_instants(session, config, lambda: progress.advance(task))
-    return [*session.findings, *_once([*of_pictures, *join_findings(check_cameras(session.cameras), check.findings)])]
+def _as_declared(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
+    """Findings about people at a few instants of a session on its declared clocks."""
+    looked, total = itertools.count(1), NUM_INSTANTS * len(session.cameras)
+    return check_at_instants(session, config, lambda: on_progress(Progress(CHECK, next(looked), total))).findings
+
+
+def _on_measured_clocks(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
+    """Findings about the clocks, and about people at a few instants if the clocks are certain."""
+    detections, joints = all_bodies(session, config, on_progress)
+    clocks = measured_clocks(session, detections, joints, on_progress)[0].synchronization
+    findings = list(clock_findings(clocks))
+    if clocks.is_certain:
+        session = on_measured_clocks(session, clocks)
+        findings += check_bodies(session, detections, joints, session.stretches).findings
+    return findings
 
 
 def _look(session: CaptureSession, thumbnails: Path | None) -> Sequence[Finding]:

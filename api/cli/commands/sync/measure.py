@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Mapping
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
 
+from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import EXIT_FAILED, StageBars, emit, print_table, reporting, warn
 from api.cli.options import (
     DEFAULTS,
@@ -20,23 +20,14 @@ from api.cli.options import (
     known_units,
 )
 from pipeline.calibration.contents import UNITS_M
-from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.capture.session import CaptureSession, open_session
+from pipeline.capture.keypoints import open_keypoints
+from pipeline.capture.session import open_session
 from pipeline.config import CHOICES, Profile, ReconstructionConfig
 from pipeline.errors import InputError, PipelineError, Problem
-from pipeline.progress import Progress
-from pipeline.stages.cameras.synchronization import listen
-from pipeline.stages.inputs import detection_joints
-from pipeline.stages.local import detect_people
-from pipeline.stages.plan import SYNCHRONIZE
+from pipeline.stages.association import Session
 from pipeline.synchronization.document import sound_document, sync_document
-from pipeline.synchronization.motions import excerpt
 from pipeline.synchronization.report import error_pictures
-from pipeline.synchronization.sound.combined import synchronize_with_sound
-from pipeline.synchronization.sound.offsets import SoundOffsets
 from pipeline.synchronization.synchronize import Synchronized
-
-_PERCENT = 100
 
 
 def command(
@@ -66,27 +57,15 @@ def command(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         _check_sources(videos, keypoints, timestamps, frame_rate)
         config = ReconstructionConfig(detector=detector, profile=cast(Profile, known(CHOICES["profile"], profile)))
-        session: CaptureSession | KeypointSession
+        session: Session
         if keypoints is not None:
             session = open_keypoints(keypoints, calibration, timestamps, frame_rate, known_units(units))
-            detections, joints = session.detections, session.joints
         else:
             session = open_session(videos or Path(), calibration, units=known_units(units))
-            detections, joints = detect_people(session, config, bars.update), detection_joints(config)
+        detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
             warn(sentence)
-        sound = SoundOffsets()
-        if isinstance(session, CaptureSession):
-            sound = listen(session, lambda camera: nullcontext())
-        found = synchronize_with_sound(
-            session.cameras,
-            session.times,
-            excerpt(session.times, detections),
-            joints,
-            session.starts_s,
-            sound,
-            lambda share: bars.update(Progress(SYNCHRONIZE, round(_PERCENT * share), _PERCENT)),
-        )
+        found, sound = measured_clocks(session, detections, joints, bars.update)
         document = sync_document(found.synchronization) | {"sound": sound_document(sound)}
         if report is not None:
             _write_report(report, document, found)

@@ -10,8 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
+from pipeline.simulation.motion.script import Gesture
 from pipeline.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
+from tests.pipeline.synchronization.conftest import alone
 
 SIMULATION = record(replace(find_scene("room"), duration_s=4.0), seed=3)
 
@@ -61,3 +63,36 @@ def test_problems_are_findings(session: Path, tmp_path: Path) -> None:
     assert code == 2
     assert [(one["code"], one["severity"]) for one in findings] == [("calibration_missing", "error")]
     assert findings[0]["evidence"]["file"] == "missing.json"
+
+
+def test_clocks_are_measured_if_asked(session: Path, tmp_path: Path) -> None:
+    names = [camera.name for camera in SIMULATION.cameras]
+    late = 5
+    rows = (session / "timestamps.csv").read_text().splitlines()
+    moved = [rows[0]]
+    for camera, frame, time_s in (row.split(",") for row in rows[1:]):
+        moved.append(f"{camera},{frame},{float(time_s) + (late / 25.0 if camera == names[1] else 0.0)}")
+    times = tmp_path / "timestamps.csv"
+    times.write_text("\n".join(moved))
+    code, findings = checked(session, session / "calibration.json", timestamps=str(times))
+    assert (code, {one["code"] for one in findings}) == (0, {"clocks_disagree"})
+    code, findings = checked(session, session / "calibration.json", timestamps=str(times), sync="auto")
+    measured = {one["camera"]: one for one in findings if one["code"] == "clock_measured"}
+    assert code == 0
+    assert len(measured) == len(findings) == len(names)
+    offsets_s = {name: one["evidence"]["offset_s"] for name, one in measured.items()}
+    assert offsets_s[names[1]] - offsets_s[names[0]] == pytest.approx(-late / 25.0, abs=0.01)
+
+
+def test_clocks_that_are_not_certain_are_an_error(tmp_path: Path) -> None:
+    write_simulation(record(alone(Gesture.IDLE, 4.0), 4, 3), tmp_path)
+    code, findings = checked(tmp_path, tmp_path / "calibration.json", sync="auto")
+    assert code == 2
+    assert {(one["code"], one["severity"]) for one in findings} == {("sync_no_motion", "error")}
+
+
+def test_an_unknown_way_to_synchronise_is_refused(session: Path) -> None:
+    words = ["check", "--keypoints", str(session), "--calibration", str(session / "calibration.json")]
+    answer = CliRunner().invoke(app, [*words, "--sync", "guess", "--json"])
+    assert answer.exit_code == 2
+    assert "guess" in json.loads(answer.stdout)["problems"][0]["message"]
