@@ -6,12 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
+from pipeline.capture.pictures import NUM_PICTURES
 from pipeline.simulation.motion.script import Gesture
 from pipeline.simulation.scenes import find_scene, record
+from tests.pipeline.capture.test_session import calibration
+from tests.pipeline.media import write_pictures
+from tests.pipeline.preflight.pictures.rooms import walk
 from tests.pipeline.simulations import write_simulation
 from tests.pipeline.synchronization.conftest import alone
 
@@ -96,3 +101,22 @@ def test_an_unknown_way_to_synchronise_is_refused(session: Path) -> None:
     answer = CliRunner().invoke(app, [*words, "--sync", "guess", "--json"])
     assert answer.exit_code == 2
     assert "guess" in json.loads(answer.stdout)["problems"][0]["message"]
+
+
+def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
+    bright = walk(0, 30)
+    for name, images in {"left": bright, "right": [image // 8 for image in walk(1, 30)]}.items():
+        write_pictures(tmp_path / f"{name}.mp4", images)
+    rig = calibration(tmp_path / "rig.json", ["left", "right"], (320, 180))
+    words = ["check", "--videos", str(tmp_path / "left.mp4"), "--videos", str(tmp_path / "right.mp4")]
+    thumbnails = tmp_path / "small"
+    answer = CliRunner().invoke(app, [*words, "--calibration", str(rig), "--thumbnails", str(thumbnails), "--json"])
+    findings = json.loads(answer.stdout)["findings"]
+    dark = next(one for one in findings if one["code"] == "picture_dark")
+    assert (answer.exit_code, dark["camera"]) == (2, "right")
+    assert [one["code"] for one in findings if one["severity"] == "error"] == ["nobody_detected"]
+    shown = {path.name: cv2.imread(str(path)).mean() for path in thumbnails.iterdir()}
+    assert set(shown) == {f"{name}-{number}.jpg" for name in ("left", "right") for number in range(NUM_PICTURES)}
+    assert all(
+        shown[f"right-{number}.jpg"] < 40 < shown[f"left-{number}.jpg"] for number in dark["evidence"]["pictures"]
+    )
