@@ -11,7 +11,7 @@ from jaxtyping import Float32
 from pipeline.capture.session import CaptureSession
 from pipeline.data import Detections, Synchronization, Timebase
 from pipeline.errors import InputError
-from pipeline.findings import Finding
+from pipeline.findings import Finding, from_problem
 from pipeline.joints import JointSet
 from pipeline.progress import OnShare, ignore
 from pipeline.stages.association import Session
@@ -86,10 +86,8 @@ def on_measured_clocks(session: Session, synchronization: Synchronization) -> Se
 
 def clock_findings(synchronization: Synchronization) -> Iterator[Finding]:
     """Findings of a synchronisation: why the clocks are not certain, or what they are."""
-    for problem in synchronization.refusals:
-        yield Finding(problem.code, problem.message, problem.camera, "error", problem.hint)
-    for problem in synchronization.warnings:
-        yield Finding(problem.code, problem.message, problem.camera, "warning", problem.hint)
+    yield from map(from_problem, synchronization.refusals)
+    yield from (replace(from_problem(warning), severity="warning") for warning in synchronization.warnings)
     for clock in synchronization.clocks if synchronization.is_certain else ():
         message = f"The camera's own time 0 is {clock.offset_s:+.4f} s of the session's time, as measured."
         hint = "Reconstruct with sync: auto, which measures the same, or declare this offset."
