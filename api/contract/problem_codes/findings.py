@@ -141,7 +141,7 @@ PEOPLE = CodeGroup(
         ),
         ProblemCode(
             "clock_measured",
-            ("finding", "info"),
+            _FINDING,
             "`multicap check --sync auto` measured the offset of a camera.",
             "Reconstruct with `sync: auto`, or declare the offset.",
         ),
