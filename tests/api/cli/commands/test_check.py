@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -115,7 +116,7 @@ def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
     dark = next(one for one in findings if one["code"] == "picture_dark")
     assert (answer.exit_code, dark["camera"]) == (2, "right")
     assert [one["code"] for one in findings if one["severity"] == "error"] == ["nobody_detected"]
-    shown = {path.name: cv2.imread(str(path)).mean() for path in thumbnails.iterdir()}
+    shown = {path.name: np.asarray(cv2.imread(str(path))).mean() for path in thumbnails.iterdir()}
     assert set(shown) == {f"{name}-{number}.jpg" for name in ("left", "right") for number in range(NUM_PICTURES)}
     assert all(
         shown[f"right-{number}.jpg"] < 40 < shown[f"left-{number}.jpg"] for number in dark["evidence"]["pictures"]
