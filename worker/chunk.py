@@ -50,6 +50,8 @@ class Work:
         Reads the interim outputs of all chunks of an earlier stage, by its name. Raises ``DamagedOutputsError``.
     found
         Output of the chunk if it is stored already, and only the interim output is missing.
+    piece
+        Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it.
     """
 
     claim: Claim
@@ -61,3 +63,4 @@ class Work:
     check: Callable[[], None]
     interim: Callable[[str], list[bytes]]
     found: bytes | None
+    piece: Callable[[str], bytes | None] = lambda _: None

@@ -151,6 +151,9 @@ class _TaskContext(Context):
     def interim(self, stage: str) -> list[bytes]:
         return self.work.interim(stage)
 
+    def piece(self, key: str) -> bytes | None:
+        return self.work.piece(key)
+
     def found(self) -> bytes | None:
         return self.work.found
 

@@ -76,6 +76,7 @@ def task_of(claim: Claim) -> Task:
         chunk_frames=payload["chunk_frames"],
         num_units=claim.unit_count,
         key=claim.output_key,
+        piece_key=payload.get("piece_key", ""),
     )
 
 
@@ -93,6 +94,8 @@ class _Chunks:
                 "stop_frame": task.frames.stop,
                 "chunk_frames": task.chunk_frames,
             }
+            if task.piece_key:
+                payload["piece_key"] = task.piece_key
             yield ChunkPlan(task.index, payload, task.num_units, task.key)
 
 

@@ -4,6 +4,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import structlog
 from opentelemetry import trace
@@ -16,7 +17,7 @@ from worker.chunk import DamagedOutputsError, StoppedError, Work
 from worker.jobs.errors import DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.jobs.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.jobs.files.interim import read_interim, write_interim
-from worker.jobs.model import Claim, MadeCalibration, Result
+from worker.jobs.model import Claim, KeptPiece, MadeCalibration, Result
 from worker.jobs.store import JobStore
 from worker.lease import Lease
 from worker.problems import problem_of
@@ -157,10 +158,12 @@ class Runner:
                     check=lease.check,
                     interim=partial(self._interim, claim),
                     found=stored,
+                    piece=partial(self._piece, claim),
                 )
             )
             lease.check()
             results = [self._keep(claim, file) for file in output.files]
+            pieces = [self._keep_piece(claim, key, path) for key, path in output.pieces.items()]
         if output.interim is not None:
             write_interim(self._artifacts, claim, output.interim)
         if stored is None:
@@ -175,6 +178,7 @@ class Runner:
             warnings=output.warnings,
             calibration=None if output.calibration is None else MadeCalibration(**output.calibration),
             people=output.people,
+            pieces=pieces,
         )
 
     def _reusable(self, claim: Claim) -> tuple[str, int] | None:
@@ -211,6 +215,21 @@ class Runner:
             return read_artifact(self._artifacts, stage_key(claim.session_id, claim.output_key), sha256)
         except (NotFound, DamagedArtifact):
             return None
+
+    def _piece(self, claim: Claim, key: str) -> bytes | None:
+        """Piece that an earlier chunk has kept; ``None`` if it is missing or damaged."""
+        recorded = self._store.outputs.find(claim.session_id, key)
+        if recorded is None:
+            return None
+        try:
+            return read_artifact(self._artifacts, stage_key(claim.session_id, key), recorded[0] or "")
+        except (NotFound, DamagedArtifact):
+            return None
+
+    def _keep_piece(self, claim: Claim, key: str, path: Path) -> KeptPiece:
+        content = path.read_bytes()
+        self._artifacts.put_bytes(stage_key(claim.session_id, key), content)
+        return KeptPiece(key, _sha256(content), len(content))
 
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         contents, damaged = [], set()

@@ -1,6 +1,7 @@
 """Motion of all people: smoothing or skeleton fit, standing feet held in place, and hands."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 from pipeline.config import ReconstructionConfig
 from pipeline.data import Animation, Camera, Floor, Observations, SkeletonMotion, Timebase, Track3D
@@ -34,7 +35,7 @@ def animate(
     config: ReconstructionConfig,
     on_share: OnShare = ignore,
     offsets: JointOffsets = MARKED_AT_CENTERS,
-    floor: Floor | None = None,
+    floor: Floor | Literal["estimated"] | None = "estimated",
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
@@ -54,7 +55,7 @@ def animate(
     offsets
         Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
     floor
-        Floor under the people; ``None``: it is estimated from their feet.
+        Floor under the people; ``None``: there is none; ``estimated``: it is estimated from their feet.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def animate(
         fits.append(_prepare(*of_body, cameras, timebase, body, config, offsets, next(parts)))
         motions.append(fits[-1].motion(next(parts)))
     points = [foot_points(fitted, motion, body) for fitted, motion in zip(fits, motions, strict=True)]
-    if floor is None:
+    if floor == "estimated":
         floor = estimate_floor(
             [one.ankles_m for one in points], [one.ankles_known for one in points], timebase.frame_rate_hz
         )

@@ -120,6 +120,21 @@ def put_together(
     return edited, Animation(tuple(tracks), tuple(motions), fitted.floor)
 
 
+def renumbered(animation: Animation, number: int) -> Animation:
+    """Animation of one person with another number, and with the name of people who have none."""
+    (track,), (motion,) = animation.tracks, animation.motions
+    named = replace(motion, track_id=number, name=f"person-{number}")
+    return replace(animation, tracks=(replace(track, track_id=number),), motions=(named,))
+
+
+def united(parts: Sequence[Animation]) -> Animation:
+    """Animation of everybody from parts: person number k is in part k modulo the number of parts."""
+    numbers = range(sum(len(part.tracks) for part in parts))
+    places = [(parts[number % len(parts)], number // len(parts)) for number in numbers]
+    tracks, motions = [part.tracks[row] for part, row in places], [part.motions[row] for part, row in places]
+    return Animation(tuple(tracks), tuple(motions), parts[0].floor)
+
+
 def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
     """Keep some frames of a reconstruction, numbered from 0; people who are not there are left out."""
     kept, tracks, motions = [], [], []

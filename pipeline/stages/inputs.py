@@ -95,6 +95,10 @@ class Context(ABC):
         """Output of this task if an earlier job has left it, and this job lacks only the interim output."""
 
     @abstractmethod
+    def piece(self, key: str) -> bytes | None:
+        """Piece of an output that an earlier task of the session has kept; ``None`` if there is none."""
+
+    @abstractmethod
     def on_unit(self) -> None:
         """Count a unit of the task's progress; may raise to end the task."""
 
@@ -219,13 +223,6 @@ def _coloured(context: Context, chunks: Iterable[Detections]) -> Iterable[Detect
 
 
 def archive_of_people(context: Context, stage: str, name: str = PEOPLE) -> Path:
-    """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
-    archive = context.scratch / name
-    archive.write_bytes(*context.outputs(stage))
-    return archive
-
-
-def _archive_of_people(context: Context, stage: str, name: str = PEOPLE) -> Path:
     """Write the people that a stage found to a file: in memory they would be a fifth of what a stage takes."""
     archive = context.scratch / name
     archive.write_bytes(*context.outputs(stage))

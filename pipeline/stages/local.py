@@ -307,6 +307,9 @@ class _TaskContext(Context):
     def interim(self, stage: str) -> list[bytes]:
         return [_read(self.job.interim, task) for task in self.job.tasks_of(stage)]
 
+    def piece(self, key: str) -> bytes | None:
+        return self.job.outputs.read(key)
+
     def found(self) -> bytes | None:
         return None if self.task is None else self.job.outputs.read(self.task.key)
 
@@ -380,6 +383,8 @@ def _run(job: _Job, task: Task, on_unit: Callable[[], None] = lambda: None) -> T
     output = run_task(task, _TaskContext(job, task, on_unit))
     if output.interim is not None:
         job.interim.write(task.key, output.interim)
+    for key, path in output.pieces.items():
+        job.outputs.write(key, path.read_bytes())
     if job.files is not None:
         for file in output.files:
             _keep(file, job.files.folder)

@@ -1,7 +1,7 @@
 """Output of a task. Standard library only."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,9 @@ class Output:
         Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none.
     calibration
         Calibration that the job has made: ``files``, texts by format, and ``report``.
+    pieces
+        Files with pieces of the output, by key: kept with the session, so that later tasks find them. See
+        ``pipeline.stages.results.pieces``.
     people
         People whom the job has found, before any edit; ``None`` of a task that writes no results.
     """
@@ -50,4 +53,5 @@ class Output:
     warnings: tuple[Finding, ...] = ()
     interim: bytes | None = None
     calibration: Mapping[str, Any] | None = None
+    pieces: Mapping[str, Path] = field(default_factory=dict)
     people: tuple[PersonSpan, ...] | None = None

@@ -32,6 +32,12 @@ DEFAULT_CHUNK_FRAMES = ReconstructionConfig().chunk_frames
 MAX_TASKS = 20_000
 """Largest number of tasks of a stage. Each is a row of the service's database, and a job is read from all its rows."""
 
+PERSON_PARTS = 4
+"""Number of tasks of a stage that is cut by person: person number k is in task k modulo this number.
+
+A plan is made before anybody is found. Tasks without a person take a tenth of a second.
+"""
+
 LOOKED_AT_FRAMES = 12
 """Largest number of frames of a camera that the stage ``look`` decodes."""
 
@@ -39,10 +45,12 @@ LOOKED_AT_FRAMES = 12
 _FRAMES_A_UNIT = 10
 # Rate of the frames in which clustering measures bones.
 _MEASURED_HZ = 5
+# Stages that keep pieces of their outputs for other edits.
+_WITH_PIECES = (REFIT, EXPORT)
 # Fields of the configuration on which no output depends.
 _WITHOUT_EFFECT = {"chunk_frames", "processes"}
 
-Cut = Literal["cameras", "camera ranges", "ranges", "whole"]
+Cut = Literal["cameras", "camera ranges", "ranges", "people", "whole"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +130,8 @@ class Stage:
     label
         What forms and progress bars call it.
     cut
-        How it is cut into tasks: by camera, by camera and range of frames, by range of frames, or not at all.
+        How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at
+        all.
     follows
         Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
     choices
@@ -332,7 +341,7 @@ STAGES = (
     Stage(
         REFIT,
         "Fit edited people",
-        cut="whole",
+        cut="people",
         follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT, EDIT),
         choices=("smoothing", "cutoff_hz", "feet", "joint_centers"),
         function="refit_skeletons",
@@ -399,6 +408,9 @@ class Task:
         Number of units that its progress counts, at least 1.
     key
         Content-addressed key of its output.
+    piece_key
+        Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
+        ``pipeline.stages.results.pieces``.
     """
 
     stage: str
@@ -408,6 +420,7 @@ class Task:
     chunk_frames: int
     num_units: int
     key: str
+    piece_key: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,6 +487,11 @@ def plan(
             keys[stage.name] = _hash([stage.name, codes[stage.name], own, inputs])
             of_stage = cut_by_camera if stage.cut == "camera ranges" else cut
             tasks = _tasks(stage, keys[stage.name], facts, of_stage, _cameras(facts, config))
+            if stage.name in _WITH_PIECES:
+                before = [keys[name] for name in stage.follows if name in keys and name not in {EDIT, REFIT}]
+                editing = [codes[name] for name in (EDIT, REFIT)]
+                piece_key = _hash([stage.name, codes[stage.name], own, before, editing])
+                tasks = tuple(replace(task, piece_key=piece_key) for task in tasks)
             stages.append(PlannedStage(stage.name, tasks, codes[stage.name]))
     return tuple(stages)
 
@@ -532,6 +550,12 @@ def _tasks(
     num_units = -(-cut.num_frames // _FRAMES_A_UNIT)
     if stage.name == LENGTHS:
         num_units = max(1, min(cut.num_frames, round(_MEASURED_HZ * cut.num_frames / facts.frame_rate_hz)))
+    if stage.cut == "people":
+        num_units = -(-num_units // PERSON_PARTS)
+        return tuple(
+            Task(stage.name, index, None, cut.frames, cut.chunk_frames, num_units, _hash([stage_key, index]))
+            for index in range(PERSON_PARTS)
+        )
     return (Task(stage.name, 0, None, cut.frames, cut.chunk_frames, num_units, stage_key),)
 
 

@@ -67,7 +67,6 @@ from pipeline.stages.output import Output, ResultFile
 from pipeline.stages.outputs_npz import (
     decode_damaged_videos,
     decode_detections,
-    decode_floor,
     decode_lengths,
     decode_poses,
     decode_sizes,
@@ -87,9 +86,7 @@ from pipeline.stages.outputs_npz import (
 from pipeline.stages.plan import (
     ASSOCIATE,
     DETECT,
-    EDIT,
     FIND_BOARD,
-    FIT,
     IDENTIFY,
     LENGTHS,
     LOOK,
@@ -100,7 +97,10 @@ from pipeline.stages.plan import (
     Task,
 )
 from pipeline.stages.results.assembly import EDITED, assemble, kept_frames, spans_found
+from pipeline.stages.results.kept_files import FilesInPieces
 from pipeline.stages.results.overlay import overlay_file
+from pipeline.stages.results.pieces import Pieces
+from pipeline.stages.results.refit import refit
 from pipeline.stages.results.report import report_file
 from pipeline.stages.viewer import viewer_files
 from pipeline.synchronization.sound.offsets import SoundOffsets
@@ -388,21 +388,8 @@ def edit_people(task: Task, context: Context) -> Output:
 
 
 def refit_skeletons(task: Task, context: Context) -> Output:
-    """Animate the people whom edits changed; the others keep their animation."""
-    session, joints = wanted_inputs(context, context.outline())
-    changed = open_people(archive_of_people(context, EDIT, EDITED))
-    animation = animate(
-        changed.tracks,
-        changed.observations,
-        session.cameras,
-        session.timebase,
-        joints,
-        context.config,
-        _on_share(task, context),
-        used_offsets(session, context.config),
-        decode_floor(*context.outputs(FIT)),
-    )
-    return Output(encode_animation(animation))
+    """Animate a part of the people whom edits changed; the others keep their animation."""
+    return refit(task, context, _on_share(task, context))
 
 
 def draw_overlay(task: Task, context: Context) -> Output:
@@ -424,13 +411,15 @@ def export(task: Task, context: Context) -> Output:
     reconstruction = assemble(context)
     config = context.config
     on_share = _on_share(task, context)
-    paths = write_results(reconstruction, context.scratch, config.exports, config.bvh, config.output_rate_hz, on_share)
-    files = [_result_file(path) for path in paths]
+    kept = FilesInPieces(Pieces(task, context), context.scratch)
+    choices = config.exports, config.bvh, config.output_rate_hz
+    files = [_result_file(path) for path in write_results(reconstruction, context.scratch, *choices, on_share, kept)]
     report = json.loads((context.scratch / METRICS).read_bytes())
     frames = kept_frames(context)
     first_frame = 0 if frames is None else frames.start
     files += viewer_files(reconstruction, context.outline(), report, context.scratch, first_frame)
-    return replace(_made(files), warnings=tuple(all_checks(report)), people=spans_found(context))
+    warnings, pieces = tuple(all_checks(report)), kept.pieces.made
+    return replace(_made(files), warnings=warnings, people=spans_found(context), pieces=pieces)
 
 
 def _made(files: Sequence[ResultFile]) -> Output:

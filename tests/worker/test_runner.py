@@ -1,5 +1,6 @@
 """Runner of chunks on a real store, with small stages."""
 
+import hashlib
 import json
 import threading
 import time
@@ -483,3 +484,25 @@ def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: Ben
     assert problem is not None
     assert (problem.code, problem.stage, problem.retryable) == ("memory_limit", DETECT, False)
     assert "MULTICAP_MEMORY_BYTES" in str(problem.hint)
+
+
+def test_pieces_of_outputs_are_found_by_later_jobs_until_they_are_damaged(bench: Bench) -> None:
+    found: list[bytes | None] = []
+
+    def export_with_pieces(work: Work) -> Output:
+        found.append(work.piece("piece"))
+        path = work.scratch / "piece"
+        path.write_bytes(b"of a person")
+        return replace(export(work), pieces={"piece": path})
+
+    bench.stages[EXPORT] = export_with_pieces
+    for damage in (None, None, b"of another person"):
+        if damage is not None:
+            bench.artifacts.put_bytes(stage_key(bench.session.id, "piece"), damage)
+        bench.create_job()
+        bench.runner().work(60.0)
+    assert found == [None, b"of a person", None]
+    assert bench.store.outputs.find(bench.session.id, "piece") == (
+        hashlib.sha256(b"of a person").hexdigest(),
+        len(b"of a person"),
+    )

@@ -495,6 +495,15 @@ class ChunkOutput:
 
 
 @dataclass(frozen=True, slots=True)
+class KeptPiece:
+    """Stored piece of an output, which later chunks of the session find by its key."""
+
+    key: str
+    sha256: str
+    num_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class Claim:
     """Chunk that a worker holds by a lease; reports need its ``lease_token``."""
 

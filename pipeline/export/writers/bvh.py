@@ -54,18 +54,20 @@ def euler_deg(
 
     angles = np.empty((*z.shape, 3))
     previous = sign * np.radians(before_deg)
+    is_locked = cosine < _GIMBAL_LOCK
+    has_locked = is_locked.any(-1).tolist()
     for frame in range(len(z)):
         options = triples[:, frame]
-        locked = cosine[frame] < _GIMBAL_LOCK
-        if locked.any():
+        if has_locked[frame]:
+            locked = is_locked[frame]
             kept = previous[locked, 2]
             first, last = rotations[frame, locked, :, 0], rotations[frame, locked, :, 2]
             before_y = first * np.cos(kept)[:, None] + last * np.sin(kept)[:, None]
             options[:, locked, 0] = np.arctan2(before_y[:, 1], before_y[:, 0])
             options[:, locked, 2] = kept
         options = options + 2 * np.pi * np.round((previous - options) / (2 * np.pi))
-        closest = ((options - previous) ** 2).sum(-1).argmin(0)
-        previous = np.take_along_axis(options, closest[None, :, None], axis=0)[0]
+        first_off, second_off = ((options - previous) ** 2).sum(-1)
+        previous = np.where((second_off < first_off)[:, None], options[1], options[0])
         angles[frame] = previous
     return sign * np.degrees(angles)
 

@@ -20,6 +20,7 @@ from pipeline.export.writers.blocks import BLOCK_FRAMES, frame_blocks
 SCHEMA_VERSION = 1
 
 _WITHOUT_UNCERTAINTY = ',"uncertainty_m":null}'
+_PART_BYTES = 2**20
 _LETTERS = np.array([source.letter for source in Source])
 
 
@@ -59,8 +60,13 @@ def _track_parts(track: Track3D, name: str) -> Iterator[str]:
     yield "}" if uncertainty_m is not None else _WITHOUT_UNCERTAINTY
 
 
-def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
-    """Write all tracks as ``skeletons.json``, piece by piece."""
+def encode_track(track: Track3D, name: str) -> Iterator[bytes]:
+    """Write the line of a track, piece by piece, without its end."""
+    return (part.encode("ascii") for part in _track_parts(track, name))
+
+
+def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[bytes]:
+    """Write ``skeletons.json``, piece by piece, from files of ``encode_track`` of all tracks in their order."""
     timebase, joints = reconstruction.timebase, reconstruction.joints
     head = {
         "schema_version": SCHEMA_VERSION,
@@ -71,28 +77,26 @@ def encode(reconstruction: Reconstruction) -> Iterator[bytes]:
         "bones": joints.bones,
     }
     yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
-    for number, (track, motion) in enumerate(zip(reconstruction.tracks, reconstruction.motions, strict=True)):
+    for number, path in enumerate(tracks):
         yield b",\n" if number else b""
-        for part in _track_parts(track, motion.name):
-            yield part.encode("ascii")
+        with path.open("rb") as file:
+            while part := file.read(_PART_BYTES):
+                yield part
     yield b"\n]}\n"
 
 
-def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) from a file of ``encode``, a track at a time; NaN where null.
+def read_track_m(path: Path) -> Float[np.ndarray, "_ joints 3"]:
+    """Read world positions (metres) from a file of ``encode_track``; NaN where null.
 
     The other series are decoded too, to detect damage.
     """
-    with path.open(encoding="ascii") as file:
-        file.readline()
-        for line in file:
-            if line.startswith("{"):
-                positions_m = [_as_array(block) for block in _blocks(line, "positions_m")]
-                has_uncertainty = not line.rstrip(",\n").endswith(_WITHOUT_UNCERTAINTY)
-                for name in ("scores", "sources", "error_px", *(("uncertainty_m",) if has_uncertainty else ())):
-                    for _ in _blocks(line, name):
-                        pass
-                yield np.concatenate(positions_m)
+    line = path.read_text(encoding="ascii")
+    positions_m = [_as_array(block) for block in _blocks(line, "positions_m")]
+    has_uncertainty = not line.endswith(_WITHOUT_UNCERTAINTY)
+    for name in ("scores", "sources", "error_px", *(("uncertainty_m",) if has_uncertainty else ())):
+        for _ in _blocks(line, name):
+            pass
+    return np.concatenate(positions_m)
 
 
 def _as_array(frames: Sequence[Any]) -> Float[np.ndarray, "frames joints 3"]:

@@ -3,7 +3,7 @@
 from pipeline.data import Reconstruction
 from pipeline.edits import PersonSpan
 from pipeline.stages.cameras.checking import decode_check
-from pipeline.stages.editing import cut, edited_take, put_together
+from pipeline.stages.editing import cut, edited_take, put_together, united
 from pipeline.stages.inputs import (
     Context,
     archive_of_people,
@@ -33,7 +33,7 @@ def assemble(context: Context) -> Reconstruction:
         found = stored_spans(archive)
         take = edited_take(found, context.config, session.timebase)
         changed = open_people(archive_of_people(context, EDIT, EDITED))
-        refitted = decode_animation(*context.outputs(REFIT))
+        refitted = united([decode_animation(content) for content in context.outputs(REFIT)])
         people, animation = put_together(people, animation, found, changed, refitted, take)
     refined = refined_cameras(context, session.cameras)
     reconstruction = Reconstruction(

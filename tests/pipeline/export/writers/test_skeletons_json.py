@@ -1,4 +1,5 @@
 import json
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,17 @@ from pipeline.skeleton.model import SKELETON
 
 
 def encoded(of: Reconstruction) -> bytes:
-    return b"".join(skeletons_json.encode(of))
+    with tempfile.TemporaryDirectory() as folder:
+        paths: list[Path] = []
+        for track, motion in zip(of.tracks, of.motions, strict=True):
+            paths.append(Path(folder) / str(len(paths)))
+            paths[-1].write_bytes(b"".join(skeletons_json.encode_track(track, motion.name)))
+        return b"".join(skeletons_json.join(of, paths))
+
+
+def lines(content: bytes) -> list[bytes]:
+    """Part of each track in a file."""
+    return [line.removesuffix(b",") for line in content.splitlines()[1:-1]]
 
 
 JOINTS = JointSet(("left_hip", "left_knee"), (("left_hip", "left_knee"),))
@@ -78,12 +89,13 @@ def test_uncertainty_is_in_tenths_of_a_millimetre(tmp_path: Path) -> None:
     first, second = json.loads(content)["tracks"]
     assert first["uncertainty_m"] == [[0.0123, None], [0.2, 0.0]]
     assert second["uncertainty_m"] is None
-    path = tmp_path / "skeletons.json"
-    path.write_bytes(content)
-    assert [xyz_m.shape for xyz_m in skeletons_json.read_xyz_m(path)] == [(2, 2, 3), (2, 2, 3)]
-    path.write_bytes(content.replace(b"[0.0123,null]", b"[0.0123,nu]"))
+    path = tmp_path / "person-7"
+    for line in lines(content):
+        path.write_bytes(line)
+        assert skeletons_json.read_track_m(path).shape == (2, 2, 3)
+    path.write_bytes(lines(content)[0].replace(b"[0.0123,null]", b"[0.0123,nu]"))
     with pytest.raises(json.JSONDecodeError):
-        list(skeletons_json.read_xyz_m(path))
+        skeletons_json.read_track_m(path)
 
 
 def test_bytes_are_strict_json_and_always_the_same() -> None:
@@ -128,7 +140,7 @@ def test_feet_and_hands_have_all_series(joints: JointSet, tmp_path: Path) -> Non
     assert written["sources"] == ["".join("-mip"[one] for one in frame) for frame in source.tolist()]
     np.testing.assert_allclose(written["scores"], larger.score, atol=1e-3)
     np.testing.assert_allclose(written["uncertainty_m"], sigma_m, atol=1e-4)
-    path = tmp_path / "skeletons.json"
-    path.write_bytes(content)
-    (read_m,) = skeletons_json.read_xyz_m(path)
+    path = tmp_path / "person-1"
+    path.write_bytes(*lines(content))
+    read_m = skeletons_json.read_track_m(path)
     np.testing.assert_allclose(read_m, larger.xyz_m, atol=1e-4)

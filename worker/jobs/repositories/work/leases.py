@@ -20,6 +20,7 @@ from worker.jobs.model import (
     ChunkState,
     Claim,
     JobState,
+    KeptPiece,
     MadeCalibration,
     Problem,
     Result,
@@ -139,8 +140,9 @@ class Leases:
         warnings: Sequence[Finding] = (),
         calibration: MadeCalibration | None = None,
         people: Sequence[PersonSpan] | None = None,
+        pieces: Sequence[KeptPiece] = (),
     ) -> bool:
-        """Record the output of a chunk, and what it has of its job: result files, warnings, people, a calibration.
+        """Record the output of a chunk with its pieces, and what it has of its job: files, warnings, people, ...
 
         Returns
         -------
@@ -151,16 +153,9 @@ class Leases:
             if held is None:
                 return False
             job, chunk = held
-            upsert(
-                connection,
-                artifacts,
-                {
-                    "session_id": job.session_id,
-                    "output_key": chunk.output_key,
-                    "sha256": sha256,
-                    "num_bytes": num_bytes,
-                },
-            )
+            for stored in (KeptPiece(chunk.output_key, sha256, num_bytes), *pieces):
+                row = {"output_key": stored.key, "sha256": stored.sha256, "num_bytes": stored.num_bytes}
+                upsert(connection, artifacts, {"session_id": job.session_id, **row})
             _record_results(connection, job.id, results, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)

@@ -1,0 +1,160 @@
+"""Files of one person, written and read back: one of each format, and the person's part of ``skeletons.json``."""
+
+import contextlib
+import errno
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.config import FILE_FORMATS, Export, Preset
+from pipeline.data import Reconstruction, SkeletonMotion, Timebase, Track3D
+from pipeline.export.formats import FORMATS, Person
+from pipeline.export.writers import skeletons_json
+from pipeline.joints import JointSet
+from pipeline.progress import OnShare, part_of, split
+from pipeline.skeleton.model import forward_kinematics
+
+SKELETONS = "skeletons"
+"""Name of ``skeletons.json`` among the formats."""
+
+Distances = Mapping[str, float | None]
+"""Largest distance in mm between joints read back and their true positions, by format; ``None`` without any joint."""
+
+_MM_PER_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonOfTake:
+    """A person whose files are written.
+
+    Parameters
+    ----------
+    track, motion
+        Positions of the joints, and motion of the skeleton in the same frames.
+    joints, timebase
+        Joints of the track, and clock of its frames.
+    """
+
+    track: Track3D
+    motion: SkeletonMotion
+    joints: JointSet
+    timebase: Timebase
+
+
+def people_of(take: Reconstruction) -> Iterator[PersonOfTake]:
+    """People of a take, in its order."""
+    for track, motion in zip(take.tracks, take.motions, strict=True):
+        yield PersonOfTake(track, motion, take.joints, take.timebase)
+
+
+class KeptFiles:
+    """Files of people that were written before; of this class itself, none."""
+
+    def find(self, person: PersonOfTake, paths: Mapping[str, Path]) -> Distances | None:
+        """Write a person's files, if they are kept, to paths by format; return the distances found in them."""
+        return None
+
+    def keep(self, person: PersonOfTake, paths: Mapping[str, Path], distances_mm: Distances) -> None:
+        """Keep the files of a person, and the distances found in them."""
+
+
+def write_person(
+    person: PersonOfTake, paths: Mapping[str, Path], preset: Preset, kept: KeptFiles, on_share: OnShare
+) -> Iterator[tuple[str, float | None]]:
+    """Write the files of a person, or take them from those that are kept.
+
+    Each file is written and read back under a temporary name, so that no incomplete file has its final name.
+
+    Parameters
+    ----------
+    paths
+        Path of the file of each format, and of the part of ``skeletons.json`` under ``SKELETONS``.
+
+    Yields
+    ------
+        Format and distance, see ``Distances``, when a file is complete.
+
+    Raises
+    ------
+    OSError
+        If a file can't be written, the disk is full, or the content of a file differs from the written content.
+    """
+    found = kept.find(person, paths)
+    if found is not None:
+        on_share(1.0)
+        yield from found.items()
+        return
+    track, skeleton_m = person.track, forward_kinematics(person.motion)
+    distances_mm: dict[str, float | None] = {}
+    for (name, path), on_file in zip(paths.items(), split(on_share, [1] * len(paths)), strict=True):
+        # Writing takes about as long as reading.
+        on_read = part_of(on_file, 0.5, 1.0)
+        if name == SKELETONS:
+            with replacing(path, skeletons_json.encode_track(track, person.motion.name)) as part:
+                read_m = skeletons_json.read_track_m(part)
+                distances_mm[name] = _furthest_mm(path, track.xyz_m, [read_m], on_read)
+        else:
+            export: Export = next(export for export in FILE_FORMATS if export == name)
+            content = Person(track, person.motion, person.joints, person.timebase, path.name, preset)
+            expected_m = skeleton_m if FILE_FORMATS[export].holds == "motion" else track.xyz_m
+            with replacing(path, FORMATS[export].encode(content)) as part:
+                found_m = FORMATS[export].read_xyz_m(part, preset)
+                distances_mm[name] = _furthest_mm(path, expected_m, found_m, on_read)
+        yield name, distances_mm[name]
+    kept.keep(person, paths, distances_mm)
+    on_share(1.0)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, pieces: Iterable[bytes]) -> Iterator[Path]:
+    """Write a file under a temporary name for the block; rename it to ``path`` if the block succeeds."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            file.writelines(pieces)
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def spoilt(path: Path) -> OSError:
+    """Error of a file that is read back with other contents."""
+    return OSError(errno.EIO, f"{path.name} does not hold what was written to it")
+
+
+def _furthest_mm(
+    path: Path,
+    expected_m: Float[np.ndarray, "frames joints 3"],
+    read_m: Iterable[Float[np.ndarray, "_ joints 3"]],
+    on_share: OnShare,
+) -> float | None:
+    """Largest distance in mm between positions read from a person's file, block by block, and the expected positions.
+
+    Returns
+    -------
+        ``None`` if no joint is known in any frame.
+
+    Raises
+    ------
+    OSError
+        If shapes or unknown joints differ.
+    """
+    num_read, far_m = 0, []
+    for block_m in read_m:
+        expected_block_m = expected_m[num_read : num_read + len(block_m)]
+        num_read += len(block_m)
+        if block_m.shape != expected_block_m.shape:
+            raise spoilt(path)
+        known, known_in_file = np.isfinite(expected_block_m).all(-1), np.isfinite(block_m).all(-1)
+        if (known != known_in_file).any():
+            raise spoilt(path)
+        if known.any():
+            far_m.append(np.linalg.norm((block_m - expected_block_m)[known], axis=-1).max())
+        on_share(num_read / len(expected_m))
+    if num_read != len(expected_m):
+        raise spoilt(path)
+    return float(max(far_m)) * _MM_PER_M if far_m else None

@@ -1,0 +1,115 @@
+"""Pieces of outputs: found again after other edits, with the bytes that the work would make."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import pytest
+
+from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.config import FILE_FORMATS, ReconstructionConfig
+from pipeline.data import Reconstruction
+from pipeline.edits import Exchange, Merge, PeopleEdit, Rename, Split
+from pipeline.export.person_files import PersonOfTake, people_of
+from pipeline.export.results import write_results
+from pipeline.export.writers import bvh
+from pipeline.simulation.scenes import find_scene, record
+from pipeline.stages.local import reconstruct
+from pipeline.stages.results import refit
+from pipeline.stages.results.kept_files import FilesInPieces
+from pipeline.stages.results.pieces import Pieces
+from tests.pipeline.simulations import write_simulation
+
+FORMATS = tuple(FILE_FORMATS)
+HALF = 25
+
+
+class KeptPieces(Pieces):
+    """Pieces of many tasks, kept in memory."""
+
+    def __init__(self) -> None:
+        self._key, self.made = "key of a task", {}
+        self.kept: dict[str, bytes] = {}
+
+    def find(self, key: str) -> bytes | None:
+        return self.kept.get(key)
+
+    def keep(self, key: str, path: Path) -> None:
+        self.kept[key] = path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> KeypointSession:
+    folder = tmp_path_factory.mktemp("session")
+    write_simulation(record(dataclasses.replace(find_scene("room"), duration_s=2.0), seed=6), folder)
+    return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+def edited(session: KeypointSession, cache: Path | None, *edits: PeopleEdit) -> Reconstruction:
+    return reconstruct(session, dataclasses.replace(ReconstructionConfig(), edits=edits), cache=cache)
+
+
+def fail(*_: object) -> NoReturn:
+    raise AssertionError
+
+
+def files(take: Reconstruction, folder: Path, pieces: Pieces) -> Mapping[str, bytes]:
+    paths = list(write_results(take, folder, FORMATS, kept=FilesInPieces(pieces, folder)))
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def test_people_are_fitted_once_whatever_is_edited_elsewhere(
+    session: KeypointSession, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exchange = Exchange(person=1, other=2, start_frame=HALF)
+    edited(session, cache, exchange)
+    alone = edited(session, None, Split(person=3, frame=HALF), exchange, Merge(person=3, other=4))
+    monkeypatch.setattr(refit, "animate", fail)
+    # The exchanged people have been fitted; the third one is whole again.
+    found = edited(session, cache, Split(person=3, frame=HALF), exchange, Merge(person=3, other=4))
+    assert [motion.track_id for motion in found.motions] == [motion.track_id for motion in alone.motions]
+    for one, other in zip(found.motions, alone.motions, strict=True):
+        np.testing.assert_array_equal(one.parent_from_joint, other.parent_from_joint)
+    with pytest.raises(AssertionError):
+        edited(session, cache, Exchange(person=1, other=2, start_frame=HALF + 1))
+
+
+def test_files_are_written_once_and_renamed_people_anew(
+    session: KeypointSession, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, pieces = edited(session, cache), KeptPieces()
+    first = files(plain, tmp_path / "first", pieces)
+    monkeypatch.setattr(bvh, "encode", fail)
+    assert files(plain, tmp_path / "again", pieces) == first
+    renamed = edited(session, cache, Rename(person=2, name="Zoë"))
+    with pytest.raises(AssertionError):
+        files(renamed, tmp_path / "failed", pieces)
+    monkeypatch.undo()
+    fresh = files(renamed, tmp_path / "fresh", KeptPieces())
+    assert files(renamed, tmp_path / "kept", pieces) == fresh
+    assert {name for name in fresh if fresh[name] != first[name]} == {"skeletons.json", "person-2.glb"}
+
+
+def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
+    one, other = list(people_of(edited(session, cache)))[:2]
+    pieces = KeptPieces()
+    moved = one.track.xyz_m.copy()
+    moved[0, 0, 0] += 1e-12
+    people = [
+        one,
+        other,
+        dataclasses.replace(one, track=dataclasses.replace(one.track, xyz_m=moved)),
+        dataclasses.replace(one, motion=dataclasses.replace(one.motion, name="Zoë")),
+        dataclasses.replace(one, motion=dataclasses.replace(one.motion, contacts=())),
+        dataclasses.replace(one, timebase=dataclasses.replace(one.timebase, start_time_s=1.0)),
+    ]
+    keys = [pieces.key(person) for person in people]
+    assert len(set(keys)) == len(keys)
+    assert pieces.key(PersonOfTake(one.track, one.motion, one.joints, one.timebase)) == keys[0]
